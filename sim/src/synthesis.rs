@@ -14,11 +14,13 @@ use num_complex::Complex;
 use radome_dsp::KernelLevel;
 use realfft::{ComplexToReal, RealFftPlanner};
 
+mod chirp_grids;
 mod held;
 mod spread;
 
+pub use chirp_grids::{ChirpGrids, Echo, EchoChirps, EchoWay};
 pub use held::{HeldEcho, HeldEchoes};
-pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoPass, EchoWay, Grids, Places};
+pub use spread::{CHIRPS, Grids, Places};
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]

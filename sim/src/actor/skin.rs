@@ -13,7 +13,7 @@ use glam::{DMat3, DVec3};
 use super::body::{Build, CHEST, PELVIS, SEGMENTS};
 use super::motion::{Motion, Steps};
 use crate::field::highlight::Ellipsoid;
-use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
+use crate::geometry::{Edge, Mesh, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
 
 /// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
@@ -24,6 +24,10 @@ const BLEND_M: f64 = 0.014;
 const NEGLIGIBLE: f64 = 20.0;
 /// A segment moves skin up to this far from its own surface, m.
 const REACH_M: f64 = 0.085;
+/// Beyond this nothing of a part is left, neither skin nor what it moves, with all that blending brings nearer, m.
+const FAR_M: f64 = 0.15;
+/// More parts than any body has.
+const MOST_PARTS: usize = 32;
 /// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
 const ARM_APART_RAD: f64 = 0.5;
 const LEG_APART_RAD: f64 = 0.10;
@@ -95,6 +99,34 @@ impl Part {
     }
 }
 
+/// Distance to what is nearest of parts, less what the rest adds, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, the largest taken out.
+/// Of places that are [`FAR_M`] from all of them a bound from below.
+fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
+    let mut at_least_m = [f64::INFINITY; MOST_PARTS];
+    let (mut nearest, mut nearest_m) = (0, f64::INFINITY);
+    for (i, (at_least, (_, reach))) in at_least_m.iter_mut().zip(parts).enumerate() {
+        *at_least = reach.least_distance_m(p);
+        (nearest, nearest_m) = if *at_least < nearest_m { (i, *at_least) } else { (nearest, nearest_m) };
+    }
+    let Some((first, _)) = parts.get(nearest) else { return f64::INFINITY };
+    if nearest_m > FAR_M {
+        return nearest_m - BLEND_M * (parts.len() as f64).ln();
+    }
+    // What cannot matter beside the part that seems the nearest is passed over.
+    let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
+    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    for ((part, _), _) in parts.iter().zip(at_least_m).filter(|(_, at_least)| *at_least < farthest) {
+        let d = part.distance_m(p);
+        if d < least {
+            sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
+            least = d;
+        } else if d - least < NEGLIGIBLE * BLEND_M {
+            sum += ((least - d) / BLEND_M).exp();
+        }
+    }
+    least - BLEND_M * f64::ln(sum)
+}
+
 /// What moves a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units of
 /// the segment's semi-axes).
 #[derive(Debug, Clone, PartialEq)]
@@ -110,8 +142,6 @@ pub struct Skin {
     /// The segment of the body to which each bone belongs.
     segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
-    /// Edges of each triangle: first to second corner, second to third, third to first.
-    sides: Vec<[u32; 3]>,
     bindings: Vec<Binding>,
     influences: Vec<(usize, f64, DVec3)>,
     patches: Vec<SkinPatch>,
@@ -147,9 +177,13 @@ pub struct PosedSkin {
     pub velocities_m_per_s: Vec<DVec3>,
     /// Unit normals there.
     pub normals: Vec<DVec3>,
-    /// How far the surface lies beside the middle of each edge, m: the cubic over the edge that is tangential to the surface at
-    /// both ends.
-    pub bulges: Vec<DVec3>,
+}
+
+/// How far the surface lies beside the middle of an edge, m, from its ends and the unit normals there: the cubic over the edge that
+/// is tangential to the surface at both ends.
+pub fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
+    let d = b - a;
+    0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
 }
 
 /// Vertices of a skin at one time.
@@ -166,41 +200,24 @@ impl Skin {
     pub fn new(build: &Build, edge_m: f64) -> Self {
         let segments = apart(build);
         let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
-        // Distance to what is nearest, less what the rest adds: -BLEND ln sum exp(-d / BLEND), the largest taken out.
-        let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
-            let near =
-                || parts.iter().filter(|(part, _)| of(part)).map(|(part, reach)| (part, reach.least_distance_m(p)));
-            // What cannot matter beside the part that seems the nearest is passed over.
-            let Some((first, _)) = near().min_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::INFINITY };
-            let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
-            let (mut least, mut sum) = (f64::INFINITY, 0.0);
-            for (part, _) in near().filter(|(_, at_least)| *at_least < farthest) {
-                let d = part.distance_m(p);
-                if d < least {
-                    sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
-                    least = d;
-                } else if d - least < NEGLIGIBLE * BLEND_M {
-                    sum += ((least - d) / BLEND_M).exp();
-                }
-            }
-            least - BLEND_M * f64::ln(sum)
-        };
+        let of_segment = |segment: usize| parts.iter().filter(|(part, _)| part.segment() == segment).copied().collect();
+        let by_segment: [Vec<(Part, Reach)>; SEGMENTS] = std::array::from_fn(of_segment);
         let around = segments.iter().map(|e| (e.centre, super::program::half_extent(e)));
         let (least, greatest) =
             around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
-        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
+        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
 
         let (rest, patches, _) = in_patch_order(&rest);
-        let (edges, sides) = skin_edges(&rest);
+        let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
         let segment_of = (0..SEGMENTS).collect();
         let (bindings, influences) = Default::default();
-        let mut skin = Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing };
+        let mut skin = Skin { rest, segment_of, edges, bindings, influences, patches, narrowing };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
-                let distance = blended(vertex, &|part| part.segment() == segment).max(0.0);
+                let distance = blended_m(vertex, &by_segment[segment]).max(0.0);
                 (1.0 - distance / REACH_M).max(0.0).powi(3)
             };
             let weights: [f64; SEGMENTS] = std::array::from_fn(weight);
@@ -218,14 +235,14 @@ impl Skin {
     /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
     pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
         let (rest, patches, from) = in_patch_order(rest);
-        let (edges, sides) = skin_edges(&rest);
+        let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
         let (mut bindings, mut influences) = (Vec::new(), Vec::new());
         for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
             bindings.push(Binding { first: influences.len() as u32, count: of.len() as u32 });
             influences.extend_from_slice(of);
         }
-        Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing }
+        Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }
     }
 
     /// The mesh in its rest pose, over the origin, facing +x.
@@ -236,11 +253,6 @@ impl Skin {
     /// The edges.
     pub fn edges(&self) -> &[SkinEdge] {
         &self.edges
-    }
-
-    /// Edges of each triangle: first to second corner, second to third, third to first.
-    pub fn sides(&self) -> &[[u32; 3]] {
-        &self.sides
     }
 
     /// Small connected patches of triangles, which together are all of them.
@@ -265,9 +277,16 @@ impl Skin {
         self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
     }
 
-    /// Vertices for a pose of the bones; their velocities for its rate.
+    /// Vertices for a pose of the bones.
     pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
         self.bindings.iter().map(|b| self.follow(b, maps)).collect()
+    }
+
+    /// Vertices for a pose of the bones, and their velocities for its rate.
+    fn pose_moving(&self, maps: &[Map], rates: &[Map]) -> MovingVertices {
+        let both = self.bindings.iter().map(|b| (self.follow(b, maps), self.follow(b, rates)));
+        let (vertices, velocities_m_per_s) = both.unzip();
+        MovingVertices { vertices, velocities_m_per_s }
     }
 
     fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
@@ -301,32 +320,17 @@ fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
     curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
 }
 
-/// Edges of a mesh, and those of each triangle: first to second corner, second to third, third to first.
-fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
-    let mut sides = vec![[0; 3]; mesh.triangles.len()];
-    let edges = edges(mesh)
-        .iter()
-        .enumerate()
-        .map(|(number, edge)| {
-            let triangles = [edge.left, edge.right.unwrap_or(edge.left)];
-            for triangle in triangles {
-                let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
-                let [p, q] = edge.vertices;
-                let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q) || s == (q, p));
-                if let (Some(side), Some(of)) = (side, sides.get_mut(triangle as usize)) {
-                    of[side] = number as u32;
-                }
-            }
-            SkinEdge { vertices: edge.vertices, triangles }
-        })
-        .collect();
-    (edges, sides)
+/// Edges of a mesh.
+fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
+    let edge =
+        |edge: &Edge| SkinEdge { vertices: edge.vertices, triangles: [edge.left, edge.right.unwrap_or(edge.left)] };
+    edges(mesh).iter().map(edge).collect()
 }
 
 /// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
 /// together in memory. And of every vertex, which it was.
 fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
-    let numbers_of = patches(mesh, &skin_edges(mesh).0);
+    let numbers_of = patches(mesh, &skin_edges(mesh));
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
     order.sort_by_key(|&t| numbers_of[t]);
     let mut numbers = vec![u32::MAX; mesh.vertices.len()];
@@ -515,22 +519,14 @@ impl WalkingMesh {
                 stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
             })
             .collect();
-        MovingVertices { vertices: self.skin.pose(&self.maps(time_s)), velocities_m_per_s: self.skin.pose(&rates) }
+        self.skin.pose_moving(&self.maps(time_s), &rates)
     }
 
     /// The skin at a time, in the room, with what a surface integral needs.
     pub fn posed(&self, time_s: f64) -> PosedSkin {
         let MovingVertices { vertices, velocities_m_per_s } = self.at(time_s);
         let normals = one_ring_normals(&vertices, &self.skin.rest.triangles);
-        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
-        let bulge = |edge: &SkinEdge| {
-            let [a, b] = edge.vertices;
-            let (normal_a, normal_b) = (at(&normals, a), at(&normals, b));
-            let d = at(&vertices, b) - at(&vertices, a);
-            0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
-        };
-        let bulges = self.skin.edges.iter().map(bulge).collect();
-        PosedSkin { vertices, velocities_m_per_s, normals, bulges }
+        PosedSkin { vertices, velocities_m_per_s, normals }
     }
 
     /// The mesh at a time, in the room.

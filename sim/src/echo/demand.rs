@@ -58,6 +58,12 @@ impl Demand {
         0.06 * self.least_pair_lsb()
     }
 
+    /// Part of a patch's own field that may be missed between keys, where what is missed would be heard: little beside what windows
+    /// miss.
+    pub(super) fn missed_between_keys(&self) -> f64 {
+        (0.005 * self.tolerance_db / 0.5).min(0.008)
+    }
+
     /// At which keys, of those up to the last, it is found what limbs shade of an image that is this loud, LSB: a limb's shadow
     /// moves a few centimetres in a frame, on what is a small part of the echo.
     pub(super) fn shade_keys(&self, loudness_lsb: f64, last: usize) -> Vec<usize> {

@@ -13,7 +13,7 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
-use crate::actor::skin::PosedSkin;
+use crate::actor::skin::{PosedSkin, bulge};
 use crate::actor::track::smooth_step;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
@@ -143,10 +143,9 @@ impl Surface {
         let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
         self.corners = skin.rest().triangles.get(triangle).copied().unwrap_or_default();
         self.cloth = self.corners.map(|v| person.cloth().get(v as usize).copied().unwrap_or_default());
-        let sides = skin.sides().get(triangle).copied().unwrap_or_default();
         let [points, normals, velocities] =
             [&posed.vertices, &posed.normals, &posed.velocities_m_per_s].map(|of| self.corners.map(|v| at(of, v)));
-        let bulges = sides.map(|e| at(&posed.bulges, e));
+        let bulges = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| bulge([points[a], points[b]], [normals[a], normals[b]]));
         let mean = |of: &[DVec3; 3], [a, b, c]: [f64; 3]| of[0] * a + of[1] * b + of[2] * c;
         let place = |w: &[f64; 3]| {
             let &[a, b, c] = w;

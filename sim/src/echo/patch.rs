@@ -4,15 +4,15 @@
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
-use num_complex::{Complex, Complex64};
+use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
-use super::chirp_sum::{ChirpRow, ChirpSums, TrackRows, chirp_rows};
+use super::chirp_sum::{ChirpSums, StretchChirps, TrackRows, stretches_of};
 use super::key_rows::KeyRows;
 use crate::field::image::{Element, ImageIndex};
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::stage::Stage;
-use crate::synthesis::EchoWay;
+use crate::synthesis::{EchoWay, phasor};
 
 /// Where the antennas behind an image are.
 pub(super) struct Place {
@@ -30,7 +30,7 @@ pub struct FrameTimes {
     /// Middles of the chirps, s.
     pub chirps_s: Vec<f64>,
     /// Chirps by the stretch between keys that they are in.
-    stretches: Vec<Vec<ChirpRow>>,
+    stretches: Vec<StretchChirps>,
 }
 
 impl FrameTimes {
@@ -39,7 +39,7 @@ impl FrameTimes {
         let first_s = keys_s.first().copied().unwrap_or_default();
         let length_s = keys_s.last().copied().unwrap_or_default() - first_s;
         let places: Vec<f64> = chirps_s.iter().map(|t| (t - first_s) / length_s).collect();
-        let stretches = chirp_rows(&places, keys_s.len().saturating_sub(1));
+        let stretches = stretches_of(&places, keys_s.len().saturating_sub(1));
         FrameTimes { keys_s, chirps_s, stretches }
     }
 
@@ -60,10 +60,17 @@ impl FrameTimes {
 
 /// Triangles that hang together, as one moving place.
 pub(super) struct Patch {
-    /// At each key: mean place by power, path there, m, and its rate, m/s.
-    places: Vec<(DVec3, f64, f64)>,
-    /// Paths are counted from here, m.
-    base_m: f64,
+    /// At each key.
+    places: Vec<PatchPlace>,
+}
+
+/// Where a patch is at a key: means over its triangles by power.
+#[derive(Clone, Copy)]
+struct PatchPlace {
+    place: DVec3,
+    /// Path there by the antennas' middles, m, and its rate, m/s.
+    length_m: f64,
+    rate_m_per_s: f64,
 }
 
 impl Patch {
@@ -88,65 +95,96 @@ impl Patch {
             return None;
         }
         weights.iter_mut().for_each(|weight| *weight /= total);
+        // They sum to one but for rounding, which lengths would show.
+        let whole = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>();
         let place = |key: &KeyRows| {
             let mean = |row: &Row| f64::from((0..LANES).map(|l| row[l] * weights[l]).sum::<f32>());
             let length_m = (0..LANES).map(|l| key.length_m[l] * f64::from(weights[l])).sum::<f64>();
             let middle = DVec3::new(mean(&key.middles[0]), mean(&key.middles[1]), mean(&key.middles[2]));
-            // Weights sum to one but for rounding, which lengths would show.
-            let whole = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>();
-            (origin + middle, length_m / whole, mean(&key.rate_m_per_s))
+            let rate_m_per_s = mean(&key.rate_m_per_s);
+            PatchPlace { place: origin + middle, length_m: length_m / whole, rate_m_per_s }
         };
         let places: Vec<_> = keys.iter().map(place).collect();
-        let (middle, base_m, _) = *places.get(places.len() / 2)?;
+        let middle = places.get(places.len() / 2)?.place;
         let gradient_rad_per_m = detour_gradient(between, middle) * (std::f64::consts::TAU / wavelength_m);
         let step_s = times.step_s();
-        let end = |(key, (place, ..)): (&KeyRows, &(DVec3, f64, f64))| {
-            track_rows(key, *place - origin, base_m, gradient_rad_per_m, step_s, wavelength_m)
+        let end = |(key, place): (&KeyRows, &PatchPlace)| {
+            track_rows(key, place, origin, gradient_rad_per_m, step_s, wavelength_m)
         };
         let ends: Vec<TrackRows> = keys.iter().zip(&places).map(end).collect();
         sums.clear(times.chirps_s.len());
-        for (pair, chirps) in ends.windows(2).zip(&times.stretches) {
-            let [first, second] = pair else { continue };
+        for ((ends, places), chirps) in ends.windows(2).zip(places.windows(2)).zip(&times.stretches) {
+            let ([first, second], [begin, end]) = (ends, places) else { continue };
+            sums.follow([begin, end].map(|place| (place.length_m, place.rate_m_per_s)), step_s, chirps);
             sums.add([first, second], chirps);
         }
-        Some(Patch { places, base_m })
+        Some(Patch { places })
     }
 
-    /// Factor from field to LSB at a receiver in the first chirp, and its change from chirp to chirp.
-    pub(super) fn response(&self, stage: &Stage, rx: usize, chirps: usize) -> [Complex<f32>; 2] {
-        let at = |place: Option<&(DVec3, f64, f64)>| {
-            let beat_hz =
-                place.map_or(0.0, |p| stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S));
-            let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
-            Complex::new(a.re as f32, a.im as f32)
-        };
-        let (begins, ends) = (at(self.places.first()), at(self.places.last()));
-        [begins, (ends - begins) / chirps as f32]
-    }
-
-    /// The way between a transmitter's and a receiver's image.
-    pub(super) fn way(
+    /// What each receiver makes of it by the way between two images, and by its reverse if it is both.
+    pub(super) fn ways(
         &self,
         stage: &Stage,
-        [out, back]: [&Place; 2],
-        rx: usize,
-        response: [Complex<f32>; 2],
+        between: [&Place; 2],
+        is_both: bool,
         chirps: usize,
-    ) -> EchoWay {
-        // What the way by transmitter and receiver is longer than that by their middles.
-        let detour = |key: usize| {
-            let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.0);
-            let by_middles = out.middle.distance(place) + back.middle.distance(place);
-            out.tx.distance(place) + back.rx.get(rx).map_or(0.0, |sink| sink.distance(place)) - by_middles
+        ways: &mut Vec<EchoWay>,
+    ) {
+        ways.clear();
+        let last = self.places.len().saturating_sub(1);
+        let (Some(begin), Some(middle), Some(end)) =
+            (self.places.first(), self.places.get(last / 2), self.places.last())
+        else {
+            return;
         };
-        let rate = |key: usize| self.places.get(key).map_or(0.0, |p| p.2);
-        let [base, slope, bend] = parabola(&detour, self.places.len(), chirps);
-        EchoWay {
-            length_m: [self.base_m + base, slope, bend],
-            rate_m_per_s: parabola(&rate, self.places.len(), chirps),
-            wavelength_m: stage.wavelength_m,
-            response,
+        let [begins, ends] = [begin, end].map(|place| place.response(stage));
+        let at_middle = if last > 0 { (last / 2) as f32 / last as f32 } else { 0.0 };
+        let responses = [begins, begins + (ends - begins) * at_middle, ends];
+        let passes = [between, [between[1], between[0]]];
+        let keys = [begin, middle, end].map(|place| (place, passes.map(|pass| place.detour_but_for_receiver_m(pass))));
+        for (rx, lsb) in stage.lsb.iter().enumerate().take(stage.rx.len()) {
+            let mut factors = [(Complex::default(), Complex::default()); 3];
+            for ((factor, response), (place, detours_m)) in factors.iter_mut().zip(responses).zip(&keys) {
+                let response = response * *lsb as f32;
+                let turn = |pass: usize| {
+                    let to_receiver_m = passes[pass][1].rx.get(rx).map_or(0.0, |sink| sink.distance(place.place));
+                    place.turn(stage, detours_m[pass] + to_receiver_m)
+                };
+                let there = response * turn(0);
+                let reverse = if is_both { response * turn(1) } else { Complex::default() };
+                *factor = (there + reverse, there - reverse);
+            }
+            ways.push(EchoWay {
+                both: parabola(factors.map(|(both, _)| both), last, chirps),
+                apart: parabola(factors.map(|(_, apart)| apart), last, chirps),
+            });
         }
+    }
+}
+
+impl PatchPlace {
+    fn delay_s(&self) -> f64 {
+        self.length_m / SPEED_OF_LIGHT_M_PER_S
+    }
+
+    /// What filters make of its field, as it multiplies `exp(+j ...)`.
+    fn response(&self, stage: &Stage) -> Complex<f32> {
+        let beat_hz = stage.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
+        let response = stage.filters.response(beat_hz);
+        Complex::new(response.re as f32, response.im as f32)
+    }
+
+    /// How much longer the way from the transmitter is than that by the antennas' middles there and back, m: a receiver's own
+    /// distance is to be added.
+    fn detour_but_for_receiver_m(&self, [out, back]: [&Place; 2]) -> f64 {
+        let by_middles_m = out.middle.distance(self.place) + back.middle.distance(self.place);
+        out.tx.distance(self.place) - by_middles_m
+    }
+
+    /// The phasor of a path that is so much longer.
+    fn turn(&self, stage: &Stage, longer_m: f64) -> Complex<f32> {
+        let (delay_s, later_s) = (self.delay_s(), longer_m / SPEED_OF_LIGHT_M_PER_S);
+        phasor(stage.chirp.phase_cycles(delay_s + later_s) - stage.chirp.phase_cycles(delay_s))
     }
 }
 
@@ -158,32 +196,33 @@ fn detour_gradient([out, back]: [&Place; 2], place: DVec3) -> DVec3 {
     away(out.tx) - away(out.middle) + away(receivers) - away(back.middle)
 }
 
-/// Through the first, the middle and the last key, as powers of the chirp's number: keys span the chirps.
-fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
-    let (last, n) = (keys.saturating_sub(1), chirps as f64);
-    let [a, b, c] = [of(0), of(last / 2), of(last)];
+/// Through values at the first, the middle and the last key, the last of which has this number, as powers of the chirp's number: keys
+/// span the chirps.
+fn parabola([a, b, c]: [Complex<f32>; 3], last: usize, chirps: usize) -> [Complex<f32>; 3] {
+    let n = chirps as f32;
     if last < 2 {
-        return [a, (c - a) / n, 0.0];
+        return [a, (c - a) / n, Complex::default()];
     }
-    [a, (4.0 * b - 3.0 * a - c) / n, 2.0 * (a + c - 2.0 * b) / (n * n)]
+    [a, (b * 4.0 - a * 3.0 - c) / n, (a + c - b * 2.0) * (2.0 / (n * n))]
 }
 
-/// Triangles at a key as one end of a stretch of so many seconds, with lengths from a base.
+/// Triangles at a key as one end of a stretch of so many seconds, with lengths from the patch's.
 fn track_rows(
     key: &KeyRows,
-    place: DVec3,
-    base_m: f64,
+    patch: &PatchPlace,
+    origin: DVec3,
     detour_rad_per_m: DVec3,
     step_s: f64,
     wavelength_m: f64,
 ) -> TrackRows {
     let per_wavelength = 1.0 / wavelength_m;
     let [slope, step, per_m] = [step_s * per_wavelength, step_s, per_wavelength].map(|factor| factor as f32);
-    let (place, gradient) = (place.as_vec3().to_array(), detour_rad_per_m.as_vec3().to_array());
+    let (place, gradient) = ((patch.place - origin).as_vec3().to_array(), detour_rad_per_m.as_vec3().to_array());
+    let rate_m_per_s = patch.rate_m_per_s as f32;
     let mut rows = TrackRows { field: key.field, ..TrackRows::default() };
     for l in 0..LANES {
-        rows.length[l] = (key.length_m[l] - base_m) * per_wavelength;
-        rows.length_slope[l] = key.rate_m_per_s[l] * slope;
+        rows.length[l] = (key.length_m[l] - patch.length_m) * per_wavelength;
+        rows.length_slope[l] = (key.rate_m_per_s[l] - rate_m_per_s) * slope;
     }
     for part in 0..2 {
         for l in 0..LANES {

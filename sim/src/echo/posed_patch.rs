@@ -6,9 +6,14 @@ use radome_dsp::KernelLevel;
 use super::inside_room;
 use super::strength::{LightRows, VertexRows, light_rows};
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
-use crate::field::curved_triangle::{Integrator, Nodes, TriangleRows, ViewRows, place_nodes, triangle_rows, view_rows};
+use crate::field::curved_triangle::{
+    HALVES, Integrator, Nodes, TriangleRows, ViewRows, bulge_rows, place_nodes, triangle_rows, view_rows,
+};
 use crate::lanes::{LANES, Row, Row3};
 use crate::stage::Stage;
+
+/// The rule of quadrature of each half of the lanes; none where nothing is to be integrated.
+pub(super) type Rules = [Option<usize>; HALVES];
 
 /// A patch in a pose.
 pub(super) struct PosedPatch {
@@ -20,8 +25,10 @@ pub(super) struct PosedPatch {
     /// By image antenna; those that were asked for.
     pub(super) lights: Vec<LightRows>,
     pub(super) views: Vec<ViewRows>,
-    /// Places of each rule, and whether they have been found.
-    nodes: Vec<(bool, Nodes)>,
+    /// Places of each rule in each half of the lanes, and whether they have been found.
+    nodes: Vec<[(bool, Nodes); HALVES]>,
+    /// No places.
+    none: Nodes,
 }
 
 /// Places of vertices from `origin`, and normals.
@@ -61,6 +68,7 @@ impl PosedPatch {
             lights: vec![light_rows(level, [0.0; 3], &zero); images],
             views: vec![view_rows(level, DVec3::ZERO, DVec3::ZERO, &triangles, 1.0); images],
             nodes: integrator.rules.iter().map(|_| Default::default()).collect(),
+            none: Nodes::default(),
         }
     }
 
@@ -85,18 +93,9 @@ impl PosedPatch {
             let velocity = posed.velocities_m_per_s[v as usize];
             (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
         }
-        let mut bulges: [Row3; 3] = Default::default();
-        for (l, sides) in skin.sides().get(patch.triangles.clone()).unwrap_or_default().iter().enumerate() {
-            for (bulges, &side) in bulges.iter_mut().zip(sides) {
-                let bulge = posed.bulges[side as usize];
-                (0..3).for_each(|axis| bulges[axis][l] = bulge[axis] as f32);
-            }
-        }
-        for (l, _) in patch.corners.iter().enumerate().skip(patch.triangles.len()) {
-            bulges.iter_mut().flatten().for_each(|row| row[l] = 0.0);
-        }
         let corners = vectors_at_corners(&places, &patch.corners);
         let corner_normals = vectors_at_corners(&normals, &patch.corners);
+        let bulges = bulge_rows(level, &corners, &corner_normals);
         self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
         let all = vectors_at_corners(&velocities, &patch.corners);
         self.velocity = std::array::from_fn(|axis| {
@@ -105,7 +104,7 @@ impl PosedPatch {
         self.against = all.map(|corner| {
             std::array::from_fn(|axis| std::array::from_fn(|l| corner[axis][l] - self.velocity[axis][l]))
         });
-        self.nodes.iter_mut().for_each(|(found, _)| *found = false);
+        self.nodes.iter_mut().flatten().for_each(|(found, _)| *found = false);
     }
 
     /// How an image antenna sees it.
@@ -115,19 +114,23 @@ impl PosedPatch {
         self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
     }
 
-    /// Places of a rule on the triangles.
-    pub(super) fn nodes(&mut self, rule: usize, integrator: &Integrator) {
-        if let Some((found, nodes)) = self.nodes.get_mut(rule)
-            && !*found
-        {
-            place_nodes(integrator.level, &self.triangles, &integrator.rules[rule], nodes);
-            *found = true;
+    /// Finds the places of each half's rule.
+    pub(super) fn find_nodes(&mut self, rules: Rules, integrator: &Integrator) {
+        for (half, rule) in rules.into_iter().enumerate() {
+            let Some((rule, nodes)) = rule.and_then(|rule| Some((rule, self.nodes.get_mut(rule)?))) else { continue };
+            if let Some((found, nodes)) = nodes.get_mut(half)
+                && !*found
+            {
+                place_nodes(integrator.level, &self.triangles, half, &integrator.rules[rule], nodes);
+                *found = true;
+            }
         }
     }
 
-    /// Those of a rule that have been found.
-    pub(super) fn found(&self, rule: usize) -> &Nodes {
-        &self.nodes[rule].1
+    /// Places that have been found.
+    pub(super) fn nodes(&self, rules: Rules) -> [&Nodes; HALVES] {
+        let of_half = |half: usize| rules[half].map_or(&self.none, |rule| &self.nodes[rule][half].1);
+        std::array::from_fn(of_half)
     }
 }
 

@@ -133,6 +133,7 @@ impl SkinnedPerson {
             posed,
             weights: Vec::new(),
             folds: self.mesh.motion().person.clothing.folds(),
+            missed_between_keys: demand.missed_between_keys(),
         };
         let shining = self.shining(&work);
         work.weights = self.weights(&work, people, me, &shining, demand);

@@ -1,27 +1,25 @@
 //! Where a skin's patches are worked on, one after the other: posed at the keys, integrated between pairs of images, and laid down
 //! as tones.
 
-use std::collections::BTreeMap;
-
 use glam::DVec3;
-use num_complex::{Complex, Complex64};
+use num_complex::Complex64;
 
-use super::chirp_sum::{ChirpSums, Direction};
+use super::chirp_sum::ChirpSums;
 use super::demand::{Fineness, Missed};
 use super::key_rows::{KeyRows, Parts, StrengthRows, key_rows};
 use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
-use super::posed_patch::PosedPatch;
+use super::posed_patch::{PosedPatch, Rules};
 use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
 use crate::actor::clothing::Folds;
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
 use crate::field::Phasor3;
-use crate::field::curved_triangle::{Integrator, MomentRows, moments, spans_rad};
+use crate::field::curved_triangle::{HALVES, Integrator, MomentRows, moments, spans_rad};
 use crate::field::image::{Element, ImageIndex};
 use crate::field::quadrature::rule_for;
 use crate::lanes::{LANES, Row};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, EchoChirps, EchoPass, EchoWay, phasor};
+use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
 
 /// Step over which fields are differentiated, m.
 const FIELD_STEP_M: f64 = 0.03;
@@ -59,6 +57,8 @@ pub(super) struct Work<'a> {
     pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
     /// Roughness of what somebody wears.
     pub(super) folds: Option<&'a Folds>,
+    /// Part of a patch's own field that may be missed between keys.
+    pub(super) missed_between_keys: f64,
 }
 
 /// A patch at one of the finer keys.
@@ -67,6 +67,8 @@ struct Pose {
     /// By image.
     fields: Vec<FieldRows>,
     weights: Vec<Row>,
+    /// Whether it has been looked at.
+    is_seen: Vec<bool>,
     /// Between the images that are being worked on.
     strengths: (Row, Row),
     moments: MomentRows,
@@ -84,10 +86,8 @@ pub(super) struct Workbench {
     keys: Vec<KeyRows>,
     level: usize,
     sums: ChirpSums,
-    /// There and back, by receiver.
-    responses: Vec<[Complex<f32>; 2]>,
-    ways: [Vec<EchoWay>; 2],
-    chirps: [Vec<EchoChirps>; 2],
+    /// What each receiver makes of a patch.
+    ways: Vec<EchoWay>,
     /// Of the patch, in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
@@ -104,6 +104,7 @@ impl Workbench {
             patch: PosedPatch::new(images, work.integrator),
             fields: vec![FieldRows::default(); images],
             weights: vec![[1.0; LANES]; images],
+            is_seen: vec![false; images],
             strengths: ([0.0; LANES], [0.0; LANES]),
             moments: MomentRows::default(),
         };
@@ -115,9 +116,7 @@ impl Workbench {
             keys: Vec::new(),
             level: 0,
             sums: ChirpSums::new(work.integrator.level),
-            responses: Vec::new(),
-            ways: Default::default(),
-            chirps: Default::default(),
+            ways: Vec::new(),
             area_m2: 0.0,
             least,
             left_out: 0.0,
@@ -138,7 +137,13 @@ impl Workbench {
         self.images.dedup();
         self.between = false;
         self.around = self.fields_around(work, patch);
-        let clamped = (0..self.poses.len()).step_by(2).map(|key| self.pose_at(work, patch, key)).sum();
+        let mut clamped = 0;
+        for key in (0..self.poses.len()).step_by(2) {
+            self.pose_at(work, patch, key);
+            for number in 0..self.images.len() {
+                clamped += self.look(work, patch, key, self.images[number]);
+            }
+        }
         self.area_m2 = self.poses.get(work.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
         clamped
     }
@@ -161,18 +166,25 @@ impl Workbench {
         self.images.iter().map(around).collect()
     }
 
-    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) -> usize {
+    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
+        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return };
+        pose.patch.pose(work.stage, work.integrator.level, work.skin, patch, posed, work.cloth, work.origin);
+        pose.is_seen.fill(false);
+    }
+
+    /// Looks at a patch that is posed at a key from one of the images around it, if that has not been done. Returns how many of the
+    /// distances are less than amplitudes are made for.
+    fn look(&mut self, work: &Work, patch: &SkinPatch, key: usize, image: usize) -> usize {
         let level = work.integrator.level;
-        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return 0 };
-        pose.patch.pose(work.stage, level, work.skin, patch, posed, work.cloth, work.origin);
-        let mut clamped = 0;
-        for (&image, around) in self.images.iter().zip(&self.around) {
-            pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
-            clamped += pose.patch.lights[image].clamped();
-            pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
-            pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
+        let around = self.images.binary_search(&image).ok().and_then(|number| self.around.get(number));
+        let (Some(pose), Some(around)) = (self.poses.get_mut(key), around) else { return 0 };
+        if std::mem::replace(&mut pose.is_seen[image], true) {
+            return 0;
         }
-        clamped
+        pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
+        pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
+        pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
+        pose.patch.lights[image].clamped()
     }
 
     /// Finds the patch's triangles between two images at as many keys as they need. Whether there is anything.
@@ -192,30 +204,33 @@ impl Workbench {
         let Some(middle) = self.poses.get(self.poses.len() / 4 * 2) else { return false };
         let spans = spans_rad(work.integrator.level, [&middle.patch.views[out], &middle.patch.views[back]]);
         let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
-        let (mut least, mut most) = (f32::INFINITY, 0f32);
-        for l in (0..patch.triangles.len()).filter(|&l| corners_live(l)) {
-            (least, most) = (least.min(spans[l]), most.max(spans[l]));
-        }
+        let lanes_live = (0..patch.triangles.len()).filter(|&l| corners_live(l));
+        let least = lanes_live.clone().map(|l| spans[l]).fold(f32::INFINITY, f32::min);
         // A wave that runs across a triangle leaves less than two over its span, and of a patch still less: what is not heard
         // even so needs no integral.
         if strongest == 0.0 || strongest.sqrt() * self.area_m2 * (RUN_RAD / least).min(1.0) < self.least {
             return false;
         }
-        let rule = rule_for(most, pair.fineness.ease);
-        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
+        let rules = rules_for(&spans, lanes_live, pair.fineness.ease);
+        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rules));
         self.find_keys(work, patch, pair, 0);
-        let (missed, _) = self.missed_between_keys(work);
+        let (missed, power) = self.missed_between_keys(work);
         // Cubics err with the fourth power of the step.
-        if missed.sqrt() / 16.0 > f64::from(self.least) {
+        if missed.sqrt() / 16.0 > f64::from(self.least).max(work.missed_between_keys * power.sqrt()) {
             if !self.between {
                 for key in (1..self.poses.len()).step_by(2) {
                     self.pose_at(work, patch, key);
                 }
                 self.between = true;
             }
+            for key in (1..self.poses.len()).step_by(2) {
+                for image in pair.images {
+                    self.look(work, patch, key, image);
+                }
+            }
             for pose in self.poses.iter_mut().skip(1).step_by(2) {
                 pose.strengths = pose.strengths(work, pair, &pair.fineness);
-                pose.find_moments(work, pair, rule);
+                pose.find_moments(work, pair, rules);
             }
             self.find_keys(work, patch, pair, 1);
         }
@@ -239,26 +254,26 @@ impl Workbench {
         missed_between_keys(work.integrator.level, &self.keys, step_s, work.stage.wavelength_m)
     }
 
-    /// Adds what is missed of a pair that has been integrated: between keys, and at each of them against a coarser field.
+    /// Adds what is missed of a pair that has been integrated: between keys, and in the middle of the frame against a coarser field.
     pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
         let coarse = &pair.fineness.coarser();
         let [out, back] = pair.images;
         missed.add_between_keys(self.missed_between_keys(work));
-        let found = self.keys.iter().step_by(1 + self.level);
-        for (key, (pose, fine)) in self.poses.iter_mut().step_by(2).zip(found).enumerate() {
-            let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
-            let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
-            let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
-            pose.find_moments(work, pair, rule_for(span, coarse.ease));
-            missed.add_integration(key, fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
-        }
+        let middle = self.poses.len() / 4;
+        let found = self.keys.get(middle * (1 + self.level));
+        let (Some(pose), Some(fine)) = (self.poses.get_mut(2 * middle), found) else { return };
+        let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
+        let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
+        pose.find_moments(work, pair, rules_for(&spans, 0..patch.triangles.len(), coarse.ease));
+        missed.add_integration(fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
     }
 
     /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
     pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
         let (stage, times) = (work.stage, work.times[self.level]);
         let in_phase = |keys: &KeyRows| keys.powers().into_iter().map(f32::sqrt).sum::<f32>();
-        let ways = if pair.images[0] == pair.images[1] { 1.0 } else { 2.0 };
+        let is_both = pair.images[0] != pair.images[1];
+        let ways = if is_both { 2.0 } else { 1.0 };
         if self.keys.iter().map(in_phase).fold(0.0, f32::max) < self.least {
             // As if its triangles had nothing to do with each other.
             let power = |keys: &KeyRows| keys.powers().into_iter().sum::<f32>();
@@ -266,8 +281,6 @@ impl Workbench {
             return false;
         }
         let between = pair.images.map(|i| &work.places[i]);
-        let both = [between, [between[1], between[0]]];
-        let directions = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
         let (keys, sums) = (&self.keys, &mut self.sums);
         let Some(patch) = Patch::new(keys, work.origin, between, times, stage.wavelength_m, sums) else { return false };
         let loudest = sums.loudest();
@@ -275,19 +288,9 @@ impl Workbench {
             self.left_out += ways * f64::from(loudest * loudest);
             return false;
         }
-        let count = times.chirps_s.len();
-        self.responses.clear();
-        self.responses.extend((0..stage.rx.len()).map(|rx| patch.response(stage, rx, count)));
-        self.ways.iter_mut().for_each(Vec::clear);
-        let both =
-            directions.iter().zip([Direction::There, Direction::Reverse]).zip(&mut self.ways).zip(&mut self.chirps);
-        for (((way, direction), ways), chirps) in both {
-            sums.chirps(direction, chirps);
-            let of_receivers = self.responses.iter().enumerate();
-            ways.extend(of_receivers.map(|(rx, response)| patch.way(stage, *way, rx, *response, count)));
-        }
-        let [there, back] = [0, 1].map(|i| EchoPass { ways: &self.ways[i], chirps: &self.chirps[i] });
-        grids.add(&stage.chirp, &[there, back][..directions.len()]);
+        patch.ways(stage, between, is_both, times.chirps_s.len(), &mut self.ways);
+        let (ways, chirps) = (self.ways.as_slice(), sums.chirps());
+        grids.add(&Echo { chirp: &stage.chirp, wavelength_m: stage.wavelength_m, ways, chirps });
         true
     }
 }
@@ -329,12 +332,23 @@ impl Pose {
         key_rows(work.integrator.level, &parts)
     }
 
-    fn find_moments(&mut self, work: &Work, pair: &Pair, rule: usize) {
+    fn find_moments(&mut self, work: &Work, pair: &Pair, rules: Rules) {
         let [out, back] = pair.images;
-        self.patch.nodes(rule, work.integrator);
+        self.patch.find_nodes(rules, work.integrator);
         let views = [&self.patch.views[out], &self.patch.views[back]];
-        self.moments = moments(work.integrator.level, self.patch.found(rule), views);
+        self.moments = moments(work.integrator.level, self.patch.nodes(rules), views);
     }
+}
+
+/// The rule for the widest span of phase among these lanes, rad, in each half of all.
+fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
+    let mut widest: [Option<f32>; HALVES] = [None; HALVES];
+    for l in lanes {
+        if let Some(widest) = widest.get_mut(l * HALVES / LANES) {
+            *widest = Some(widest.map_or(spans[l], |most| most.max(spans[l])));
+        }
+    }
+    widest.map(|span| span.map(|span| rule_for(span, ease)))
 }
 
 /// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.
@@ -380,14 +394,19 @@ fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
 /// Path lengths that are told apart where a field is compared to a coarser one, m: about a cell of the range axis.
 const APART_M: f64 = 0.15;
 
+/// Farthest path lengths in that, as their number: what is longer is not told apart.
+const MOST_APART: usize = 4096;
+
+/// Difference to a coarser field, and the field itself.
+type Difference = [Complex64; 2];
+
 /// What is missed of a pair's field.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     /// Squares of what is missed and of the fields.
     between_keys: [f64; 2],
-    /// Difference to the coarser field and the field itself, by key and path length: far from highlights neighbours cancel, and
-    /// what is left of each must not be counted by itself.
-    by_integration: BTreeMap<(usize, i64), [Complex64; 2]>,
+    /// By path length: far from highlights neighbours cancel, and what is left of each must not be counted by itself.
+    by_integration: Vec<Difference>,
 }
 
 impl Tally {
@@ -395,22 +414,31 @@ impl Tally {
         self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
     }
 
-    fn add_integration(&mut self, key: usize, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
+    fn add_integration(&mut self, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
         let field = |of: &KeyRows, l: usize| Complex64::new(of.field[0][l].into(), of.field[1][l].into());
+        let by_length = &mut self.by_integration;
         for l in 0..LANES {
+            let (fine_field, coarse_field) = (field(fine, l), field(coarse, l));
+            if fine_field == Complex64::ZERO && coarse_field == Complex64::ZERO {
+                continue;
+            }
+            let number = ((fine.length_m[l] / APART_M) as usize).min(MOST_APART);
+            if by_length.len() <= number {
+                by_length.resize(number + 1, Difference::default());
+            }
+            let Some([apart, sum]) = by_length.get_mut(number) else { continue };
             let turn = phasor(-fine.length_m[l] / wavelength_m);
             let turn = Complex64::new(turn.re.into(), turn.im.into());
-            let [apart, sum] = self.by_integration.entry((key, (fine.length_m[l] / APART_M) as i64)).or_default();
-            *apart += (field(fine, l) - field(coarse, l)) * turn;
-            *sum += field(fine, l) * turn;
+            *apart += (fine_field - coarse_field) * turn;
+            *sum += fine_field * turn;
         }
     }
 
     /// Relative to the field.
     pub(super) fn missed(&self) -> Missed {
         let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
-        let add = |[a, b]: [f64; 2], [apart, sum]: &[Complex64; 2]| [a + apart.norm_sqr(), b + sum.norm_sqr()];
-        let by_integration = self.by_integration.values().fold([0.0; 2], add);
+        let add = |[a, b]: [f64; 2], [apart, sum]: &Difference| [a + apart.norm_sqr(), b + sum.norm_sqr()];
+        let by_integration = self.by_integration.iter().fold([0.0; 2], add);
         // Cubics err with the fourth power of the step.
         Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
     }

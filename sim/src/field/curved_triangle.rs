@@ -51,13 +51,11 @@ pub struct ViewRows {
 const SIX: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
 
-/// What the [`SIX`] weigh in the parabola through them, by the weights of the corners at a place.
-#[inline(always)]
-fn parabola([a, b, c]: [f32; 3]) -> [f32; 6] {
-    [a * (2.0 * a - 1.0), b * (2.0 * b - 1.0), c * (2.0 * c - 1.0), 4.0 * a * b, 4.0 * b * c, 4.0 * c * a]
-}
+/// Halves of the lanes are integrated each by a rule of its own.
+pub const HALVES: usize = 2;
+const HALF: usize = LANES / HALVES;
 
-/// Places of a rule on curved triangles.
+/// Places of a rule on the triangles of half of the lanes; none where these need no integral.
 #[derive(Debug, Clone, Default)]
 pub struct Nodes {
     all: Vec<Node>,
@@ -65,11 +63,17 @@ pub struct Nodes {
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    /// What the second and third corner weigh, and what the [`SIX`] do.
+    /// What the second and third corner weigh.
     corners: [f32; 2],
-    six: [f32; 6],
     /// Area that the place stands for, m^2.
-    area: Row,
+    area: [f32; HALF],
+}
+
+/// One half of the lanes.
+#[inline(always)]
+fn half_of(row: &Row, half: usize) -> [f32; HALF] {
+    let (halves, _) = row.as_chunks::<HALF>();
+    if half == 0 { halves[0] } else { halves[1] }
 }
 
 /// Rules of quadrature, and the instructions to use.
@@ -138,6 +142,28 @@ impl TriangleRows {
         place
     }
 
+    /// How a place moves as weight goes from the first corner to the second, and to the third: in the first corner, and its
+    /// changes by what the second and the third weigh.
+    #[inline(always)]
+    fn tangents(&self) -> [[Row3; 3]; 2] {
+        let (corners, bulges) = (&self.corners, &self.bulges);
+        let mut tangents: [[Row3; 3]; 2] = Default::default();
+        for axis in 0..3 {
+            for l in 0..LANES {
+                let (p, q, r) = (corners[0][axis][l], corners[1][axis][l], corners[2][axis][l]);
+                let (pq, qr, rp) = (4.0 * bulges[0][axis][l], 4.0 * bulges[1][axis][l], 4.0 * bulges[2][axis][l]);
+                let across = qr - rp - pq;
+                tangents[0][0][axis][l] = (q - p) + pq;
+                tangents[0][1][axis][l] = -2.0 * pq;
+                tangents[0][2][axis][l] = across;
+                tangents[1][0][axis][l] = (r - p) + rp;
+                tangents[1][1][axis][l] = across;
+                tangents[1][2][axis][l] = -2.0 * rp;
+            }
+        }
+        tangents
+    }
+
     /// Twice the area that a place stands for, relative to that of the triangle of weights, m^2.
     #[inline(always)]
     fn twice_area(&self, [a, b, c]: [f32; 3], l: usize) -> f32 {
@@ -188,6 +214,29 @@ impl ViewRows {
 }
 
 compiled_for_levels! {
+    /// How far the surface lies beside the middles of the edges, m, from corners and unit normals there: the cubic over an edge
+    /// that is tangential to the surface at both ends.
+    pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
+}
+
+#[inline(always)]
+fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
+    let mut bulges: [Row3; 3] = Default::default();
+    for (bulge, (a, b)) in bulges.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
+        let (p, q, m, n) = (&corners[a], &corners[b], &normals[a], &normals[b]);
+        for l in 0..LANES {
+            let (x, y, z) = (q[0][l] - p[0][l], q[1][l] - p[1][l], q[2][l] - p[2][l]);
+            let along_m = 0.125 * (x * m[0][l] + y * m[1][l] + z * m[2][l]);
+            let along_n = 0.125 * (x * n[0][l] + y * n[1][l] + z * n[2][l]);
+            bulge[0][l] = n[0][l] * along_n - m[0][l] * along_m;
+            bulge[1][l] = n[1][l] * along_n - m[1][l] * along_m;
+            bulge[2][l] = n[2][l] * along_n - m[2][l] * along_m;
+        }
+    }
+    bulges
+}
+
+compiled_for_levels! {
     /// Triangles from their corners.
     pub fn triangle_rows(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> TriangleRows = TriangleRows::new;
 }
@@ -198,20 +247,35 @@ compiled_for_levels! {
 }
 
 compiled_for_levels! {
-    /// Puts the places of a rule on triangles.
-    pub fn place_nodes(triangles: &TriangleRows, rule: &Rule, out: &mut Nodes) = nodes_body;
+    /// Puts the places of a rule on the triangles of one half of the lanes.
+    pub fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
 }
 
 #[inline(always)]
-fn nodes_body(triangles: &TriangleRows, rule: &Rule, out: &mut Nodes) {
+fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) {
     out.all.clear();
-    let turns = &triangles.turns;
-    for &(weights, part) in &rule.places {
-        let [a, b, c] = weights;
-        let mut node = Node { corners: [b, c], six: parabola(weights), area: [0.0; LANES] };
-        for l in 0..LANES {
+    let mut tangents = [[[[0f32; HALF]; 3]; 3]; 2];
+    for (tangents, rows) in tangents.iter_mut().zip(&triangles.tangents()) {
+        for (tangents, rows) in tangents.iter_mut().zip(rows) {
+            for (tangents, row) in tangents.iter_mut().zip(rows) {
+                *tangents = half_of(row, half);
+            }
+        }
+    }
+    let [second, third] = &tangents;
+    let turns =
+        [half_of(&triangles.turns[0], half), half_of(&triangles.turns[1], half), half_of(&triangles.turns[2], half)];
+    for &([a, b, c], part) in &rule.places {
+        let mut node = Node { corners: [b, c], area: [0.0; HALF] };
+        for l in 0..HALF {
+            let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
+            for axis in 0..3 {
+                u[axis] = second[0][axis][l] + b * second[1][axis][l] + c * second[2][axis][l];
+                v[axis] = third[0][axis][l] + b * third[1][axis][l] + c * third[2][axis][l];
+            }
+            let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
             let above = 1.0 + turns[0][l] * (a * b) + turns[1][l] * (b * c) + turns[2][l] * (c * a);
-            node.area[l] = (0.5 * part) * triangles.twice_area(weights, l) * above;
+            node.area[l] = (0.5 * part) * (x * x + y * y + z * z).sqrt() * above;
         }
         out.all.push(node);
     }
@@ -237,40 +301,69 @@ fn spans_body(views: [&ViewRows; 2]) -> Row {
 }
 
 compiled_for_levels! {
-    /// Moments of triangles between two antennas.
-    pub fn moments(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows = moments_body;
+    /// Moments of triangles between two antennas, by the places of both halves of the lanes.
+    pub fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
 }
 
 #[inline(always)]
-fn moments_body(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows {
-    let mut turns = [[0.0; LANES]; 6];
-    for (turns, (a, b)) in turns.iter_mut().zip(views[0].longer.iter().zip(&views[1].longer)) {
-        for l in 0..LANES {
-            turns[l] = -(a[l] + b[l]);
+fn moments_body(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows {
+    let mut rows = MomentRows::default();
+    for (half, nodes) in nodes.into_iter().enumerate() {
+        if nodes.all.is_empty() {
+            continue;
         }
+        let [a, b, c, d, e, f] = half_moments(nodes, half, views);
+        for (row, found) in rows.re.iter_mut().chain(&mut rows.im).zip([a, b, c, d, e, f]) {
+            let (halves, _) = row.as_chunks_mut::<HALF>();
+            halves[half] = found;
+        }
+    }
+    rows
+}
+
+/// Real parts of the moments of one half of the lanes, then imaginary ones.
+#[inline(always)]
+fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HALF]; 6] {
+    // The parabola of paths by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
+    let mut turns = [[0f32; HALF]; 6];
+    let [p, q, r, pq, qr, rp] = &views[0].longer;
+    let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
+    let (p, q, r) = (half_of(p, half), half_of(q, half), half_of(r, half));
+    let (p2, q2, r2) = (half_of(p2, half), half_of(q2, half), half_of(r2, half));
+    let (pq, qr, rp) = (half_of(pq, half), half_of(qr, half), half_of(rp, half));
+    let (pq2, qr2, rp2) = (half_of(pq2, half), half_of(qr2, half), half_of(rp2, half));
+    for l in 0..HALF {
+        let (p, q, r) = (p[l] + p2[l], q[l] + q2[l], r[l] + r2[l]);
+        let (pq, qr, rp) = (pq[l] + pq2[l], qr[l] + qr2[l], rp[l] + rp2[l]);
+        turns[0][l] = -p;
+        turns[1][l] = 3.0 * p + q - 4.0 * pq;
+        turns[2][l] = 3.0 * p + r - 4.0 * rp;
+        turns[3][l] = 4.0 * pq - 2.0 * (p + q);
+        turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
+        turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
     // Of the field, and of it times the weights of the second and third corner: the first has the rest.
-    let mut sums = MomentRows::default();
+    let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
     for node in &nodes.all {
-        let ([b, c], six) = (node.corners, node.six);
-        for l in 0..LANES {
-            let turn = (turns[0][l] * six[0] + turns[1][l] * six[1] + turns[2][l] * six[2])
-                + (turns[3][l] * six[3] + turns[4][l] * six[4] + turns[5][l] * six[5]);
+        let [b, c] = node.corners;
+        for l in 0..HALF {
+            let along = turns[1][l] + (b * turns[3][l] + c * turns[4][l]);
+            let turn = turns[0][l] + (b * along + c * (turns[2][l] + c * turns[5][l]));
             let (cosine, sine) = cos_sin_of_turns(turn);
             let (x, y) = (cosine * node.area[l], sine * node.area[l]);
-            sums.re[0][l] += x;
-            sums.re[1][l] += b * x;
-            sums.re[2][l] += c * x;
-            sums.im[0][l] += y;
-            sums.im[1][l] += b * y;
-            sums.im[2][l] += c * y;
+            re[0][l] += x;
+            re[1][l] += b * x;
+            re[2][l] += c * x;
+            im[0][l] += y;
+            im[1][l] += b * y;
+            im[2][l] += c * y;
         }
     }
-    for l in 0..LANES {
-        sums.re[0][l] -= sums.re[1][l] + sums.re[2][l];
-        sums.im[0][l] -= sums.im[1][l] + sums.im[2][l];
+    for l in 0..HALF {
+        re[0][l] -= re[1][l] + re[2][l];
+        im[0][l] -= im[1][l] + im[2][l];
     }
-    sums
+    [re[0], re[1], re[2], im[0], im[1], im[2]]
 }
 
 /// A quadratic patch.
@@ -376,10 +469,16 @@ mod tests {
         let rows = rows(triangle, level);
         let [t, r] = antennas.map(|a| view_rows(level, a, ORIGIN, &rows, WAVELENGTH_M));
         let span = spans_rad(level, [&t, &r])[0];
-        let mut nodes = Nodes::default();
-        place_nodes(level, &rows, &rules()[rule_for(span, 1.0)], &mut nodes);
-        let found = moments(level, &nodes, [&t, &r]);
-        (std::array::from_fn(|i| Complex::new(found.re[i][3], found.im[i][3])), span)
+        let mut nodes = [Nodes::default(), Nodes::default()];
+        for (half, nodes) in nodes.iter_mut().enumerate() {
+            place_nodes(level, &rows, half, &rules()[rule_for(span, 1.0)], nodes);
+        }
+        let found = moments(level, nodes.each_ref(), [&t, &r]);
+        let at = |lane: usize| -> [Complex<f32>; 3] {
+            std::array::from_fn(|i| Complex::new(found.re[i][lane], found.im[i][lane]))
+        };
+        assert_eq!(at(3), at(LANES - 1), "the same in both halves");
+        (at(3), span)
     }
 
     #[test]

@@ -85,13 +85,12 @@ pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Ve
         let (ab, bc, ca) = (b - a, c - b, a - c);
         let area_vector = ab.cross(-ca);
         let [ab, bc, ca] = [ab, bc, ca].map(DVec3::length_squared);
-        // Of no area: of no weight.
-        let weights = [ab * ca, bc * ab, ca * bc];
-        for (at, squares) in corners.into_iter().zip(weights) {
-            if let Some(normal) = normals.get_mut(at as usize)
-                && squares > 0.0
-            {
-                *normal += area_vector / squares;
+        // Over the squares of the two sides that meet in a corner. Of no area: of no weight.
+        let product = ab * bc * ca;
+        let weighted = if product > 0.0 { area_vector * (1.0 / product) } else { DVec3::ZERO };
+        for (at, square) in corners.into_iter().zip([bc, ca, ab]) {
+            if let Some(normal) = normals.get_mut(at as usize) {
+                *normal += weighted * square;
             }
         }
     }

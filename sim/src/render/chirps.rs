@@ -39,12 +39,12 @@ impl Renderer {
                     }
                 }
             }
-            for (rx, grids) in grids.iter().enumerate() {
+            for (rx, grids) in grids.iter_mut().enumerate() {
+                if let Some(skins) = &traced.skins {
+                    skins.add_block(rx, begin / CHIRPS, grids);
+                }
                 for (lane, chirp) in (begin..end).enumerate() {
                     grids.extract(lane, &mut grid);
-                    if let Some(skins) = &traced.skins {
-                        skins.add_to(rx, chirp, &mut grid);
-                    }
                     if static_grids.by_chirp
                         && let Some(own) = static_grids.grids.get(rx).and_then(|grids| grids.get(chirp))
                     {

@@ -24,7 +24,7 @@ const ECHOES: usize = 8;
 /// Receivers at most.
 const RECEIVERS: usize = 1 + OTHERS;
 /// Places between two cells for which the kernel's taps are kept.
-const PLACES: u32 = 64;
+pub(super) const PLACES: u32 = 64;
 /// An echo moves by no more than this while its place is held, cells.
 const HELD_CELLS: f32 = 1.0 / 8.0;
 

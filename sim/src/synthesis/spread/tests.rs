@@ -5,6 +5,7 @@ use crate::random::{Purpose, generator};
 use crate::slow_time::{Bend, Key};
 use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 use num_complex::Complex64;
+use radome_dsp::KernelLevel;
 use rand::Rng;
 
 const SAMPLES: usize = 128;

@@ -1,0 +1,502 @@
+//! Frequency grids of every chirp of a frame, on which moving echoes are laid down.
+//!
+//! In a block of eight chirps an echo is laid down around one place of the grid, the nearest for which taps of the kernel are kept.
+//! How far a chirp's tone lies from that place goes with the kernel's derivative, as does where around its path the echo comes
+//! from: to first order a tone that is moved is its derivative. An eighth of a cell aside that misses 0.9 % of the amplitude (rms
+//! over the chirp), and an echo that moves by more than a quarter of a cell in a block is laid down in parts of it.
+//!
+//! Receivers share the path's phases and the place. What differs between them changes so slowly that it is a parabola over the
+//! frame.
+
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
+use num_complex::Complex;
+use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
+
+use super::held::{PLACES, taps_by_place};
+use super::spread::{CHIRPS, Cell, Grids, Row, window};
+use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer};
+use crate::chirp::Chirp;
+use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
+
+/// An echo moves by no more than this while its place is held, cells.
+const HELD_CELLS: f64 = 0.25;
+/// Echoes come from no farther beside their path, wavelengths.
+const REACH: f32 = 40.0;
+
+/// Frequency grids of every chirp of a frame, for each receiver: `[receiver][block of chirps]`.
+#[derive(Debug, Clone)]
+pub struct ChirpGrids {
+    blocks: Vec<Vec<Grids>>,
+    kernel: EchoKernel,
+    level: KernelLevel,
+    /// The same echoes times `j` and their delays, where that is asked for.
+    by_delay: Option<Box<ChirpGrids>>,
+}
+
+/// How echoes are laid down: taps at the places between cells that are kept, and their derivatives by the tone's place, in cells.
+#[derive(Debug, Clone)]
+struct EchoKernel {
+    taps: Vec<[f32; LANES]>,
+    slopes: Vec<[f32; LANES]>,
+    cells: f64,
+}
+
+/// A moving echo in eight consecutive chirps, whichever antennas hear it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EchoChirps {
+    /// Path from which phases are counted, m.
+    pub length_m: [f64; CHIRPS],
+    /// Rate of that, m/s.
+    pub rate_m_per_s: [f32; CHIRPS],
+    /// Field but for that path's phase, as it multiplies `exp(-j ...)`: real and imaginary part.
+    pub field: [[f32; CHIRPS]; 2],
+    /// Moment of the field: the field times how much longer its paths are, in wavelengths. Where a patch ends amid an echo, its
+    /// strength changes with the chirp's frequency, and only with that do patches side by side add up to the whole.
+    pub moment: [[f32; CHIRPS]; 2],
+    /// The field times what it is later by the antennas themselves than by their middles, rad, on the way there; on the way
+    /// back it is as much earlier.
+    pub detoured: [[f32; CHIRPS]; 2],
+}
+
+/// Factors from an echo's field to LSB at one receiver, as it multiplies `exp(+j ...)`, by powers of the chirp's number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EchoWay {
+    /// Sum over the way there and its reverse.
+    pub both: [Complex<f32>; 3],
+    /// The way there less its reverse: what detours are multiplied by.
+    pub apart: [Complex<f32>; 3],
+}
+
+/// A moving echo in every chirp of a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Echo<'a> {
+    /// Chirp constants.
+    pub chirp: &'a Chirp,
+    /// Wavelength at which the field was computed, m.
+    pub wavelength_m: f64,
+    /// What each receiver makes of it.
+    pub ways: &'a [EchoWay],
+    /// Blocks of chirps.
+    pub chirps: &'a [EchoChirps],
+}
+
+impl ChirpGrids {
+    /// Empty grids.
+    pub fn new(synthesiser: &Synthesiser, receivers: usize, chirps: usize) -> Self {
+        let blocks = vec![vec![synthesiser.grids(); chirps.div_ceil(CHIRPS)]; receivers];
+        let mut slopes = [[0f32; LANES]; DEGREE];
+        for (power, (slopes, taps)) in slopes.iter_mut().zip(&synthesiser.taps[1..]).enumerate() {
+            // The fraction of a cell falls from 1 to -1 while the place moves on by a cell.
+            *slopes = taps.map(|c| -2.0 * (power + 1) as f32 * c);
+        }
+        let kernel = EchoKernel {
+            taps: synthesiser.taps_by_place.clone(),
+            slopes: taps_by_place(&slopes),
+            cells: synthesiser.cells as f64,
+        };
+        ChirpGrids { blocks, kernel, level: synthesiser.level, by_delay: None }
+    }
+
+    /// Has every echo laid down once more, its field times `j` and its delay: what phase noise multiplies.
+    pub fn with_delays(mut self) -> Self {
+        self.by_delay = Some(Box::new(self.clone()));
+        self
+    }
+
+    /// Those grids, LSB s.
+    pub fn take_by_delay(&mut self) -> Option<ChirpGrids> {
+        self.by_delay.take().map(|grids| *grids)
+    }
+
+    /// Adds a moving echo to every chirp. Receivers are so close together, and a way and its reverse so alike, that its frequency
+    /// is the same for all of them.
+    pub fn add(&mut self, echo: &Echo) {
+        if let Some(grids) = &mut self.by_delay {
+            lay_echo(grids.level, &grids.kernel, echo, true, &mut grids.blocks);
+        }
+        lay_echo(self.level, &self.kernel, echo, false, &mut self.blocks);
+    }
+
+    /// Adds a block of chirps to another.
+    pub(crate) fn add_block(&self, receiver: usize, block: usize, grids: &mut Grids) {
+        let Some(own) = self.blocks.get(receiver).and_then(|blocks| blocks.get(block)) else { return };
+        for (to, cell) in grids.cells.iter_mut().zip(&own.cells) {
+            for i in 0..CHIRPS {
+                to.re[i] += cell.re[i];
+                to.im[i] += cell.im[i];
+            }
+        }
+    }
+}
+
+compiled_for_levels! {
+    fn lay_echo(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) = echo_body;
+}
+
+#[inline(always)]
+fn echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) {
+    for (block, chirps) in echo.chirps.iter().enumerate() {
+        let Some(turned) = turned(kernel, echo, chirps, by_delay) else { continue };
+        let (runs, width) = runs(kernel, &turned);
+        for (way, blocks) in echo.ways.iter().zip(blocks.iter_mut()) {
+            let Some(grids) = blocks.get_mut(block) else { continue };
+            let heard = heard(way, &turned, (block * CHIRPS) as f32);
+            if width == CHIRPS {
+                lay(kernel, &runs[0], &turned.apart, &heard, &mut grids.cells);
+            } else {
+                lay_in_runs(kernel, &runs, width, &turned.apart, &heard, &mut grids.cells);
+            }
+        }
+    }
+}
+
+/// An echo in a block of chirps with its phase, before any receiver's factor. Real and imaginary parts.
+struct Turned {
+    field: [Row; 2],
+    /// What detours make of the field, but for their factor.
+    detoured: [Row; 2],
+    /// Field times how far it comes from beside the place of its tone, cells.
+    beside: [Row; 2],
+    /// Place on the grid half-way between the first chirp and the last, cells, and each chirp's from there.
+    middle: f64,
+    apart: Row,
+}
+
+/// `None` where there is nothing.
+#[inline(always)]
+fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool) -> Option<Turned> {
+    let EchoChirps { length_m, rate_m_per_s, field: [re, im], moment: [moment_re, moment_im], detoured } = chirps;
+    let (mut power, mut along) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+    for i in 0..CHIRPS {
+        power[i] = re[i] * re[i] + im[i] * im[i];
+        along[i] = moment_re[i] * re[i] + moment_im[i] * im[i];
+    }
+    let power = total(&power);
+    if power.is_nan() || power <= 0.0 {
+        return None;
+    }
+    // Where the echo comes from, wavelengths beside its path: the stationary point where there is one.
+    let beside = (total(&along) / power).clamp(-REACH, REACH);
+    let (per_m, cells_per_hz) = (1.0 / SPEED_OF_LIGHT_M_PER_S, kernel.cells / echo.chirp.sample_rate_hz);
+    let beside_m = f64::from(beside) * echo.wavelength_m;
+    let (mut cosine, mut sine, mut place) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f64; CHIRPS]);
+    for i in 0..CHIRPS {
+        let delay_s = (length_m[i] + beside_m) * per_m;
+        // The field holds the carrier's phase from the path to there at one frequency; the chirp's own is a little else.
+        let cycles = echo.chirp.phase_cycles(delay_s) - f64::from(beside);
+        let (c, s) = cos_sin_of_turns((cycles - nearest_integer(cycles)) as f32);
+        let delayed = delay_s as f32;
+        (cosine[i], sine[i]) = if by_delay { (-s * delayed, c * delayed) } else { (c, s) };
+        place[i] = echo.chirp.beat_hz(delay_s, f64::from(rate_m_per_s[i]) * per_m) * cells_per_hz;
+    }
+    let cells_per_wave = (echo.chirp.slope_hz_per_s * echo.wavelength_m * per_m * cells_per_hz) as f32;
+    let middle = 0.5 * (place[0] + place[CHIRPS - 1]);
+    let zero = [0f32; CHIRPS];
+    let mut out = Turned { field: [zero; 2], detoured: [zero; 2], beside: [zero; 2], middle, apart: zero };
+    for i in 0..CHIRPS {
+        // Conjugates, turned.
+        let (c, s) = (cosine[i], sine[i]);
+        (out.field[0][i], out.field[1][i]) = (re[i] * c + im[i] * s, re[i] * s - im[i] * c);
+        // What is later by a phase has it times minus j, of which the conjugate is taken.
+        let (x, y) = (detoured[0][i], detoured[1][i]);
+        (out.detoured[0][i], out.detoured[1][i]) = (y * c - x * s, x * c + y * s);
+        let (x, y) = (moment_re[i] - beside * re[i], moment_im[i] - beside * im[i]);
+        let (x, y) = (cells_per_wave * x, cells_per_wave * y);
+        (out.beside[0][i], out.beside[1][i]) = (x * c + y * s, x * s - y * c);
+        out.apart[i] = (place[i] - middle) as f32;
+    }
+    Some(out)
+}
+
+/// Sum over the chirps.
+#[inline(always)]
+fn total(of: &Row) -> f32 {
+    ((of[0] + of[4]) + (of[2] + of[6])) + ((of[1] + of[5]) + (of[3] + of[7]))
+}
+
+/// Consecutive chirps that are laid down around one place.
+#[derive(Clone, Copy, Default)]
+struct Run {
+    /// First cell under the kernel, and which of the places between cells theirs is.
+    first: u32,
+    place: usize,
+    /// That place, cells from where the chirps' places are counted from.
+    from_middle: f32,
+}
+
+/// The runs of a block, and how many chirps each has.
+#[inline(always)]
+fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
+    let apart = &turned.apart;
+    let moved = f64::from((apart[CHIRPS - 1] - apart[0]).abs());
+    let width = if moved <= HELD_CELLS {
+        CHIRPS
+    } else if moved <= 2.0 * HELD_CELLS {
+        4
+    } else if moved <= 4.0 * HELD_CELLS {
+        2
+    } else {
+        1
+    };
+    let mut runs = [Run::default(); CHIRPS];
+    for (run, begin) in runs.iter_mut().zip((0..CHIRPS).step_by(width)) {
+        let middle = 0.5 * (apart[begin] + apart[begin + width - 1]);
+        let turns = (turned.middle + f64::from(middle)) / kernel.cells;
+        let nearest = turns - nearest_integer(turns);
+        let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
+        let place = (position * f64::from(PLACES) + 0.5) as u32;
+        run.first = place.div_ceil(PLACES);
+        run.place = (run.first * PLACES - place) as usize;
+        run.from_middle = middle + (f64::from(place) / f64::from(PLACES) - position) as f32;
+    }
+    (runs, width)
+}
+
+/// What a receiver hears in a block of chirps: the field, and the field times how far it comes from beside the tone's place, cells.
+struct Heard {
+    field: [Row; 2],
+    beside: [Row; 2],
+}
+
+/// `first` is the number of the block's first chirp.
+#[inline(always)]
+fn heard(way: &EchoWay, turned: &Turned, first: f32) -> Heard {
+    let ([a, b, c], [d, e, f]) = (way.both, way.apart);
+    let (field, detoured, beside) = (&turned.field, &turned.detoured, &turned.beside);
+    // Rows of their own: sums in place would be computed one lane at a time.
+    let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+    let (mut beside_re, mut beside_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let n = first + i as f32;
+        let (x, y) = (a.re + n * (b.re + n * c.re), a.im + n * (b.im + n * c.im));
+        let (u, v) = (d.re + n * (e.re + n * f.re), d.im + n * (e.im + n * f.im));
+        re[i] = (field[0][i] * x - field[1][i] * y) + (detoured[0][i] * u - detoured[1][i] * v);
+        im[i] = (field[0][i] * y + field[1][i] * x) + (detoured[0][i] * v + detoured[1][i] * u);
+        beside_re[i] = beside[0][i] * x - beside[1][i] * y;
+        beside_im[i] = beside[0][i] * y + beside[1][i] * x;
+    }
+    Heard { field: [re, im], beside: [beside_re, beside_im] }
+}
+
+/// Lays an echo down around one place of the grid.
+#[inline(always)]
+fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, heard: &Heard, cells: &mut [Cell]) {
+    let (Some(taps), Some(slopes)) = (kernel.taps.get(run.place), kernel.slopes.get(run.place)) else { return };
+    let Some([c0, c1, c2, c3, c4, c5]) = window::<WIDTH>(cells, run.first) else { return };
+    let [re, im] = &heard.field;
+    let (mut moved_re, mut moved_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let aside = apart[i] - run.from_middle;
+        moved_re[i] = heard.beside[0][i] + aside * re[i];
+        moved_im[i] = heard.beside[1][i] + aside * im[i];
+    }
+    // Written out, as all loops over taps are.
+    add(c0, [re, im], taps[0], [&moved_re, &moved_im], slopes[0]);
+    add(c1, [re, im], taps[1], [&moved_re, &moved_im], slopes[1]);
+    add(c2, [re, im], taps[2], [&moved_re, &moved_im], slopes[2]);
+    add(c3, [re, im], taps[3], [&moved_re, &moved_im], slopes[3]);
+    add(c4, [re, im], taps[4], [&moved_re, &moved_im], slopes[4]);
+    add(c5, [re, im], taps[5], [&moved_re, &moved_im], slopes[5]);
+}
+
+/// Adds phasors times a tap, and how they are moved times its slope.
+#[inline(always)]
+fn add(cell: &mut Cell, [re, im]: [&Row; 2], tap: f32, [moved_re, moved_im]: [&Row; 2], slope: f32) {
+    for i in 0..CHIRPS {
+        cell.re[i] += re[i] * tap + moved_re[i] * slope;
+        cell.im[i] += im[i] * tap + moved_im[i] * slope;
+    }
+}
+
+/// Lays an echo down in runs of so many chirps, each around its place.
+#[inline(always)]
+fn lay_in_runs(
+    kernel: &EchoKernel,
+    runs: &[Run; CHIRPS],
+    width: usize,
+    apart: &Row,
+    heard: &Heard,
+    cells: &mut [Cell],
+) {
+    let zero = [0f32; CHIRPS];
+    for (run, begin) in runs.iter().zip((0..CHIRPS).step_by(width)) {
+        let mut own = Heard { field: [zero; 2], beside: [zero; 2] };
+        for part in 0..2 {
+            for i in 0..CHIRPS {
+                let within = if i >= begin && i < begin + width { 1.0 } else { 0.0 };
+                own.field[part][i] = within * heard.field[part][i];
+                own.beside[part][i] = within * heard.beside[part][i];
+            }
+        }
+        lay(kernel, run, apart, &own, cells);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use num_complex::Complex64;
+    use rand::Rng;
+
+    use super::*;
+    use crate::random::{Purpose, generator};
+    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+
+    const SAMPLES: usize = 256;
+    /// Not whole blocks.
+    const COUNT: usize = 60;
+    const INTERVAL_S: f64 = 5e-4;
+    const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
+
+    /// Two places close together whose path grows and bends.
+    struct Source {
+        /// By powers of time.
+        length_m: [f64; 3],
+        /// How much longer the path is, m, field, and what it is later by the antennas themselves, rad.
+        places: [(f64, Complex64, f64); 2],
+        /// Factor of each receiver, and what it is later on the way there and on the reverse, m.
+        receivers: [(f64, [f64; 2]); 2],
+    }
+
+    fn wavelength_m() -> f64 {
+        SPEED_OF_LIGHT_M_PER_S / (CHIRP.start_hz + CHIRP.slope_hz_per_s * CHIRP.middle_s)
+    }
+
+    /// Paths of 2 to 20 m that grow by up to `speed_m_per_s`.
+    fn sources(count: usize, speed_m_per_s: f64) -> Vec<Source> {
+        let mut rng = generator(8, Purpose::Noise, [0, 0]);
+        let mut source = || {
+            let mut number = |limit: f64| rng.random_range(-limit..limit);
+            Source {
+                length_m: [11.0 + number(9.0), number(speed_m_per_s), number(10.0)],
+                places: [0; 2].map(|_| (number(0.01), Complex64::new(number(1.0), number(1.0)), number(0.05))),
+                receivers: [0; 2].map(|_| (1.0 + number(0.2), [number(0.001), number(0.001)])),
+            }
+        };
+        (0..count).map(|_| source()).collect()
+    }
+
+    fn length_m(source: &Source, chirp: usize) -> [f64; 2] {
+        let (t, [a, b, c]) = (chirp as f64 * INTERVAL_S, source.length_m);
+        [a + t * (b + t * c), b + 2.0 * t * c]
+    }
+
+    /// Every place by every way as a tone of its own.
+    fn tones(source: &Source, receiver: usize, chirp: usize) -> Vec<Tone> {
+        let [length_m, rate_m_per_s] = length_m(source, chirp);
+        let (factor, later_m) = source.receivers[receiver];
+        let mut tones = Vec::new();
+        for (beside_m, field, detour_rad) in source.places {
+            for (later_m, sign) in [(later_m[0], 1.0), (later_m[1], -1.0)] {
+                let delay_s = (length_m + beside_m + later_m) / SPEED_OF_LIGHT_M_PER_S;
+                // The field's own phase is given, so that of the way beside the path is taken out.
+                let cycles = CHIRP.phase_cycles(delay_s) - beside_m / wavelength_m();
+                let amplitude = field.conj() * Complex64::from_polar(factor, sign * detour_rad);
+                tones.push(Tone {
+                    phase_cycles: cycles,
+                    cycles_per_sample: CHIRP.beat_hz(delay_s, rate_m_per_s / SPEED_OF_LIGHT_M_PER_S)
+                        / CHIRP.sample_rate_hz,
+                    amplitude: Complex::new(amplitude.re as f32, amplitude.im as f32),
+                });
+            }
+        }
+        tones
+    }
+
+    fn chirps(source: &Source) -> Vec<EchoChirps> {
+        let mut blocks = vec![EchoChirps::default(); COUNT.div_ceil(CHIRPS)];
+        for chirp in 0..COUNT.next_multiple_of(CHIRPS) {
+            let (block, i) = (&mut blocks[chirp / CHIRPS], chirp % CHIRPS);
+            let [length_m, rate_m_per_s] = length_m(source, chirp);
+            (block.length_m[i], block.rate_m_per_s[i]) = (length_m, rate_m_per_s as f32);
+            for (beside_m, field, detour_rad) in source.places.into_iter().filter(|_| chirp < COUNT) {
+                let parts = [1.0, beside_m / wavelength_m(), detour_rad].map(|factor| field * factor);
+                for (rows, part) in [&mut block.field, &mut block.moment, &mut block.detoured].into_iter().zip(parts) {
+                    rows[0][i] += part.re as f32;
+                    rows[1][i] += part.im as f32;
+                }
+            }
+        }
+        blocks
+    }
+
+    fn ways(source: &Source) -> Vec<EchoWay> {
+        let way = |&(factor, later_m): &(f64, [f64; 2])| {
+            let delay_s = source.length_m[0] / SPEED_OF_LIGHT_M_PER_S;
+            let [there, reverse] = later_m.map(|later_m| {
+                let later =
+                    CHIRP.phase_cycles(delay_s + later_m / SPEED_OF_LIGHT_M_PER_S) - CHIRP.phase_cycles(delay_s);
+                let turned = Complex64::from_polar(factor, std::f64::consts::TAU * later);
+                Complex::new(turned.re as f32, turned.im as f32)
+            });
+            let constant = |value| [value, Complex::default(), Complex::default()];
+            EchoWay { both: constant(there + reverse), apart: constant(there - reverse) }
+        };
+        source.receivers.iter().map(way).collect()
+    }
+
+    fn grids_at(level: KernelLevel, sources: &[Source]) -> ChirpGrids {
+        let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+        let mut grids = ChirpGrids::new(&synthesiser, 2, COUNT).with_delays();
+        for source in sources {
+            let (ways, chirps) = (ways(source), chirps(source));
+            grids.add(&Echo { chirp: &CHIRP, wavelength_m: wavelength_m(), ways: &ways, chirps: &chirps });
+        }
+        grids
+    }
+
+    fn samples(grids: &ChirpGrids, receiver: usize, chirp: usize) -> Vec<f32> {
+        let synthesiser = Synthesiser::new(SAMPLES);
+        let (mut block, mut grid, mut samples) = (synthesiser.grids(), synthesiser.grid(), vec![0f32; SAMPLES]);
+        grids.add_block(receiver, chirp / CHIRPS, &mut block);
+        block.extract(chirp % CHIRPS, &mut grid);
+        synthesiser.transform(&grid, &mut samples, &mut SynthesisScratch::default());
+        samples
+    }
+
+    /// Slow echoes and some that are laid down in runs, against every place and way as a tone of its own.
+    #[test]
+    fn echoes_are_those_of_their_places_and_ways() {
+        for (speed_m_per_s, most_db) in [(3.0, -40.0), (60.0, -34.0)] {
+            let sources = sources(40, speed_m_per_s);
+            let grids = grids_at(KernelLevel::detect(), &sources);
+            for receiver in 0..2 {
+                let (mut error, mut power) = (0.0, 0.0);
+                for chirp in 0..COUNT {
+                    let tones: Vec<Tone> = sources.iter().flat_map(|source| tones(source, receiver, chirp)).collect();
+                    let exact = exact_chirp(&tones, SAMPLES);
+                    let found = samples(&grids, receiver, chirp);
+                    error += exact.iter().zip(&found).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
+                    power += exact.iter().map(|e| e * e).sum::<f64>();
+                }
+                let error_db = 10.0 * (error / power).log10();
+                assert!(error_db < most_db, "up to {speed_m_per_s} m/s, receiver {receiver}: {error_db} dB");
+            }
+        }
+    }
+
+    #[test]
+    fn echoes_by_delay_are_as_much_stronger_as_they_are_late() {
+        let sources = sources(1, 1.0);
+        let mut grids = grids_at(KernelLevel::detect(), &sources);
+        let by_delay = grids.take_by_delay().expect("asked for");
+        let power = |grids: &ChirpGrids| samples(grids, 0, 7).iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+        let delay_s = sources[0].length_m[0] / SPEED_OF_LIGHT_M_PER_S;
+        let ratio = (power(&by_delay) / power(&grids)).sqrt() / delay_s;
+        assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bits() {
+        let sources = sources(20, 60.0);
+        let bits = |grids: &ChirpGrids| -> Vec<[[u32; CHIRPS]; 2]> {
+            let cells = grids.blocks.iter().flatten().flat_map(|grids| &grids.cells);
+            cells.map(|cell| [cell.re.map(f32::to_bits), cell.im.map(f32::to_bits)]).collect()
+        };
+        let portable = bits(&grids_at(KernelLevel::Portable, &sources));
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            assert!(bits(&grids_at(level, &sources)) == portable, "{level}");
+        }
+    }
+}
