@@ -8,10 +8,12 @@
 
 pub mod discovery;
 pub mod edge_field;
+mod edge_index;
 mod edges;
 pub mod environment;
 pub mod exhaustive;
 mod illuminate;
+mod reach;
 #[cfg(test)]
 mod rooms;
 #[cfg(test)]
