@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::Snapshot;
 use crate::field::image::{ImageIndex, order};
+use crate::paths::Surroundings;
 use crate::shadow::{self, Column};
 use crate::stage::Stage;
 
@@ -61,8 +62,25 @@ pub(super) fn past_people(
     antenna: DVec3,
     point: DVec3,
 ) -> f64 {
-    let last = order(image) as usize;
-    let mut corners = stage.room.corners(image, antenna, point);
+    match &stage.room {
+        Surroundings::Box(room) => {
+            past_legs(stage, people, me, order(image) as usize, room.corners(image, antenna, point))
+        }
+        Surroundings::Polygons(room) => {
+            let way = room.way(image, antenna, point);
+            past_legs(stage, people, me, way.len().saturating_sub(2), way.into_iter())
+        }
+    }
+}
+
+/// The same on a way whose leg of this number ends at the own body.
+fn past_legs(
+    stage: &Stage,
+    people: &[Snapshot],
+    me: usize,
+    last: usize,
+    mut corners: impl Iterator<Item = DVec3>,
+) -> f64 {
     let Some(mut from) = corners.next() else { return 1.0 };
     let mut weight = 1.0;
     for (leg, to) in corners.enumerate() {

@@ -422,6 +422,11 @@ impl Environment {
         Some((others.iter().copied().find(holds)?, point))
     }
 
+    /// Distance from a point to the first thing that a ray in a direction meets, m.
+    pub fn distance_m(&self, from: DVec3, direction: DVec3) -> Option<f64> {
+        self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
+    }
+
     /// Whether anything lies on the straight way between two points, each perhaps on a facet, whose planes are passed over.
     pub(super) fn blocked(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> bool {
         self.world.blocked(&self.ray_between(ends, on))

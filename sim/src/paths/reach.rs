@@ -100,9 +100,9 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_xoshiro::Xoshiro256PlusPlus;
 
+    use super::super::LaunchOptions;
     use super::super::environment::Environment;
     use super::super::rooms::{extruded, l_shape, sheet, slab};
-    use super::super::LaunchOptions;
     use super::*;
     use crate::field::pattern::Pattern;
 
