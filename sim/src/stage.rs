@@ -139,9 +139,7 @@ impl Stage {
             bounces: scene.file().room.diffuse_bounces,
             mirrored: max_body,
         };
-        if let Surroundings::Box(room) = &stage.room {
-            stage.wall_points = wall_points(room, diffuse, &stage.tx, &stage.rx, seed);
-        }
+        stage.wall_points = wall_points(&stage.room, diffuse, &stage.tx, &stage.rx, seed);
         stage.add_walls(scene.file().room.max_reflections);
         stage.add_furniture(scene, seed);
         for (i, path) in stage.static_paths.iter_mut().enumerate() {

@@ -359,6 +359,20 @@ impl Environment {
         self.flat(facet).map(|flat| &flat.facet)
     }
 
+    /// Triangles that cover a facet, m; none where it does not reflect.
+    pub fn triangles(&self, facet: FacetId) -> Vec<[DVec3; 3]> {
+        let Some(flat) = self.flat(facet).filter(|flat| flat.reflects()) else { return Vec::new() };
+        let corners: Vec<DVec3> = flat.facet.corners.iter().chain(flat.facet.holes.iter().flatten()).copied().collect();
+        let corner = |number: u32| corners.get(number as usize).copied();
+        let triangles = flat.triangles().unwrap_or_default().into_iter();
+        triangles.filter_map(|[a, b, c]| Some([corner(a)?, corner(b)?, corner(c)?])).collect()
+    }
+
+    /// The facet that a ray from a point of another one meets first, if it meets that from the front, and where.
+    pub fn met_from(&self, on: FacetId, from: DVec3, direction: DVec3) -> Option<(FacetId, DVec3)> {
+        self.first_hit(from, direction, Some(on))
+    }
+
     /// Unit normal of a facet.
     pub fn normal(&self, facet: FacetId) -> Option<DVec3> {
         self.flat(facet).map(|flat| flat.normal)

@@ -79,6 +79,17 @@ impl PolygonRoom {
         })
     }
 
+    /// The polygons of a box, for tests.
+    #[cfg(test)]
+    pub(crate) fn of_box(room: &BoxRoom, antenna: DVec3) -> Self {
+        use super::environment::Facet;
+        let environment = Environment::new(Facet::of_box(room), room.wavenumber_per_m).expect("facets");
+        let paths = ImagePaths::discover(Arc::new(environment), antenna, &LaunchOptions::default());
+        let met = (0..6).filter(|&facet| room.walls.get(facet as usize) != Some(&Wall::Open)).collect();
+        let names = WALL_NAMES.map(str::to_owned).to_vec();
+        PolygonRoom { paths, size_m: room.size_m, max_body_reflections: 2, names, met, has_faces: Vec::new() }
+    }
+
     /// The paths from the transmitter.
     pub fn paths(&self) -> &ImagePaths {
         &self.paths
