@@ -169,10 +169,11 @@ impl Stage {
         (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
     }
 
-    /// Receivers are so close together that the first stands for all: what it hears, and every draw, is the same whoever else
-    /// listens.
-    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: Vec<DVec3>) {
+    /// Keeps a path that is strong enough. Receivers are so close together that the first stands for all: what it hears, and every
+    /// draw, is the same whoever else listens.
+    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: impl FnOnce(&Self) -> Vec<DVec3>) {
         if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
+            let polyline = polyline(self);
             self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
         }
     }
@@ -188,8 +189,7 @@ impl Stage {
                 })
                 .collect();
             let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
-            let polyline = self.room.polyline(index, self.tx.position, end);
-            self.keep(tones, polyline);
+            self.keep(tones, |stage| stage.room.polyline(index, stage.tx.position, end));
         }
     }
 
@@ -234,8 +234,7 @@ impl Stage {
         for (p, q) in self.pairs_near(point, 0.0).into_owned() {
             let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
             let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
-            let polyline = self.point_polyline(point, p, q);
-            self.keep(tones, polyline);
+            self.keep(tones, |stage| stage.point_polyline(point, p, q));
         }
     }
 

@@ -28,6 +28,8 @@ const ON_SURFACE_M: f64 = 1e-6;
 
 /// What is around the antennas. Images have an [`ImageIndex`]: that of the lattice in a box; else `[number, 0, 0]`, and
 /// `[0, 0, 0]` is the antenna itself.
+// There is one of a prepared scene, and a box is asked millions of times a frame.
+#[allow(clippy::large_enum_variant)]
 #[derive(Debug, Clone)]
 pub enum Surroundings {
     /// A box.

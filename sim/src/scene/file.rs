@@ -342,7 +342,8 @@ pub struct BedFile {
     pub edge_m: f64,
 }
 
-/// A door.
+/// A door by which people come and go. Beside a floor plan an opening belongs there, too: who goes through a wall of faces is hidden
+/// by it from one chirp to the next.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DoorFile {
