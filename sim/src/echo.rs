@@ -32,6 +32,7 @@ use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
+use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
 use crate::slow_time::Key;
@@ -243,13 +244,16 @@ impl<'a> Paths<'a> {
             return None;
         };
         let first_rx = stage.rx.first()?;
-        let weight = inside_room(stage, h.point)
-            * visibility(stage, people, self.me, segment, way_there, h.point)
-            * visibility(stage, people, self.me, segment, way_back, h.point)
-            // Grazing highlights fade: forward scattering is not theirs to tell.
-            * smooth_step((h.cosine - 0.2) / 0.1);
         let there = stage.room.illuminate(&stage.tx, way_there.image, h.point);
         let back = stage.room.illuminate(first_rx, way_back.image, h.point);
+        // Where no path leads, nobody can be in its way.
+        let is_lit = there.field.magnitude() > 0.0 && back.field.magnitude() > 0.0;
+        let of_people = |way| if is_lit { visibility(stage, people, self.me, segment, way, h.point) } else { 0.0 };
+        let weight = inside_room(stage, h.point)
+            * of_people(way_there)
+            * of_people(way_back)
+            // Grazing highlights fade: forward scattering is not theirs to tell.
+            * smooth_step((h.cosine - 0.2) / 0.1);
         let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
@@ -347,13 +351,14 @@ fn body_point(
     }
 }
 
-/// 1 in the room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall, unless
-/// walls let waves through: then the field at the point has the wall in it.
+/// 1 in a box room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall. Always 1
+/// where the field at the point has the walls in it: that of polygons, and of boxes whose walls let waves through.
 pub fn inside_room(stage: &Stage, point: DVec3) -> f64 {
-    if stage.room.transmission {
+    let Surroundings::Box(room) = &stage.room else { return 1.0 };
+    if room.transmission {
         return 1.0;
     }
-    let size = stage.room.size_m;
+    let size = room.size_m;
     let depth = point.x.min(size.x - point.x).min(point.y).min(size.y - point.y);
     smooth_step((depth + 0.05) / 0.05)
 }

@@ -17,15 +17,13 @@ use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::Motion;
 use crate::actor::program::Program;
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
-use crate::field::image::{ImageIndex, images};
+use crate::field::image::ImageIndex;
 use crate::scene::file::ShadowFile;
 use crate::scene::{Scene, SceneError};
 use crate::shadow::{self, Column};
 use crate::slow_time::Key;
 use crate::stage::Stage;
 
-/// Names of a box room's walls in the order in which [`crate::field::image::BoxRoom`] numbers them.
-const WALL_NAMES: [&str; 6] = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
 /// Points nearer to a surface than this lie on it, m.
 const ON_SURFACE_M: f64 = 1e-6;
 
@@ -193,7 +191,8 @@ impl Lister<'_> {
             let beat_hz = self.stage.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
             self.stage.at_adc(0, amplitude, beat_hz).norm() > self.stage.threshold_lsb
         };
-        images(self.scene.file().room.max_reflections).into_iter().skip(1).filter(is_heard).collect()
+        let all = self.stage.room.images(self.scene.file().room.max_reflections);
+        all.into_iter().skip(1).filter(is_heard).collect()
     }
 
     fn add_walls(&self, out: &mut Vec<ListedPath>) {
@@ -242,19 +241,10 @@ impl Lister<'_> {
             self.scene.file().furniture.iter().find(holds).map(|f| f.name.clone())
         };
         let name = |p: &DVec3| {
-            let wall = || self.wall(*p).map(str::to_owned);
+            let wall = || self.stage.room.surface_name(*p).map(str::to_owned);
             furniture(*p).or_else(wall).unwrap_or_else(|| object.unwrap_or("wall").to_owned())
         };
         inner.iter().map(name).collect()
-    }
-
-    /// The wall on which a point lies: the nearest.
-    fn wall(&self, p: DVec3) -> Option<&'static str> {
-        let size = self.stage.room.size_m;
-        let away = [p.x, size.x - p.x, p.y, size.y - p.y, p.z, size.z - p.z].map(f64::abs);
-        let all = away.into_iter().zip(WALL_NAMES);
-        let (nearest_m, name) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        (nearest_m < ON_SURFACE_M).then_some(name)
     }
 
     /// Paths by way of somebody.
@@ -313,7 +303,7 @@ impl Lister<'_> {
     fn names_by_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
         let Some((there, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
         let mut names = self.names(polyline, None);
-        if let Some(name) = names.get_mut(crate::field::image::order(there) as usize) {
+        if let Some(name) = names.get_mut(self.stage.room.order(there) as usize) {
             *name = body.to_owned();
         }
         names

@@ -54,15 +54,6 @@ pub enum SimError {
         /// Why.
         reason: String,
     },
-    /// The room is a floor plan, whose surfaces no path is found over yet.
-    #[error(
-        "simulation: the room of {scene} is a floor plan, expected size_m with six surfaces, or [[room.mesh]]\n\nhint: \
-         --preview draws it; to simulate it, write the box that comes nearest"
-    )]
-    Plan {
-        /// The scene.
-        scene: String,
-    },
     /// The tolerance is not a number in range.
     #[error("simulation: tolerance_db is {got}, expected 0.01 to 20 dB")]
     Tolerance {
@@ -155,9 +146,6 @@ impl Simulator {
         }
         if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
             return Err(SimError::Tolerance { got: options.tolerance_db });
-        }
-        if scene.file().room.plan.is_some() {
-            return Err(SimError::Plan { scene: scene.name().to_owned() });
         }
         let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
         let inner = Renderer::new(&scene, options);

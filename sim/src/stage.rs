@@ -1,5 +1,7 @@
 //! A placement: everything about a scene that does not change while people move.
 
+use std::borrow::Cow;
+
 use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
@@ -7,7 +9,8 @@ use rand::Rng;
 
 use crate::chirp::Chirp;
 use crate::diffuse::{Diffuse, WallPoint, wall_points};
-use crate::field::image::{BoxRoom, Element, ImageIndex, images, order};
+use crate::field::image::{Element, ImageIndex, images, order};
+use crate::paths::Surroundings;
 use crate::random::{Purpose, generator};
 use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
 use crate::receiver::noise::density_lsb2;
@@ -41,7 +44,7 @@ pub(crate) struct PointEcho {
 #[derive(Debug, Clone)]
 pub struct Stage {
     /// The room.
-    pub room: BoxRoom,
+    pub room: Surroundings,
     /// The transmitter.
     pub tx: Element,
     /// The enabled receivers.
@@ -56,7 +59,8 @@ pub struct Stage {
     pub lsb: Vec<f64>,
     /// Wave length, m.
     pub wavelength_m: f64,
-    /// Image pairs (transmitter, receiver) that paths by way of a body may use.
+    /// Image pairs (transmitter, receiver) that paths by way of a body may use in a box; none in other rooms, where they depend
+    /// on the place ([`Stage::pairs_near`]).
     pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
     /// Points of the walls that throw in all directions.
     pub wall_points: Vec<WallPoint>,
@@ -109,14 +113,13 @@ impl Stage {
             .collect();
         let base = lsb_per_unit_amplitude(receiver, waveform);
         let max_body = scene.file().room.max_body_reflections;
-        let all = images(max_body);
-        let body_pairs = all
-            .iter()
-            .flat_map(|&p| all.iter().map(move |&q| (p, q)))
-            .filter(|&(p, q)| order(p) + order(q) <= max_body)
-            .collect();
+        let room = Surroundings::of_scene(scene, &tx);
+        let body_pairs = match &room {
+            Surroundings::Box(_) => lattice_pairs(max_body),
+            Surroundings::Polygons(_) => Vec::new(),
+        };
         let mut stage = Stage {
-            room: scene.room(),
+            room,
             tx,
             lsb: channels.iter().map(|c| base * 10f64.powf(0.05 * c.gain_db)).collect(),
             rx,
@@ -145,6 +148,14 @@ impl Stage {
         stage
     }
 
+    /// Image pairs (transmitter, receiver) by which what lies within a distance of a place may be seen, the direct pair first.
+    pub fn pairs_near(&self, middle: DVec3, reach_m: f64) -> Cow<'_, [(ImageIndex, ImageIndex)]> {
+        match &self.room {
+            Surroundings::Box(_) => Cow::Borrowed(&self.body_pairs),
+            Surroundings::Polygons(room) => Cow::Owned(room.pairs_near(self.tx.position, middle, reach_m)),
+        }
+    }
+
     /// Amplitude at the ADC of a path (as it multiplies `exp(+j...)`) from its field amplitude: conjugated, with link budget
     /// and the IF filters at its true beat.
     pub fn at_adc(&self, rx: usize, amplitude: Complex64, beat_hz: f64) -> Complex64 {
@@ -158,17 +169,18 @@ impl Stage {
         (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
     }
 
-    /// Receivers are so close together that the first stands for all: what it hears, and every draw, is the same whoever else
-    /// listens.
-    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: Vec<DVec3>) {
+    /// Keeps a path that is strong enough. Receivers are so close together that the first stands for all: what it hears, and every
+    /// draw, is the same whoever else listens.
+    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: impl FnOnce(&Self) -> Vec<DVec3>) {
         if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
+            let polyline = polyline(self);
             self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
         }
     }
 
     /// Bare reflections of the walls: geometrical optics, exact for infinite planes.
     fn add_walls(&mut self, max_reflections: u32) {
-        for index in images(max_reflections).into_iter().skip(1) {
+        for index in self.room.images(max_reflections).into_iter().skip(1) {
             let tones = (0..self.rx.len())
                 .filter_map(|i| self.rx.get(i).map(|rx| (i, rx)))
                 .map(|(i, rx)| {
@@ -177,8 +189,7 @@ impl Stage {
                 })
                 .collect();
             let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
-            let polyline = self.room.polyline(index, self.tx.position, end);
-            self.keep(tones, polyline);
+            self.keep(tones, |stage| stage.room.polyline(index, stage.tx.position, end));
         }
     }
 
@@ -211,22 +222,28 @@ impl Stage {
     pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex) -> Vec<DVec3> {
         let mut polyline = self.room.polyline(p, self.tx.position, point);
         let mut back = self.room.polyline(q, self.tx.position, point);
+        if polyline.is_empty() || back.is_empty() {
+            return Vec::new();
+        }
         back.reverse();
         polyline.extend(back.into_iter().skip(1));
         polyline
     }
 
     fn add_point(&mut self, point: DVec3, cross_section_m2: f64, phase: f64) {
-        for (p, q) in self.body_pairs.clone() {
+        for (p, q) in self.pairs_near(point, 0.0).into_owned() {
             let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
             let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
-            let polyline = self.point_polyline(point, p, q);
-            self.keep(tones, polyline);
+            self.keep(tones, |stage| stage.point_polyline(point, p, q));
         }
     }
 
     fn add_furniture(&mut self, scene: &Scene, seed: u64) {
         for (f, furniture) in scene.file().furniture.iter().enumerate() {
+            // What has faces that mirror does not scatter from points as well.
+            if self.room.has_faces_of(f) {
+                continue;
+            }
             let mut rng = generator(seed, Purpose::Furniture, [f as u64, 0]);
             let corner = DVec3::from_array(furniture.position_m);
             let size = DVec3::from_array(furniture.size_m);
@@ -252,11 +269,20 @@ impl Stage {
                     let angle = rng.random_range(-0.6..0.6f64);
                     let along = DVec3::new(angle.cos(), angle.sin(), -0.15) * distance;
                     let point =
-                        (scene.radar_position() + world_from_radar * along).clamp(DVec3::ZERO, self.room.size_m);
+                        (scene.radar_position() + world_from_radar * along).clamp(DVec3::ZERO, self.room.size_m());
                     let cross_section_m2 = 10f64.powf(rng.random_range(-3.5..-2.0));
                     self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
                 }
             }
         }
     }
+}
+
+/// Pairs of images of a lattice with at most so many reflections together, the direct pair first.
+fn lattice_pairs(max_reflections: u32) -> Vec<(ImageIndex, ImageIndex)> {
+    let all = images(max_reflections);
+    all.iter()
+        .flat_map(|&p| all.iter().map(move |&q| (p, q)))
+        .filter(|&(p, q)| order(p) + order(q) <= max_reflections)
+        .collect()
 }

@@ -14,6 +14,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use crate::paths::Surroundings;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{FurnitureFile, SwayFile, SwayPlaceFile};
@@ -194,7 +195,7 @@ impl Reflector {
         let motion = Sway::draw(rms_m, frequency_hz, group.bandwidth, rng);
         let line_of_sight = (point - stage.tx.position).try_normalize().unwrap_or(DVec3::X);
         let mut paths = Vec::new();
-        for &(p, q) in &stage.body_pairs {
+        for &(p, q) in stage.pairs_near(point, 0.0).iter() {
             let receivers: Vec<(f64, f64, Complex64)> = stage
                 .point_echoes(point, cross_section_m2, phase, p, q)
                 .iter()
@@ -230,18 +231,18 @@ fn place(scene: &Scene, stage: &Stage, at: SwayPlaceFile, rng: &mut Xoshiro256Pl
         (SwayPlaceFile::Radar, _) => {
             let along = direction(rng) * rng.random_range(0.15..0.9);
             let place = stage.tx.position + scene.radar_from_world().transpose() * along;
-            place.clamp(DVec3::ZERO, stage.room.size_m)
+            place.clamp(DVec3::ZERO, stage.room.size_m())
         }
         (kind, _) => {
             let towards = scene.radar_from_world().transpose() * direction(rng);
-            let wall_m = to_wall(stage.tx.position, towards, stage.room.size_m);
+            let wall_m = to_wall(stage, towards);
             let before_m = if kind == SwayPlaceFile::Anywhere {
                 wall_m * 0.9 * rng.random::<f64>()
             } else {
                 rng.random_range(0.0..0.3)
             };
             let place = stage.tx.position + towards * (wall_m - before_m).max(0.1);
-            place.clamp(DVec3::ZERO, stage.room.size_m)
+            place.clamp(DVec3::ZERO, stage.room.size_m())
         }
     }
 }
@@ -263,8 +264,14 @@ fn on(piece: &FurnitureFile, stage: &Stage, rng: &mut Xoshiro256PlusPlus) -> DVe
     corner + at * size
 }
 
-/// Distance from a place in a room to its walls in a direction, m.
-fn to_wall(from: DVec3, towards: DVec3, size_m: DVec3) -> f64 {
+/// Distance from the transmitter to what it sees in a direction, m: the walls of the room, or what stands before them.
+fn to_wall(stage: &Stage, towards: DVec3) -> f64 {
+    let (from, size_m) = (stage.tx.position, stage.room.size_m());
+    if let Surroundings::Polygons(room) = &stage.room
+        && let Some(distance_m) = room.paths().environment().distance_m(from, towards)
+    {
+        return distance_m;
+    }
     let mut nearest_m = f64::INFINITY;
     for axis in 0..3 {
         let step = towards[axis];

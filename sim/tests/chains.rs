@@ -198,7 +198,8 @@ fn the_simulators_echoes_are_the_closed_form() {
     let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
         .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");
-    let stage = Stage::new(&parse(&text), 0, 20.0);
+    let scene = parse(&text);
+    let (room, stage) = (scene.room(), Stage::new(&scene, 0, 20.0));
     let motion = MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, [4.0, 1.0], 3.0).stand(9.0).stay();
     let people = [Snapshot::new(&motion, 1.0)];
     let (tx, rx) = (stage.tx, stage.rx[0]);
@@ -206,7 +207,7 @@ fn the_simulators_echoes_are_the_closed_form() {
         let mut keys = Vec::new();
         echoes(&stage, &motion, &people, 0, &[pair], &mut keys, &mut EchoReport::default());
         let key = keys[CHEST * stage.rx.len()];
-        let (field, length_m) = bounce(&stage.room, (&tx, pair.0), (&rx, pair.1), &people[0].body[CHEST]);
+        let (field, length_m) = bounce(&room, (&tx, pair.0), (&rx, pair.1), &people[0].body[CHEST]);
         let aperture = stage.wavelength_m / (4.0 * PI) * motion.person.cloth[CHEST];
         let expected = stage.at_adc(0, field * aperture, stage.chirp.beat_hz(key.delay_s, key.delay_rate));
         assert!((key.amplitude / expected - 1.0).norm() < 1e-6, "{pair:?}: {} {expected}", key.amplitude);

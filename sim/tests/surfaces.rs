@@ -424,11 +424,15 @@ mod hard_cases {
         told(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
     }
 
+    /// What a box cannot show is not taken for one.
     #[test]
-    fn a_plan_is_refused_by_the_simulator_by_name() {
+    fn a_plan_is_simulated_and_is_no_box() {
         let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");
-        let error = radome_sim::Simulator::new(&scene, radome_sim::SimulateOptions::default());
-        let message = error.map(|_| ()).expect_err("refused").to_string();
-        assert!(message.contains("floor plan") && message.contains("hint: "), "{message}");
+        let simulator =
+            radome_sim::Simulator::new(&scene, radome_sim::SimulateOptions::default()).expect("a simulator");
+        assert!(simulator.render_with_report(0).1.static_paths > 0);
+        let boxed = plan_keys(&L_SHAPE, "").replacen("floor", "solver = \"images\"\nfloor", 1);
+        let message = parse(&boxed, "", Path::new("a")).map(|_| ()).expect_err("no box").to_string();
+        assert!(message.contains("solver") && message.contains("[room.plan]"), "{message}");
     }
 }

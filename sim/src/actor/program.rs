@@ -88,7 +88,7 @@ impl Program {
     }
 }
 
-/// What stands in people's way, as boxes on the ground plan.
+/// What stands in people's way, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
 pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
     /// What hangs above this, and what is lower than that, is in nobody's way, m.
     const OVERHEAD_M: f64 = 1.9;
@@ -101,7 +101,8 @@ pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
         let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);
         [[x, y], [x + w, y + d]]
     };
-    in_the_way.map(block).collect()
+    let of_plan = file.room.plan.as_ref().map(crate::scene::ground::boxes).unwrap_or_default();
+    in_the_way.map(block).chain(of_plan).collect()
 }
 
 /// Where people may walk; `None` where they walk straight.

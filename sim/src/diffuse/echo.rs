@@ -22,6 +22,8 @@ use crate::tracks::OTHERS;
 
 /// Paths weaker than this over the threshold of a path alone are not heard even together.
 const HEARD: f64 = 0.1;
+/// Points are looked at from this far before their walls, m.
+const BEFORE_M: f64 = 1e-4;
 /// A segment takes at least so many points, if there are as many.
 const LEAST_POINTS: usize = 16;
 /// Fraction of the golden ratio: its multiples fall evenly between 0 and 1.
@@ -105,7 +107,13 @@ fn audible(stage: &Stage, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool;
     let near_tx = near(stage.tx.position);
     let near_rx = stage.rx.first().map_or(0.0, |rx| near(rx.position));
     let points = &stage.wall_points;
-    let near_points: Vec<f64> = points.iter().map(|point| near(point.position)).collect();
+    // A point that is hidden from the middle of the body stays so for a frame: echoes by it are left out or not, but do not change.
+    let middle = own.get(own.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
+    let seen = |point: &WallPoint| {
+        let before = point.position + point.normal * BEFORE_M;
+        if stage.room.straight(before, middle) > 0.5 { 1.0 } else { 0.0 }
+    };
+    let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * seen(point)).collect();
     let weight = (points.len() as f64).sqrt();
     let back = |point: &WallPoint| point.back.first().map_or(0.0, |back| back.1);
     let bound = |(point, near): (&WallPoint, &f64)| {
@@ -139,8 +147,10 @@ impl Leg {
         Leg { length, field: sends(direction) / least_m }
     }
 
-    fn from_antenna(lit: &Scatterer, antenna: &Element) -> Self {
-        Leg::new(lit, antenna.position, |direction| antenna.pattern.field(antenna.radar_from_world * direction))
+    fn from_antenna(stage: &Stage, lit: &Scatterer, antenna: &Element) -> Self {
+        let straight = stage.room.straight(antenna.position, lit.centre);
+        let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
+        Leg::new(lit, antenna.position, sends)
     }
 
     fn from_point(lit: &Scatterer, point: &WallPoint) -> Self {
@@ -208,7 +218,7 @@ impl Segment {
             share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(stage, now.centre(segment).0)
         };
         let lit: Vec<Scatterer> = own.iter().map(lit).collect();
-        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(lit, antenna)).collect();
+        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(stage, lit, antenna)).collect();
         let first_lsb = stage.lsb.first().copied().unwrap_or(1.0);
         Segment {
             strength: own.iter().map(strength).collect(),

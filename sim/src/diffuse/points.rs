@@ -8,7 +8,10 @@ use rand::Rng;
 use rand::seq::SliceRandom;
 
 use super::LEAST_LEG_M;
+use super::facets::FacetWalls;
+use crate::field::fresnel::Reflection;
 use crate::field::image::{BoxRoom, Element, Wall};
+use crate::paths::Surroundings;
 use crate::random::{Purpose, generator};
 
 /// How a room throws back in all directions.
@@ -42,10 +45,83 @@ pub struct WallPoint {
 
 /// A place on a wall of a room.
 #[derive(Clone, Copy)]
-struct Place {
-    wall: usize,
-    position: DVec3,
-    normal: DVec3,
+pub(super) struct Place {
+    pub(super) wall: usize,
+    pub(super) position: DVec3,
+    pub(super) normal: DVec3,
+}
+
+/// Walls that throw in all directions what falls on them.
+pub(super) trait Walls {
+    /// Area of all of them, m^2.
+    fn area_m2(&self) -> f64;
+
+    /// A place drawn where so much area, m^2, comes before.
+    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place;
+
+    /// What a wall reflects of the power that falls on it; `None` where there is none.
+    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
+
+    /// Where a ray from a wall meets another one; `None` where it leaves the room.
+    fn met(&self, from: &Place, direction: DVec3) -> Option<Place>;
+
+    /// Part of an antenna's field that comes straight to a place.
+    fn seen(&self, antenna: DVec3, place: &Place) -> f64;
+}
+
+impl Walls for BoxRoom {
+    fn area_m2(&self) -> f64 {
+        (0..6).map(|wall| side_m2(self, wall)).sum()
+    }
+
+    fn place(&self, mut at_m2: f64, rng: &mut impl Rng) -> Place {
+        let wall = (0..5).find(|wall| {
+            let is_here = at_m2 < side_m2(self, *wall);
+            at_m2 -= if is_here { 0.0 } else { side_m2(self, *wall) };
+            is_here
+        });
+        let (wall, size) = (wall.unwrap_or(5), self.size_m.to_array());
+        let mut position = [0, 1, 2].map(|axis| size[axis] * rng.random::<f64>());
+        position[wall / 2] = if wall % 2 == 0 { 0.0 } else { size[wall / 2] };
+        Place::new(wall, DVec3::from_array(position))
+    }
+
+    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64> {
+        let wall = self.walls.get(wall).filter(|wall| **wall != Wall::Open)?;
+        Some(mean_power(wall.reflection(self.wavenumber_per_m, cosine)))
+    }
+
+    fn met(&self, from: &Place, direction: DVec3) -> Option<Place> {
+        let (mut nearest_m, mut wall) = (f64::INFINITY, from.wall ^ 1);
+        for axis in (0..3).filter(|&axis| direction[axis] != 0.0) {
+            let is_high = direction[axis] > 0.0;
+            let to = if is_high { self.size_m[axis] } else { 0.0 };
+            let distance_m = (to - from.position[axis]) / direction[axis];
+            let hit = 2 * axis + usize::from(is_high);
+            if hit != from.wall && distance_m < nearest_m {
+                (nearest_m, wall) = (distance_m, hit);
+            }
+        }
+        Some(Place::new(wall, (from.position + nearest_m * direction).clamp(DVec3::ZERO, self.size_m)))
+    }
+
+    fn seen(&self, _: DVec3, _: &Place) -> f64 {
+        1.0
+    }
+}
+
+/// Area of a side of a box, m^2; none where there is no wall.
+fn side_m2(room: &BoxRoom, wall: usize) -> f64 {
+    let size = room.size_m.to_array();
+    match room.walls.get(wall) {
+        Some(Wall::Open) | None => 0.0,
+        Some(_) => (0..3).filter(|axis| *axis != wall / 2).map(|axis| size[axis]).product(),
+    }
+}
+
+/// Power that a reflection leaves, of both polarisations the mean.
+pub(super) fn mean_power(reflection: Reflection) -> f64 {
+    0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr())
 }
 
 impl Place {
@@ -54,26 +130,16 @@ impl Place {
         Place { wall, position, normal }
     }
 
-    /// Where in a room what leaves here by Lambert's law falls, and the cosine of the angle at which it does.
-    fn thrown(&self, size_m: DVec3, rng: &mut impl Rng) -> (Self, f64) {
+    /// Where what leaves here by Lambert's law falls, and the cosine of the angle at which it does.
+    fn thrown(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
         // A point of the unit sphere about the tip of the normal.
         let z: f64 = rng.random_range(-1.0..1.0);
         let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
         let ring = (1.0 - z * z).max(0.0).sqrt();
         let towards = self.normal + DVec3::new(ring * cos, ring * sin, z);
         let direction = towards.try_normalize().unwrap_or(self.normal);
-        let (mut nearest_m, mut wall) = (f64::INFINITY, self.wall ^ 1);
-        for axis in (0..3).filter(|&axis| direction[axis] != 0.0) {
-            let is_high = direction[axis] > 0.0;
-            let to = if is_high { size_m[axis] } else { 0.0 };
-            let distance_m = (to - self.position[axis]) / direction[axis];
-            let hit = 2 * axis + usize::from(is_high);
-            if hit != self.wall && distance_m < nearest_m {
-                (nearest_m, wall) = (distance_m, hit);
-            }
-        }
-        let there = Place::new(wall, (self.position + nearest_m * direction).clamp(DVec3::ZERO, size_m));
-        (there, -direction.dot(there.normal))
+        let there = walls.met(self, direction)?;
+        Some((there, -direction.dot(there.normal)))
     }
 }
 
@@ -84,14 +150,16 @@ fn bounces(at: f64, most: u32) -> (u32, f64) {
 }
 
 /// The points of a room.
-pub fn wall_points(room: &BoxRoom, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+pub fn wall_points(room: &Surroundings, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+    match room {
+        Surroundings::Box(room) => points(room, diffuse, tx, rx, seed),
+        Surroundings::Polygons(room) => points(&FacetWalls::new(room), diffuse, tx, rx, seed),
+    }
+}
+
+pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
     let Diffuse { share, points: count, .. } = diffuse;
-    let size = room.size_m.to_array();
-    let area = |wall: usize| match room.walls.get(wall) {
-        Some(Wall::Open) | None => 0.0,
-        Some(_) => (0..3).filter(|axis| *axis != wall / 2).map(|axis| size[axis]).product(),
-    };
-    let whole: f64 = (0..6).map(area).sum();
+    let whole = walls.area_m2();
     if !(share > 0.0 && whole > 0.0) {
         return Vec::new();
     }
@@ -99,18 +167,10 @@ pub fn wall_points(room: &BoxRoom, diffuse: Diffuse, tx: &Element, rx: &[Element
     let mut points = Vec::with_capacity(count);
     for index in 0..count {
         // One in each of as many equal parts of the walls.
-        let mut at = (index as f64 + rng.random::<f64>()) / count as f64 * whole;
-        let wall = (0..5).find(|wall| {
-            let is_here = at < area(*wall);
-            at -= if is_here { 0.0 } else { area(*wall) };
-            is_here
-        });
-        let wall = wall.unwrap_or(5);
-        let mut position = [0, 1, 2].map(|axis| size[axis] * rng.random::<f64>());
-        position[wall / 2] = if wall % 2 == 0 { 0.0 } else { size[wall / 2] };
-        let first = Place::new(wall, DVec3::from_array(position));
+        let at_m2 = (index as f64 + rng.random::<f64>()) / count as f64 * whole;
+        let first = walls.place(at_m2, &mut rng);
         let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
-        let walk = Walk::from(first, room, diffuse, tx.position, index, seed);
+        let walk = Walk::from(first, walls, diffuse, tx.position, index, seed);
         // Lambert: of the power density S on dA goes `share S dA cos_in cos_out / (pi r^2)` out.
         let leg = |element: &Element| {
             let offset = first.position - element.position;
@@ -119,7 +179,7 @@ pub fn wall_points(room: &BoxRoom, diffuse: Diffuse, tx: &Element, rx: &[Element
             let cosine = (-direction.dot(first.normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
             let thrown = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
-            (length_m + walk.length_m, thrown)
+            (length_m + walk.length_m, thrown * walls.seen(element.position, &first))
         };
         let Place { position, normal, .. } = walk.end;
         let back = rx.iter().map(leg).collect();
@@ -147,19 +207,14 @@ struct Walk {
 }
 
 impl Walk {
-    fn from(first: Place, room: &BoxRoom, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
+    fn from(first: Place, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
         // Walks of each number of walls from all over the room: multiples of the golden ratio fall everywhere.
         let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
         let (count, weight) = bounces(at.fract(), diffuse.bounces);
         // A wall gives no more than it gets: what it throws in all directions it does not mirror.
-        let mirrored_at = |place: &Place, cosine: f64| match room.walls.get(place.wall) {
-            None | Some(Wall::Open) => None,
-            Some(wall) => {
-                let reflection = wall.reflection(room.wavenumber_per_m, cosine.clamp(1e-3, 1.0));
-                let mean = 0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr());
-                Some(mean.min(1.0 - diffuse.share))
-            }
+        let mirrored_at = |place: &Place, cosine: f64| {
+            Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))?.min(1.0 - diffuse.share))
         };
         let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
         let (mut end, mut length_m) = (first, 0.0);
@@ -167,7 +222,10 @@ impl Walk {
         let mut mirrored = mirrored_at(&first, cosine).unwrap_or(0.0);
         let mut all = mirrored + diffuse.share;
         for _ in 1..count {
-            let (next, cosine) = end.thrown(room.size_m, &mut rng);
+            let Some((next, cosine)) = end.thrown(walls, &mut rng) else {
+                (mirrored, all) = (0.0, 0.0);
+                break;
+            };
             length_m += next.position.distance(end.position);
             end = next;
             // What comes to an opening is gone.
@@ -220,7 +278,7 @@ mod tests {
         }
         const SEEDS: u64 = 3000;
         let drawn: f64 = (0..SEEDS)
-            .flat_map(|seed| wall_points(&room, one_wall(share), &antenna, &[], seed))
+            .flat_map(|seed| points(&room, one_wall(share), &antenna, &[], seed))
             .map(|point| {
                 let on = place - point.position;
                 point.there.1.powi(2) * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
@@ -228,7 +286,7 @@ mod tests {
             .sum();
         let ratio = drawn / SEEDS as f64 / exact;
         assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
-        assert!(wall_points(&room, one_wall(0.0), &antenna, &[antenna], 1).is_empty());
+        assert!(points(&room, one_wall(0.0), &antenna, &[antenna], 1).is_empty());
     }
 
     fn one_wall(share: f64) -> Diffuse {
@@ -243,7 +301,7 @@ mod tests {
         let begin = |index: usize| {
             let mut place = Place::new(4, DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0));
             for _ in 0..8 {
-                place = place.thrown(room.size_m, &mut rng).0;
+                place = place.thrown(&room, &mut rng).expect("a wall").0;
             }
             Walk::from(place, &room, diffuse, from, index, 7)
         };

@@ -6,6 +6,7 @@
 //!
 //! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
 
+use std::borrow::Cow;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -18,12 +19,15 @@ use crate::actor::clothing::Cloth;
 use crate::actor::motion::Motion;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::{ImageIndex, order};
+use crate::field::image::ImageIndex;
+use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 
 /// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
 const BODY_BOUND_M: f64 = 0.25;
+/// No part of a body is farther from its trunk's middle, m.
+const BODY_REACH_M: f64 = 1.2;
 /// Segments weaker than this part of the threshold of a path alone are not traced: as weak as those that key times ask for.
 pub const HEARD: f64 = 0.5;
 /// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
@@ -55,9 +59,10 @@ impl From<(ImageIndex, ImageIndex)> for AudiblePair {
 /// Image pairs with the segments of somebody whose highlights they may make heard at some of these instants. The direct pair is the
 /// first, whatever it makes heard.
 pub fn audible_paths(stage: &Stage, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
-    let images = Images::new(stage);
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
-    let mut all: Vec<AudiblePair> = stage.body_pairs.iter().map(|&pair| AudiblePair { pair, segments: 0 }).collect();
+    let pairs = pairs_of(stage, &bodies);
+    let images = Images::new(stage, &pairs);
+    let mut all: Vec<AudiblePair> = pairs.iter().map(|&pair| AudiblePair { pair, segments: 0 }).collect();
     for segment in 0..SEGMENTS {
         let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
         let Some(bound) = SegmentBound::new(stage, motion, &images, segment, at) else { continue };
@@ -67,8 +72,16 @@ pub fn audible_paths(stage: &Stage, motion: &Motion, instants_s: &[f64]) -> Vec<
             }
         }
     }
-    all.retain(|AudiblePair { pair: (p, q), segments }| *segments != 0 || order(*p) + order(*q) == 0);
+    let is_direct = |p: ImageIndex, q: ImageIndex| stage.room.order(p) + stage.room.order(q) == 0;
+    all.retain(|AudiblePair { pair: (p, q), segments }| *segments != 0 || is_direct(*p, *q));
     all
+}
+
+/// Image pairs by which somebody with these bodies may be seen, the direct pair first.
+fn pairs_of<'a>(stage: &'a Stage, bodies: &[[Ellipsoid; SEGMENTS]]) -> Cow<'a, [(ImageIndex, ImageIndex)]> {
+    let middle = bodies.get(bodies.len() / 2).map_or(DVec3::ZERO, |body| body[CHEST].centre);
+    let reach = |e: &Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
+    stage.pairs_near(middle, bodies.iter().flatten().map(reach).fold(0.0, f64::max))
 }
 
 /// All images that pairs are made of.
@@ -81,13 +94,13 @@ struct Images {
 }
 
 impl Images {
-    fn new(stage: &Stage) -> Self {
-        let mut indices: Vec<ImageIndex> = stage.body_pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
+    fn new(stage: &Stage, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
+        let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
         indices.sort_unstable();
         indices.dedup();
         // Every image of a pair is among them.
         let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
-        let pairs = stage.body_pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
+        let pairs = pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
         let apart_m = stage.rx.iter().map(|rx| rx.position.distance(stage.tx.position)).fold(0.0, f64::max);
         Images { indices, pairs, apart_m }
     }
@@ -183,19 +196,29 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
     let centre = body[CHEST].centre;
     let aperture = stage.wavelength_m / (4.0 * PI);
     let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
-    let reach = |index: ImageIndex| {
-        let i = stage.room.illuminate(&stage.tx, index, centre);
-        (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
+    let reach = |index: ImageIndex| match &stage.room {
+        Surroundings::Box(room) => {
+            let i = room.illuminate(&stage.tx, index, centre);
+            (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
+        }
+        // The trunk may be hidden where an arm is not.
+        room => {
+            let offset = centre - room.image_position(index, stage.tx.position);
+            let distance_m = offset.length();
+            let spread_rad = (BODY_REACH_M / distance_m).min(1.0).asin();
+            let most = room.most_field(&stage.tx, index, offset.normalize_or_zero(), spread_rad);
+            (most / (distance_m - BODY_REACH_M).max(0.2), distance_m)
+        }
     };
     let audible = |&(p, q): &(ImageIndex, ImageIndex)| {
-        if order(p) + order(q) == 0 {
+        if stage.room.order(p) + stage.room.order(q) == 0 {
             return true;
         }
         let ((a, r), (b, s)) = (reach(p), reach(q));
         let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
         lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
     };
-    stage.body_pairs.iter().filter(|pair| audible(pair)).copied().collect()
+    pairs_of(stage, &[body]).iter().filter(|pair| audible(pair)).copied().collect()
 }
 
 /// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest

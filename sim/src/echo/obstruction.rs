@@ -4,7 +4,8 @@ use glam::{DVec2, DVec3};
 
 use super::Snapshot;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::{ImageIndex, order};
+use crate::field::image::{BoxRoom, ImageIndex, order};
+use crate::paths::Surroundings;
 use crate::shadow::{self, Column, REACH_M};
 use crate::stage::Stage;
 
@@ -65,15 +66,24 @@ pub(super) fn past_people(
     antenna: DVec3,
     point: DVec3,
 ) -> f64 {
-    let last = order(image) as usize;
+    let past = |last: usize, leg: usize, from: DVec3, to: DVec3| -> f64 {
+        let others = people.iter().enumerate().filter(|(i, _)| *i != me || leg != last);
+        others.map(|(_, other)| shadow::past(from, to, &other.column, stage.wavelength_m)).product()
+    };
     let mut weight = 1.0;
-    stage.room.each_leg(image, antenna, point, |leg, from, to| {
-        for (i, other) in people.iter().enumerate() {
-            if i != me || leg != last {
-                weight *= shadow::past(from, to, &other.column, stage.wavelength_m);
+    match &stage.room {
+        Surroundings::Box(room) => {
+            let last = order(image) as usize;
+            room.each_leg(image, antenna, point, |leg, from, to| weight *= past(last, leg, from, to));
+        }
+        Surroundings::Polygons(room) => {
+            let way = room.way(image, antenna, point);
+            let last = way.len().saturating_sub(2);
+            for (leg, ends) in way.windows(2).enumerate() {
+                weight *= past(last, leg, ends[0], ends[1]);
             }
         }
-    });
+    }
     weight
 }
 
@@ -110,6 +120,7 @@ impl Standing {
 /// Columns that may stand in the ways between images and somebody's body at an instant, image by image as they are asked for.
 pub(super) struct Bystanders<'a> {
     stage: &'a Stage,
+    room: &'a BoxRoom,
     people: &'a [Snapshot],
     me: usize,
     /// Columns of each image; empty before it is asked for, as there are always some.
@@ -117,9 +128,15 @@ pub(super) struct Bystanders<'a> {
 }
 
 impl<'a> Bystanders<'a> {
-    /// None are known yet of so many images.
-    pub(super) fn new(stage: &'a Stage, people: &'a [Snapshot], me: usize, images: usize) -> Self {
-        Bystanders { stage, people, me, of_images: vec![Vec::new(); images] }
+    /// None are known yet of so many images of a box.
+    pub(super) fn new(
+        stage: &'a Stage,
+        room: &'a BoxRoom,
+        people: &'a [Snapshot],
+        me: usize,
+        images: usize,
+    ) -> Self {
+        Bystanders { stage, room, people, me, of_images: vec![Vec::new(); images] }
     }
 
     fn standing(&self, [x, y, _]: ImageIndex) -> Vec<Standing> {
@@ -127,7 +144,7 @@ impl<'a> Bystanders<'a> {
         for i in x.min(0)..=x.max(0) {
             for j in y.min(0)..=y.max(0) {
                 for (person, Snapshot { column, .. }) in self.people.iter().enumerate() {
-                    let axis = self.stage.room.image_position([i, j, 0], DVec3::new(column.x, column.y, 0.0));
+                    let axis = self.room.image_position([i, j, 0], DVec3::new(column.x, column.y, 0.0));
                     let reach_m = column.radius_m + REACH_M + ROUNDING_M;
                     let is_own = person == self.me && (i, j) == (0, 0);
                     all.push(Standing { axis: axis.truncate(), reach_m2: reach_m * reach_m, is_own });
@@ -141,7 +158,7 @@ impl<'a> Bystanders<'a> {
     pub(super) fn past(&mut self, number: usize, way: &Way, point: DVec3) -> f64 {
         let (stage, people, me) = (self.stage, self.people, self.me);
         let exact = || past_people(stage, people, me, way.image, way.antenna, point);
-        let size_m = stage.room.size_m;
+        let size_m = self.room.size_m;
         // Ways to points outside of the room may lead beyond them before they are folded.
         if !(point.cmpge(DVec3::ZERO).all() && point.cmple(size_m).all()) {
             return exact();
@@ -190,7 +207,8 @@ mod tests {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/scenes/{name}.toml"));
             let scene = Scene::load(&path).expect("a fixture").drawn(1).expect("a scene");
             let stage = Stage::new(&scene, 1, 10.0);
-            let size_m = stage.room.size_m;
+            let room = scene.room();
+            let size_m = room.size_m;
             for i in 0..40u64 {
                 let mut somebody = |number: u64| {
                     let place = [rng.random_range(0.3..size_m.x - 0.3), rng.random_range(0.3..size_m.y - 0.3)];
@@ -198,7 +216,7 @@ mod tests {
                     MotionBuilder::new(Person::draw(i, [number, 0], 1.75), 0.0, place, heading_rad).stay()
                 };
                 let people = [somebody(0), somebody(1)].map(|motion| Snapshot::new(&motion, 1.0));
-                let mut bystanders = Bystanders::new(&stage, &people, 0, images(2).len());
+                let mut bystanders = Bystanders::new(&stage, &room, &people, 0, images(2).len());
                 for (number, image) in images(2).into_iter().enumerate() {
                     let antenna = stage.tx.position;
                     let way = Way { image, source: stage.room.image_position(image, antenna), antenna };

@@ -1,5 +1,5 @@
 //! Many of somebody's paths at one instant: highlights of a segment by pairs of images, some side by side ([`super::path_rows`]).
-//! What lanes cannot do is traced path by path; it is also what lanes are held to.
+//! What lanes cannot do, as in rooms that are no boxes, is traced path by path; it is also what lanes are held to.
 //!
 //! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
 //! asked only of those that can be heard.
@@ -18,9 +18,10 @@ use crate::actor::track::smooth_step;
 use crate::field::Phasor3;
 use crate::field::highlight::LEAST_COSINE;
 use crate::field::highlight_rows::{HighlightRows, highlights};
-use crate::field::image::order;
+use crate::field::image::{BoxRoom, order};
 use crate::lanes::vector::store;
 use crate::lanes::{WIDE, WideRow, WideRow3, wide_lane};
+use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::weaken_rows;
 use crate::slow_time::Key;
@@ -82,7 +83,7 @@ impl Paths<'_> {
     /// where on its segment each was met a little earlier or later.
     pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
         let mut met = vec![Met::new(&[], None); asked.len()];
-        if self.places == (0..1) {
+        if let (true, Surroundings::Box(room)) = (self.places == (0..1), &self.stage.room) {
             let mut of_segments: [Vec<usize>; SEGMENTS] = Default::default();
             for (at, &(path, _)) in asked.iter().enumerate() {
                 if let Some(&(_, segment)) = self.highlights.get(path) {
@@ -91,7 +92,7 @@ impl Paths<'_> {
             }
             for (segment, all) in of_segments.iter().enumerate() {
                 for lanes in all.chunks(WIDE) {
-                    self.meet_lanes(segment, lanes, asked, people, &mut met, report);
+                    self.meet_lanes(room, segment, lanes, asked, people, &mut met, report);
                 }
             }
         }
@@ -107,7 +108,9 @@ impl Paths<'_> {
 
     /// Weakens paths at one instant by the people in their ways, once. They come with their numbers.
     pub fn shade<'m>(&self, met: impl IntoIterator<Item = (usize, &'m mut Met)>, people: &[Snapshot]) {
-        let mut bystanders = Bystanders::new(self.stage, people, self.me, 2 * self.images);
+        // Others are traced with everybody in their ways.
+        let Surroundings::Box(room) = &self.stage.room else { return };
+        let mut bystanders = Bystanders::new(self.stage, room, people, self.me, 2 * self.images);
         for (path, met) in met.into_iter().filter(|(_, met)| met.is_bare) {
             met.is_bare = false;
             let pair = self.highlights.get(path).and_then(|&(number, _)| self.pairs.get(number));
@@ -121,8 +124,10 @@ impl Paths<'_> {
 
     /// Paths by way of one segment side by side: those of `asked` at these places, no more than there are lanes. Paths that lanes
     /// cannot trace stay without receivers.
+    #[allow(clippy::too_many_arguments)]
     fn meet_lanes(
         &self,
+        room: &BoxRoom,
         segment: usize,
         lanes: &[usize],
         asked: &[(usize, Option<DVec3>)],
@@ -148,7 +153,7 @@ impl Paths<'_> {
         let mut seen = HighlightRows::default();
         highlights(self.level, ellipsoid, &sources, &mut seen);
         let factors = self.factors(segment, own, &sources, &seen);
-        let fields = self.fields(&pairs, &factors, &seen);
+        let fields = self.fields(room, &pairs, &factors, &seen);
         let mut amplitude = [[0.0; WIDE]; 2];
         reflected(self.level, SKIN_PERMITTIVITY, &seen, &fields, &factors, &mut amplitude);
         for (l, &at) in lanes.iter().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
@@ -219,7 +224,7 @@ impl Paths<'_> {
     }
 
     /// Fields of both antennas' images at the highlights, but for spreading.
-    fn fields(&self, pairs: &[&Pair; WIDE], factors: &WideRow, seen: &HighlightRows) -> [WideFields; 2] {
+    fn fields(&self, room: &BoxRoom, pairs: &[&Pair; WIDE], factors: &WideRow, seen: &HighlightRows) -> [WideFields; 2] {
         let stage = self.stage;
         let mut fields = [WideFields::default(); 2];
         let antennas = [&stage.tx, stage.rx.first().unwrap_or(&stage.tx)];
@@ -231,12 +236,12 @@ impl Paths<'_> {
             launched(self.level, antenna, &signs, &seen.towards[side], &mut fields.re);
             for (l, pair) in pairs.iter().enumerate().filter(|&(l, _)| factors[l] != 0.0) {
                 let way = if side == 0 { &pair.there } else { &pair.back };
-                if order(way.image) == 0 && !stage.room.transmission {
+                if order(way.image) == 0 && !room.transmission {
                     continue;
                 }
                 let (direction, point) = (-vector(&seen.towards[side], l), vector(&seen.point, l));
                 let field = Phasor3::real(vector(&fields.re, l));
-                let field = stage.room.carried(way.antenna, way.image, way.source, direction, point, field);
+                let field = room.carried(way.antenna, way.image, way.source, direction, point, field);
                 store(&mut fields.re, l, field.re.to_array());
                 store(&mut fields.im, l, field.im.to_array());
             }

@@ -20,6 +20,10 @@ const FIRST_HALVINGS: u32 = 4;
 const MERGE_M: f64 = 1e-9;
 /// Mirror matrices that differ less than this in all elements are one.
 const MERGE_MIRROR: f64 = 1e-10;
+/// Walls that a ray goes through at most on its way to the facets that mirror it.
+const MOST_CROSSED: u32 = 1;
+/// Direction along no edge of what people build.
+const ASKEW: DVec3 = DVec3::new(1.0, 0.754_877_666_2, 0.569_840_291_0);
 /// Cosine up to which planes are at right angles.
 const RIGHT_ANGLE: f64 = 1e-12;
 
@@ -201,13 +205,14 @@ fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Ite
         .collect();
     // Stable: of equal places the earlier sequence stays the first.
     let mut order: Vec<usize> = (0..all.len()).collect();
-    let place = |all: &[Image], i: usize| all.get(i).map_or(0.0, |image| image.position.x);
+    // In rooms along the axes thousands of images share a coordinate; along this direction those that are one do.
+    let place = |all: &[Image], i: usize| all.get(i).map_or(0.0, |image| image.position.dot(ASKEW));
     order.sort_by(|&i, &j| place(&all, i).total_cmp(&place(&all, j)).then(i.cmp(&j)));
     let mut recent: Vec<usize> = Vec::new();
     let mut goes_to: Vec<usize> = (0..all.len()).collect();
     for i in order {
         let x = place(&all, i);
-        recent.retain(|&j| x - place(&all, j) <= MERGE_M);
+        recent.retain(|&j| x - place(&all, j) <= 3.0 * MERGE_M);
         match recent.iter().find(|&&j| all.get(i).zip(all.get(j)).is_some_and(|(a, b)| is_same(a, b))) {
             Some(&j) => {
                 if let Some(slot) = goes_to.get_mut(i) {
@@ -249,7 +254,8 @@ struct Launch<'a> {
     mount: Option<FacetId>,
     max_order: usize,
     directions: Vec<DVec3>,
-    chains: Vec<Chain>,
+    /// By direction: what a ray meets that is mirrored everywhere, and rays that go through a wall.
+    chains: Vec<Vec<Chain>>,
     /// Triangles of directions that may be divided.
     triangles: Vec<[usize; 3]>,
     refinements: u32,
@@ -324,35 +330,44 @@ impl<'a> Launch<'a> {
     /// Traces the directions that have not been traced.
     fn trace_new(&mut self) {
         let first = self.chains.len();
-        let new: Vec<Chain> =
+        let new: Vec<Vec<Chain>> =
             self.directions.get(first..).unwrap_or_default().par_iter().map(|&d| self.trace(d)).collect();
         self.chains.extend(new);
     }
 
-    fn trace(&self, direction: DVec3) -> Chain {
-        let mut chain = Chain { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
-        let (mut from, mut towards, mut on) = (self.origin, direction, self.mount);
-        if let Some(flat) = on.and_then(|facet| self.environment.flat(facet))
+    /// Follows a ray in a direction. Where walls let waves through, another one goes on behind each that it meets.
+    fn trace(&self, direction: DVec3) -> Vec<Chain> {
+        let chain = Chain { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
+        if let Some(flat) = self.mount.and_then(|facet| self.environment.flat(facet))
             && flat.normal.dot(direction) <= 0.0
         {
-            return chain;
+            return vec![chain];
         }
-        while chain.length < self.max_order {
-            let Some((facet, point)) = self.environment.first_hit(from, towards, on) else { break };
-            let Some(flat) = self.environment.flat(facet) else { break };
-            if let Some(slot) = chain.facets.get_mut(chain.length) {
-                *slot = facet;
+        let mut found = Vec::with_capacity(1);
+        let walls_left = if self.environment.lets_through() { MOST_CROSSED } else { 0 };
+        let mut open = vec![Traced { from: self.origin, towards: direction, on: self.mount, chain, walls_left }];
+        while let Some(mut ray) = open.pop() {
+            while ray.chain.length < self.max_order {
+                let Some((facet, point)) = self.environment.first_hit(ray.from, ray.towards, ray.on) else { break };
+                let Some(flat) = self.environment.flat(facet) else { break };
+                (ray.from, ray.on) = (point, Some(facet));
+                if ray.walls_left > 0 && flat.transmits {
+                    open.push(Traced { walls_left: ray.walls_left - 1, ..ray });
+                }
+                if let Some(slot) = ray.chain.facets.get_mut(ray.chain.length) {
+                    *slot = facet;
+                }
+                ray.chain.length += 1;
+                ray.towards -= flat.normal * (2.0 * flat.normal.dot(ray.towards));
             }
-            chain.length += 1;
-            towards -= flat.normal * (2.0 * flat.normal.dot(towards));
-            (from, on) = (point, Some(facet));
+            found.push(ray.chain);
         }
-        chain
+        found
     }
 
     /// What rays met, and what that begins with.
     fn sequences(&self) -> BTreeSet<Vec<FacetId>> {
-        let mut chains = self.chains.clone();
+        let mut chains: Vec<Chain> = self.chains.iter().flatten().copied().collect();
         chains.sort_unstable();
         chains.dedup();
         let begins = |chain: &Chain| {
@@ -361,6 +376,17 @@ impl<'a> Launch<'a> {
         };
         chains.iter().flat_map(begins).collect()
     }
+}
+
+/// A ray on its way.
+#[derive(Debug, Clone, Copy)]
+struct Traced {
+    from: DVec3,
+    towards: DVec3,
+    on: Option<FacetId>,
+    chain: Chain,
+    /// Walls that it may still go through.
+    walls_left: u32,
 }
 
 /// Corners and triangles of an icosahedron, turned so that it has no plane in common with rooms.

@@ -5,8 +5,10 @@ use glam::DVec3;
 
 use super::environment::{FacetId, Flat};
 
-/// Ends of edges nearer to each other than this are one, m.
+/// Points nearer to a plane than this lie on it, m.
 pub(super) const SAME_M: f64 = 1e-6;
+/// Ends of edges nearer to each other than this are one, m: what vertices of meshes are welded by, and a fiftieth of a wave.
+const SAME_END_M: f64 = 1e-4;
 /// Sine of the angle up to which two facets lie in one plane.
 const FLAT: f64 = 1e-6;
 
@@ -52,13 +54,26 @@ impl SoftEdge {
         widest.copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Whether it lies on the outline of what it bounds, seen along a direction: a free edge always does, a corner does where
-    /// one of its facets is seen from the front and the other from behind.
-    pub(super) fn is_outline(&self, direction: DVec3) -> bool {
-        match self.normals.as_slice() {
-            [a, b] if a.dot(*b) > FLAT - 1.0 => direction.dot(*a) * direction.dot(*b) <= 0.0,
+    /// Whether it lies on the outline of what it bounds, seen from a point along a direction: a free edge always does, a corner
+    /// does where one of its facets is seen from the front and the other from behind. A corner of two sheets has none for who is
+    /// between them.
+    pub(super) fn is_outline(&self, from: DVec3, direction: DVec3) -> bool {
+        match (self.normals.as_slice(), self.inwards.as_slice()) {
+            ([a, b], _) if a.dot(*b) > FLAT - 1.0 => direction.dot(*a) * direction.dot(*b) <= 0.0,
+            ([_, _, _, ..], [first, others @ ..]) => {
+                let second = others.iter().find(|inwards| inwards.cross(*first).length_squared() > FLAT * FLAT);
+                second.is_none_or(|second| !self.is_between(first, second, from))
+            }
             _ => true,
         }
+    }
+
+    /// Whether a point lies between two sheets that begin at the edge, where they are at less than a straight angle.
+    fn is_between(&self, first: &DVec3, second: &DVec3, point: DVec3) -> bool {
+        let axis = first.cross(*second);
+        let offset = point - self.ends[0];
+        // Signs of its parts along both of them.
+        offset.cross(*second).dot(axis) > 0.0 && first.cross(offset).dot(axis) > 0.0
     }
 
     /// Whether a point lies beyond an end at which the edge goes on in mirror images.
@@ -110,7 +125,7 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     order.sort_by(|&i, &j| middle(i).total_cmp(&middle(j)).then(i.cmp(&j)));
     let is_same = |i: usize, j: usize| match (sides.get(i), sides.get(j)) {
         (Some(a), Some(b)) => {
-            let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_M * SAME_M;
+            let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;
             meet(a.ends[0], b.ends[0]) && meet(a.ends[1], b.ends[1])
                 || meet(a.ends[0], b.ends[1]) && meet(a.ends[1], b.ends[0])
         }
@@ -120,7 +135,7 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     let mut recent: Vec<(f64, usize)> = Vec::new();
     for i in order {
         let x = middle(i);
-        recent.retain(|(other, _)| x - other <= SAME_M);
+        recent.retain(|(other, _)| x - other <= SAME_END_M);
         let found = recent
             .iter()
             .map(|(_, group)| *group)
@@ -220,15 +235,30 @@ pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
             reach_m: 0.5 * first.ends[0].distance(first.ends[1]),
         });
     }
-    for i in 0..edges.len() {
-        let Some(ends) = edges.get(i).map(|edge| edge.ends) else { continue };
-        let goes_on = ends.map(|end| {
-            let meets = |other: &SoftEdge| other.ends.iter().any(|e| e.distance_squared(end) < SAME_M * SAME_M);
-            !edges.iter().enumerate().any(|(j, other)| j != i && meets(other))
-        });
-        if let Some(edge) = edges.get_mut(i) {
-            edge.goes_on = goes_on;
-        }
+    let meets = meeting_ends(&edges);
+    for (edge, meets) in edges.iter_mut().zip(meets) {
+        edge.goes_on = meets.map(|meets| !meets);
     }
     edges
+}
+
+/// Whether another edge has an end where each end of each edge is.
+fn meeting_ends(edges: &[SoftEdge]) -> Vec<[bool; 2]> {
+    let mut ends: Vec<(DVec3, usize, usize)> =
+        edges.iter().enumerate().flat_map(|(i, edge)| [(edge.ends[0], i, 0), (edge.ends[1], i, 1)]).collect();
+    ends.sort_by(|p, q| p.0.x.total_cmp(&q.0.x).then((p.1, p.2).cmp(&(q.1, q.2))));
+    let mut meets = vec![[false; 2]; edges.len()];
+    for (number, &(place, i, end)) in ends.iter().enumerate() {
+        let near = ends.iter().skip(number + 1).take_while(|other| other.0.x - place.x < SAME_END_M);
+        for &(other_place, j, other_end) in near {
+            if j != i && other_place.distance_squared(place) < SAME_END_M * SAME_END_M {
+                for (edge, end) in [(i, end), (j, other_end)] {
+                    if let Some(slot) = meets.get_mut(edge).and_then(|ends| ends.get_mut(end)) {
+                        *slot = true;
+                    }
+                }
+            }
+        }
+    }
+    meets
 }

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use glam::{DMat3, DVec2, DVec3};
 use thiserror::Error;
 
+use super::edge_index::EdgeIndex;
 use super::edges::{SoftEdge, soft_edges};
 use super::triangulate::{doubled_area, triangulate};
-use crate::field::fresnel::Reflection;
 use crate::field::image::{BoxRoom, Wall};
 use crate::field::wall::WallTable;
 use crate::geometry::{Mesh, polygon};
@@ -23,6 +23,8 @@ const COPLANAR_M: f64 = 1e-7;
 const PARALLEL: f64 = 1e-6;
 /// The one body of the world.
 const BODY: u32 = 0;
+/// Walls let waves through that leave more than this part of a field at normal incidence: -40 dB.
+const LEAST_TRANSMISSION: f64 = 0.01;
 
 /// Index of a facet in its environment.
 pub type FacetId = u32;
@@ -99,13 +101,20 @@ pub(super) struct Flat {
     pub plane: u32,
     /// Indices of its soft edges.
     pub soft: Vec<u32>,
+    /// Coefficients of its wall.
+    pub table: Arc<WallTable>,
+    /// Whether its wall leaves enough of a wave that goes through it to be followed.
+    pub transmits: bool,
+    /// Middle and radius of a ball around it, m.
+    pub middle: DVec3,
+    pub radius_m: f64,
     axes: [DVec3; 2],
     outline: Vec<DVec2>,
     holes: Vec<Vec<DVec2>>,
 }
 
 impl Flat {
-    fn new(number: usize, facet: Facet) -> Result<Self, EnvironmentError> {
+    fn new(number: usize, facet: Facet, tables: &mut WallTables) -> Result<Self, EnvironmentError> {
         let refused = |why| EnvironmentError::NoPolygon { facet: number, why };
         let all = || facet.corners.iter().chain(facet.holes.iter().flatten());
         if facet.corners.len() < 3 || facet.holes.iter().any(|hole| hole.len() < 3) {
@@ -133,7 +142,23 @@ impl Flat {
         };
         let outline = flat(&facet.corners);
         let holes = facet.holes.iter().map(|hole| flat(hole)).collect();
-        Ok(Flat { normal, offset_m, plane: 0, soft: Vec::new(), axes, outline, holes, facet })
+        let middle = facet.corners.iter().sum::<DVec3>() / facet.corners.len() as f64;
+        let radius_m = facet.corners.iter().map(|corner| corner.distance(middle)).fold(0.0, f64::max);
+        let through = facet.wall.transmission(tables.wavenumber_per_m, 1.0).te.norm();
+        Ok(Flat {
+            normal,
+            offset_m,
+            plane: 0,
+            soft: Vec::new(),
+            table: tables.of(facet.wall),
+            transmits: through > LEAST_TRANSMISSION,
+            middle,
+            radius_m,
+            axes,
+            outline,
+            holes,
+            facet,
+        })
     }
 
     /// Height of a point over the plane, m.
@@ -164,6 +189,12 @@ impl Flat {
         within || std::iter::once(&self.outline).chain(&self.holes).any(|sides| distance_m(sides, p) < SEAM_M)
     }
 
+    /// Whether a point of the plane lies farther than a distance, m, from the ball around the facet.
+    pub fn is_far(&self, point: DVec3, distance_m: f64) -> bool {
+        let reach_m = self.radius_m + distance_m;
+        self.middle.distance_squared(point) > reach_m * reach_m
+    }
+
     /// Whether a hole is counter-clockwise seen against the normal, as the outline is.
     pub fn is_positive(&self, hole: usize) -> bool {
         self.holes.get(hole).is_some_and(|hole| doubled_area(hole) > 0.0)
@@ -171,6 +202,23 @@ impl Flat {
 
     fn triangles(&self) -> Option<Vec<[u32; 3]>> {
         triangulate(&self.outline, &self.holes)
+    }
+}
+
+/// Tables of walls, one for all that are equal.
+struct WallTables {
+    wavenumber_per_m: f64,
+    known: Vec<(Wall, Arc<WallTable>)>,
+}
+
+impl WallTables {
+    fn of(&mut self, wall: Wall) -> Arc<WallTable> {
+        if let Some((_, table)) = self.known.iter().find(|(known, _)| *known == wall) {
+            return Arc::clone(table);
+        }
+        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, false));
+        self.known.push((wall, Arc::clone(&table)));
+        table
     }
 }
 
@@ -195,28 +243,23 @@ fn distance_m(outline: &[DVec2], p: DVec2) -> f64 {
     outline.iter().zip(outline.iter().cycle().skip(1)).map(to_side).fold(f64::INFINITY, f64::min)
 }
 
-/// Tables of the facets' walls, one for all that are equal.
-fn wall_tables(flats: &[Flat], wavenumber_per_m: f64) -> Vec<Arc<WallTable>> {
-    let mut different: Vec<(Wall, Arc<WallTable>)> = Vec::new();
-    let table = |flat: &Flat| {
-        let wall = flat.facet.wall;
-        if let Some((_, table)) = different.iter().find(|(other, _)| *other == wall) {
-            return Arc::clone(table);
-        }
-        let table = Arc::new(WallTable::new(wall, wavenumber_per_m, false));
-        different.push((wall, Arc::clone(&table)));
-        table
-    };
-    flats.iter().map(table).collect()
+/// Facets and obstacles on the straight way between two points.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Passing {
+    /// Whether something lies there that lets nothing through.
+    pub is_blocked: bool,
+    /// The facets that let waves through, one a plane.
+    pub crossed: Vec<FacetId>,
 }
 
 /// Plane polygons that waves meet.
 #[derive(Debug, Clone)]
 pub struct Environment {
     flats: Vec<Flat>,
-    /// Reflection coefficients of each facet's wall; equal walls share them.
-    tables: Vec<Arc<WallTable>>,
     soft_edges: Vec<SoftEdge>,
+    edge_index: EdgeIndex,
+    /// Whether waves go through walls.
+    transmission: bool,
     world: World,
     facet_of_triangle: Vec<FacetId>,
     /// Facets of each plane.
@@ -230,7 +273,21 @@ impl Environment {
     /// # Errors
     /// If a facet is no plane polygon, or rays cannot be traced among them.
     pub fn new(facets: Vec<Facet>, wavenumber_per_m: f64) -> Result<Self, EnvironmentError> {
-        let flats: Result<Vec<Flat>, _> = facets.into_iter().enumerate().map(|(i, f)| Flat::new(i, f)).collect();
+        Self::with_obstacles(facets, &[], wavenumber_per_m)
+    }
+
+    /// An environment of facets and of triangles, m, that hide what is behind them and mirror nothing.
+    ///
+    /// # Errors
+    /// If a facet is no plane polygon, or rays cannot be traced among them.
+    pub fn with_obstacles(
+        facets: Vec<Facet>,
+        obstacles: &[[DVec3; 3]],
+        wavenumber_per_m: f64,
+    ) -> Result<Self, EnvironmentError> {
+        let mut tables = WallTables { wavenumber_per_m, known: Vec::new() };
+        let flats: Result<Vec<Flat>, _> =
+            facets.into_iter().enumerate().map(|(i, f)| Flat::new(i, f, &mut tables)).collect();
         let mut flats = flats?;
         let planes = number_planes(&mut flats);
         let (mut mesh, mut groups, mut facet_of_triangle) = (Mesh::default(), Vec::new(), Vec::new());
@@ -245,6 +302,14 @@ impl Environment {
                 facet_of_triangle.push(number as FacetId);
             }
         }
+        for corners in obstacles {
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend(corners);
+            mesh.triangles.push([first, first + 1, first + 2]);
+            // Of no plane: rays that leave a facet or end on one meet all of them.
+            groups.push(planes.len() as u32);
+            facet_of_triangle.push(FacetId::MAX);
+        }
         let bodies = if groups.is_empty() { Vec::new() } else { vec![Body::with_groups(mesh, groups, Build::Static)?] };
         let world = World::new(bodies)?;
         let soft_edges = soft_edges(&flats);
@@ -255,8 +320,28 @@ impl Environment {
                 }
             }
         }
-        let tables = wall_tables(&flats, wavenumber_per_m);
-        Ok(Environment { flats, tables, soft_edges, world, facet_of_triangle, planes, wavenumber_per_m })
+        let edge_index = EdgeIndex::new(&soft_edges);
+        Ok(Environment {
+            flats,
+            soft_edges,
+            edge_index,
+            transmission: false,
+            world,
+            facet_of_triangle,
+            planes,
+            wavenumber_per_m,
+        })
+    }
+
+    /// The same environment whose walls let waves through: those that leave more than -40 dB at normal incidence.
+    pub fn with_transmission(mut self, transmission: bool) -> Self {
+        self.transmission = transmission;
+        self
+    }
+
+    /// Whether waves go through walls.
+    pub(super) fn lets_through(&self) -> bool {
+        self.transmission
     }
 
     /// Number of facets.
@@ -274,6 +359,20 @@ impl Environment {
         self.flat(facet).map(|flat| &flat.facet)
     }
 
+    /// Triangles that cover a facet, m; none where it does not reflect.
+    pub fn triangles(&self, facet: FacetId) -> Vec<[DVec3; 3]> {
+        let Some(flat) = self.flat(facet).filter(|flat| flat.reflects()) else { return Vec::new() };
+        let corners: Vec<DVec3> = flat.facet.corners.iter().chain(flat.facet.holes.iter().flatten()).copied().collect();
+        let corner = |number: u32| corners.get(number as usize).copied();
+        let triangles = flat.triangles().unwrap_or_default().into_iter();
+        triangles.filter_map(|[a, b, c]| Some([corner(a)?, corner(b)?, corner(c)?])).collect()
+    }
+
+    /// The facet that a ray from a point of another one meets first, if it meets that from the front, and where.
+    pub fn met_from(&self, on: FacetId, from: DVec3, direction: DVec3) -> Option<(FacetId, DVec3)> {
+        self.first_hit(from, direction, Some(on))
+    }
+
     /// Unit normal of a facet.
     pub fn normal(&self, facet: FacetId) -> Option<DVec3> {
         self.flat(facet).map(|flat| flat.normal)
@@ -284,9 +383,9 @@ impl Environment {
         &self.soft_edges
     }
 
-    /// Reflection coefficients of a facet at a cosine of the angle of incidence; none of a facet that does not exist.
-    pub(super) fn reflection(&self, facet: FacetId, cosine: f64) -> Option<Reflection> {
-        self.tables.get(facet as usize).map(|table| table.reflection(cosine))
+    /// Numbers of soft edges that may come within a distance, m, of a straight way, ascending.
+    pub(super) fn edges_near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
+        self.edge_index.near(from, to, distance_m, found);
     }
 
     /// Wave number at which materials are evaluated, 1/m.
@@ -304,7 +403,7 @@ impl Environment {
     }
 
     /// The facet on which a point lies, if any: an antenna may be mounted on a wall.
-    pub(super) fn below(&self, point: DVec3) -> Option<FacetId> {
+    pub fn below(&self, point: DVec3) -> Option<FacetId> {
         let holds = |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
         self.flats.iter().position(holds).map(|facet| facet as FacetId)
     }
@@ -337,13 +436,52 @@ impl Environment {
         Some((others.iter().copied().find(holds)?, point))
     }
 
-    /// Whether a facet lies on the straight way between two points, each perhaps on a facet, whose planes are passed over.
-    pub(super) fn blocked(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> bool {
-        let mut ray = self.ray(Ray::between(from, to), on[0]);
-        if let Some(flat) = on[1].and_then(|facet| self.flat(facet)) {
-            ray = ray.reaching(Surface { body: BODY, group: flat.plane });
+    /// Distance from a point to the first thing that a ray in a direction meets, m.
+    pub fn distance_m(&self, from: DVec3, direction: DVec3) -> Option<f64> {
+        self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
+    }
+
+    /// Whether anything lies on the straight way between two points, each perhaps on a facet, whose planes are passed over.
+    pub(super) fn blocked(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> bool {
+        self.world.blocked(&self.ray_between(ends, on))
+    }
+
+    /// What lies on the straight way between two points, each perhaps on a facet, whose planes are passed over.
+    pub(super) fn passing(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> Passing {
+        let ray = self.ray_between(ends, on);
+        let mut passing = Passing { is_blocked: self.world.blocked(&ray), crossed: Vec::new() };
+        if !(passing.is_blocked && self.transmission) {
+            return passing;
         }
-        self.world.blocked(&ray)
+        let plane_of = |facet: FacetId| self.flat(facet).map(|flat| flat.plane);
+        let on_planes = on.map(|facet| facet.and_then(plane_of));
+        let mut is_opaque = false;
+        for hit in self.world.all(BODY, &ray) {
+            let facet = self.facet_of_triangle.get(hit.triangle as usize).copied().unwrap_or(FacetId::MAX);
+            let Some(flat) = self.flat(facet) else {
+                is_opaque = true;
+                continue;
+            };
+            if on_planes.contains(&Some(flat.plane)) {
+                continue;
+            }
+            is_opaque |= !flat.transmits;
+            // Both sides of a sheet are one wall.
+            if flat.transmits && !passing.crossed.iter().any(|&other| plane_of(other) == Some(flat.plane)) {
+                passing.crossed.push(facet);
+            }
+        }
+        // What only the ray's own test of nearness finds lies in a crease, which lets nothing through.
+        passing.is_blocked = is_opaque || passing.crossed.is_empty();
+        passing
+    }
+
+    fn ray_between(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> Ray {
+        let ray = self.ray(Ray::between(from, to), on[0]);
+        match on[1].and_then(|facet| self.flat(facet)) {
+            Some(flat) => ray.reaching(Surface { body: BODY, group: flat.plane }),
+            None => ray,
+        }
     }
 }
 
@@ -411,6 +549,7 @@ mod tests {
         assert_eq!((up.0, down.0), (1, 0));
         assert!((up.1 - DVec3::new(0.3, 0.4, 0.5)).length() < 1e-12);
         assert!(environment.blocked([middle, middle + DVec3::Z], [None; 2]));
+        assert!(environment.passing([middle, middle + DVec3::Z], [None; 2]).is_blocked);
         assert!(!environment.blocked([up.1, up.1 + DVec3::new(0.1, 0.0, 3.0)], [Some(0), None]));
         assert_eq!(environment.soft_edges().len(), 4);
     }
@@ -423,6 +562,26 @@ mod tests {
         let through = |x: f64| environment.blocked([DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, 2.0)], [None; 2]);
         assert!(!through(0.2) && through(0.7) && !through(1.2));
         assert_eq!(environment.soft_edges().len(), 8);
+    }
+
+    /// Glass is passed once where both of its sides are met; metal and what mirrors nothing hide it.
+    #[test]
+    fn glass_lets_waves_through_and_obstacles_do_not() {
+        let glass = Wall::Slab { permittivity: num_complex::Complex64::new(6.31, -0.26), thickness_m: 0.01 };
+        let sheet = |z: f64, wall: Wall| [true, false].map(|up| Facet { wall, ..square(z, up) });
+        let small = [DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.5, 0.0, 0.8), DVec3::new(0.0, 0.5, 0.8)];
+        let facets = [sheet(0.5, glass), sheet(1.5, METAL)].concat();
+        let environment = Environment::with_obstacles(facets, &[small], 1257.0).expect("facets");
+        let passed = |environment: &Environment, x: f64, high: f64| {
+            let passing = environment.passing([DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, high)], [None; 2]);
+            (passing.is_blocked, passing.crossed.len())
+        };
+        assert_eq!(passed(&environment, 0.7, 1.0), (true, 0));
+        let environment = environment.with_transmission(true);
+        assert_eq!(passed(&environment, 0.7, 0.4), (false, 0));
+        assert_eq!(passed(&environment, 0.7, 1.0), (false, 1));
+        assert_eq!(passed(&environment, 0.7, 2.0), (true, 1));
+        assert_eq!(passed(&environment, 0.1, 1.0), (true, 1));
     }
 
     #[test]

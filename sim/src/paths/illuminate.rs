@@ -1,7 +1,8 @@
 //! Fields by way of images: the path is unfolded, checked against polygons and obstacles, and its reflections multiplied.
 //!
 //! As in [`crate::field::image`] the field is followed in the image's frame, where the direction never changes: each reflection
-//! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it.
+//! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it. Where walls let waves
+//! through, each one between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -9,13 +10,14 @@ use num_complex::Complex64;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edge_field::side_from_foot;
 use super::edges::SoftEdge;
-use super::environment::FacetId;
+use super::environment::{FacetId, Flat, Passing};
+use crate::field::fresnel::Reflection;
 use crate::field::image::{Element, Illumination};
 use crate::field::{Phasor3, incidence_frame};
 
 /// Edges farther from a way than this have no part in it, in units of the normalised clearance: three radii of the first Fresnel
 /// zone, where a half-plane changes the field by 5 percent. What they add fades out over the last third.
-const REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
+pub(super) const REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
 /// Distances from an edge to the ends of a path count as at least this, m.
 const LEAST_DISTANCE_M: f64 = 1e-3;
 /// Ways that pass an edge nearer than this are free or blocked as rays say, not as f64 does, m: rays are traced in f32.
@@ -63,6 +65,17 @@ struct Kept {
     field: Complex64,
     /// Whether rays, too, go this way: edges take or add a little only.
     is_whole: bool,
+}
+
+/// What is left of a field by a sequence of facets.
+#[derive(Debug, Clone)]
+struct Arrival<'a> {
+    sequence: &'a [FacetId],
+    /// What facets and edges leave of it.
+    part: Complex64,
+    is_whole: bool,
+    /// Walls that it goes through, each with the number of the leg that crosses it.
+    crossed: Vec<(usize, FacetId)>,
 }
 
 impl Kept {
@@ -162,9 +175,8 @@ impl ImagePaths {
             let polarisation = image.mirror * element.polarisation;
             let transverse = polarisation - direction * direction.dot(polarisation);
             let launched = Phasor3::real(transverse).scaled(element.pattern.field(departure));
-            for (sequence, weight) in self.valid(image, element.position, point) {
-                let reflected = self.reflected(sequence, direction, launched);
-                field = sum(field, times(reflected, weight));
+            for arrival in self.valid(image, element.position, point) {
+                field = sum(field, self.reflected(&arrival, direction, launched).times(arrival.part));
             }
         }
         Illumination { source: position, distance_m, direction, field }
@@ -192,39 +204,78 @@ impl ImagePaths {
     /// The facets that the strongest way from an antenna to a point by an image meets.
     pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
         let all = self.valid(self.images.get(image)?, antenna, point);
-        all.into_iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())).map(|(sequence, _)| sequence)
+        all.into_iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm())).map(|arrival| arrival.sequence)
+    }
+
+    /// The way from an antenna to a point by an image, whether it is free or not: the first whose points of reflection lie on
+    /// their facets, or that beside these; empty where there is none. It takes no rays.
+    pub fn way(&self, image: usize, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        let Some(image) = self.images.get(image) else { return Vec::new() };
+        let all = || image.sequences.iter().filter_map(|s| Some((s, self.folded(s, antenna, point)?)));
+        let lies_on = |(sequence, folded): &(&Vec<FacetId>, Folded)| {
+            let met = folded.points().iter().skip(1);
+            sequence.iter().zip(met).all(|(&facet, met)| self.environment.flat(facet).is_some_and(|f| f.contains(*met)))
+        };
+        let found = all().find(lies_on).or_else(|| all().next());
+        found.map_or_else(Vec::new, |(_, folded)| folded.points().to_vec())
+    }
+
+    /// Part of a field that is left on the straight way between two points, each perhaps on a facet: past edges and through
+    /// walls, in magnitude, of both polarisations the mean.
+    pub fn straight(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> f64 {
+        let length_m = from.distance(to);
+        let direction = (to - from) / length_m.max(1e-12);
+        let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
+        let Some((kept, crossed)) = self.on_leg(&leg, to, on) else { return 0.0 };
+        let through = |&facet: &FacetId| {
+            self.environment.flat(facet).map_or(1.0, |flat| {
+                let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
+                (0.5 * (te + tm)).norm()
+            })
+        };
+        kept.field.norm() * crossed.iter().map(through).product::<f64>()
     }
 
     /// The sequences of an image by which something arrives, with the part of the field that facets and edges leave.
-    fn valid<'a>(&self, image: &'a Image, antenna: DVec3, point: DVec3) -> Vec<(&'a [FacetId], Complex64)> {
-        let mut all: Vec<(&[FacetId], Complex64)> = Vec::new();
+    fn valid<'a>(&self, image: &'a Image, antenna: DVec3, point: DVec3) -> Vec<Arrival<'a>> {
+        let mut all: Vec<Arrival> = Vec::new();
         let mut has_whole = false;
         for sequence in &image.sequences {
-            let Some(kept) = self.weight(sequence, antenna, point) else { continue };
+            let Some(arrival) = self.arrival(sequence, antenna, point) else { continue };
+            let is_whole = arrival.is_whole;
             // Backwards from the point only one facet is met first: a second free path is the same path on the seam of two.
-            if !(kept.is_whole && has_whole) {
-                all.push((sequence.as_slice(), kept.field));
+            if !(is_whole && has_whole) {
+                all.push(arrival);
             }
-            has_whole |= kept.is_whole;
+            has_whole |= is_whole;
         }
         all
     }
 
-    /// Field after the reflections of a sequence, in the image's frame.
-    fn reflected(&self, sequence: &[FacetId], direction: DVec3, launched: Phasor3) -> Phasor3 {
+    /// Field after the reflections of a sequence and the walls that it goes through, in the image's frame.
+    fn reflected(&self, arrival: &Arrival, direction: DVec3, launched: Phasor3) -> Phasor3 {
         let environment = &*self.environment;
-        let mut normals = [DVec3::ZERO; MAX_ORDER];
+        // What later facets make of vectors at each leg.
+        let mut frames = [DMat3::IDENTITY; MAX_ORDER + 1];
         let mut later = DMat3::IDENTITY;
-        for (slot, &facet) in normals.iter_mut().zip(sequence).rev() {
-            let Some(flat) = environment.flat(facet) else { continue };
-            *slot = later * flat.normal;
+        for (leg, &facet) in arrival.sequence.iter().enumerate().rev() {
+            let (Some(flat), Some(slot)) = (environment.flat(facet), frames.get_mut(leg)) else { continue };
             later *= flat.mirror();
+            *slot = later;
         }
+        let frame = |leg: usize| frames.get(leg).copied().unwrap_or(DMat3::IDENTITY);
         let mut field = launched;
-        for (&facet, &normal) in sequence.iter().zip(&normals) {
-            let Some(reflection) = environment.reflection(facet, direction.dot(normal).abs().min(1.0)) else {
-                continue;
-            };
+        for leg in 0..=arrival.sequence.len() {
+            let crossed = arrival.crossed.iter().filter(|(of_leg, _)| *of_leg == leg);
+            for flat in crossed.filter_map(|(_, facet)| environment.flat(*facet)) {
+                let normal = frame(leg) * flat.normal;
+                let through = flat.table.transmission(direction.dot(normal).abs().min(1.0));
+                let (te, tm) = incidence_frame(direction, normal);
+                field = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
+            }
+            let Some(flat) = arrival.sequence.get(leg).and_then(|&facet| environment.flat(facet)) else { continue };
+            let normal = frame(leg + 1) * flat.normal;
+            let reflection = flat.table.reflection(direction.dot(normal).abs().min(1.0));
             let (te, tm) = incidence_frame(direction, normal);
             field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
         }
@@ -259,8 +310,8 @@ impl ImagePaths {
         Some(Folded { points, count: count + 2 })
     }
 
-    /// What facets and edges leave on the path by a sequence; `None` where nothing is left.
-    fn weight(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<Kept> {
+    /// What facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
+    fn arrival<'a>(&self, sequence: &'a [FacetId], antenna: DVec3, point: DVec3) -> Option<Arrival<'a>> {
         let folded = self.folded(sequence, antenna, point)?;
         let points = folded.points();
         let total_m: f64 = points.windows(2).map(|w| w[0].distance(w[1])).sum();
@@ -281,18 +332,25 @@ impl ImagePaths {
         let mount = self.mount.filter(|&facet| {
             self.environment.flat(facet).is_some_and(|flat| flat.height(antenna).abs() < super::edges::SAME_M)
         });
+        let mut crossed = Vec::new();
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
             let on = [if i == 0 { mount } else { sequence.get(i - 1).copied() }, sequence.get(i).copied()];
-            weight = weight.and(self.on_leg(&leg, folded.point(i + 1), on)?);
+            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on)?;
+            weight = weight.and(kept);
+            crossed.extend(through.into_iter().map(|facet| (i, facet)));
         }
-        Some(weight)
+        Some(Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed })
     }
 
     /// What a facet reflects of what it would if its plane had no end.
     fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
         let flat = self.environment.flat(facet)?;
+        let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
+        if flat.is_far(met, leg.reach_m(self.environment.wavelength_m()) / cosine + UNSURE_M) {
+            return None;
+        }
         let is_on = flat.contains(met);
         // The way goes on behind the mirror: edges may lie beyond the point of reflection.
         let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
@@ -313,43 +371,74 @@ impl ImagePaths {
         is_left.then_some(Kept { field, is_whole: is_on })
     }
 
-    /// What is left on a leg past all facets but those on which it ends.
-    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2]) -> Option<Kept> {
+    /// What is left on a leg past all facets but those on which it ends, and the walls that it goes through.
+    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2]) -> Option<(Kept, Vec<FacetId>)> {
         let environment = &*self.environment;
         if leg.length_m < BEFORE_M {
-            return Some(Kept { field: Complex64::ONE, is_whole: true });
+            return Some((Kept { field: Complex64::ONE, is_whole: true }, Vec::new()));
         }
-        let is_blocked = environment.blocked([leg.from, to], on);
+        let passing = environment.passing([leg.from, to], on);
         let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
         let wavelength_m = environment.wavelength_m();
         let reach_m = leg.reach_m(wavelength_m);
-        let mut field = if is_blocked { Complex64::ZERO } else { Complex64::ONE };
-        let mut is_left = !is_blocked;
-        for edge in environment.soft_edges() {
+        let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
+        let mut is_left = !passing.is_blocked;
+        let mut near = Vec::new();
+        environment.edges_near(leg.from, to, reach_m, &mut near);
+        for edge in near.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
             if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m)
                 || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
-                || !edge.is_outline(leg.direction)
+                || !edge.is_outline(leg.from, leg.direction)
             {
                 continue;
             }
             let Some(passage) = leg.past(edge, edge.widest(leg.direction), wavelength_m) else { continue };
             let beside = passage.nearest + passage.outwards * BESIDE_M;
-            if environment.blocked([leg.from, beside], [on[0], None])
-                || environment.blocked([beside, to], [None, on[1]])
+            if environment.passing([leg.from, beside], [on[0], None]).is_blocked
+                || environment.passing([beside, to], [None, on[1]]).is_blocked
             {
                 continue;
             }
-            let is_behind = if passage.clearance_m < UNSURE_M { is_blocked } else { passage.is_behind };
-            field += if is_behind { passage.part } else { -passage.part };
+            let screen = self.screen(edge, leg.direction, &passing);
+            let is_behind = if passage.clearance_m < UNSURE_M { screen.is_in_the_way } else { passage.is_behind };
+            field += if is_behind { passage.part * screen.behind } else { -passage.part * screen.beside };
             is_left = true;
         }
-        is_left.then_some(Kept { field, is_whole: !is_blocked })
+        is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
+    }
+
+    /// What the facets at an edge are to a way in a direction.
+    fn screen(&self, edge: &SoftEdge, direction: DVec3, passing: &Passing) -> Screen {
+        let opaque = Screen { behind: Complex64::ONE, beside: Complex64::ONE, is_in_the_way: passing.is_blocked };
+        if !self.environment.lets_through() {
+            return opaque;
+        }
+        let flats = || edge.facets().iter().filter_map(|&facet| self.environment.flat(facet));
+        if flats().any(|flat| !flat.transmits) {
+            return opaque;
+        }
+        let is_crossed = |flat: &Flat| {
+            passing.crossed.iter().any(|&facet| self.environment.flat(facet).is_some_and(|f| f.plane == flat.plane))
+        };
+        let Some(flat) = flats().find(|flat| is_crossed(flat)).or_else(|| flats().next()) else { return opaque };
+        let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
+        let through = 0.5 * (te + tm);
+        // By Babinet's principle a screen that lets a part through diffracts what it takes away. Where the way goes through the
+        // wall all of the field is multiplied by that part afterwards.
+        let taken = 1.0 - through;
+        let is_in_the_way = is_crossed(flat);
+        let behind = if is_in_the_way && through.norm_sqr() > 1e-8 { taken / through } else { taken };
+        Screen { behind, beside: taken, is_in_the_way }
     }
 }
 
-/// A field times a complex factor.
-fn times(field: Phasor3, factor: Complex64) -> Phasor3 {
-    Phasor3 { re: field.re * factor.re - field.im * factor.im, im: field.re * factor.im + field.im * factor.re }
+/// What the facets at an edge are to a way.
+struct Screen {
+    /// Factors of the edge's part of the field behind them and beside them.
+    behind: Complex64,
+    beside: Complex64,
+    /// Whether rays meet them.
+    is_in_the_way: bool,
 }
 
 fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {

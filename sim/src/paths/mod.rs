@@ -4,16 +4,22 @@
 //! facets that a ray meets; sequences with the same image of the antenna share an [`Image`]. [`ImagePaths::illuminate`] unfolds
 //! a sequence in f64, checks that its points of reflection lie on the facets and that its legs are free, and multiplies the
 //! reflection coefficients. Free and outward edges diffract to first order ([`edge_field`]): a path fades where its point of
-//! reflection leaves a facet or a corner comes in its way.
+//! reflection leaves a facet or a corner comes in its way. Walls may let waves through.
+//!
+//! [`Surroundings`] are those of a scene: its polygons, or a box whose images are a lattice in closed form.
 
 pub mod discovery;
 pub mod edge_field;
+mod edge_index;
 mod edges;
 pub mod environment;
 pub mod exhaustive;
+mod facets;
 mod illuminate;
+mod reach;
 #[cfg(test)]
 mod rooms;
+mod surroundings;
 #[cfg(test)]
 mod tests;
 mod triangulate;
@@ -21,3 +27,4 @@ mod triangulate;
 pub use discovery::{DiscoveryReport, Image, ImagePaths, LaunchOptions, MAX_ORDER};
 pub use edges::SoftEdge;
 pub use environment::{Environment, EnvironmentError, Facet, FacetId};
+pub use surroundings::{PolygonRoom, Surroundings};

@@ -188,7 +188,7 @@ pub struct Transient {
 
 /// How far static echoes are from constant (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
 /// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad). Keys whose default is 0 and that act within a frame change
-/// all echoes alike, those of people too ([`super::chirp_turn`]).
+/// all echoes alike, those of people too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClutterDrift {

@@ -3,7 +3,6 @@
 pub mod adc;
 pub mod budget;
 pub mod calibration;
-pub mod chirp_turn;
 mod file;
 pub mod noise;
 pub mod phase_noise;

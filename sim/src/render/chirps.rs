@@ -5,9 +5,9 @@ use std::ops::Range;
 use num_complex::Complex;
 
 use super::Renderer;
+use super::chirp_turn::ChirpTurn;
 use super::clutter::{NO_STATIC, StaticGrids};
 use super::paths::Traced;
-use crate::receiver::chirp_turn::ChirpTurn;
 use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
 
 impl Renderer {

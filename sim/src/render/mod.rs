@@ -14,7 +14,6 @@ use crate::field::curved_triangle::Integrator;
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::leakage_chirp_lsb;
-use crate::receiver::chirp_turn::ChirpTurns;
 use crate::receiver::noise::{NoiseShaper, channel_density_lsb2};
 use crate::receiver::phase_noise::PhaseRates;
 use crate::receiver::spurs::Spurs;
@@ -23,8 +22,10 @@ use crate::simulator::{FrameReport, SimulateOptions};
 use crate::stage::Stage;
 use crate::sway::SwayingReflectors;
 use crate::synthesis::Synthesiser;
+use chirp_turn::ChirpTurns;
 use receiver::{NoisyPhase, OfFrame};
 
+mod chirp_turn;
 mod chirps;
 mod clutter;
 mod paths;

@@ -5,12 +5,12 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::Renderer;
+use super::chirp_turn::ChirpTurn;
 use super::clutter::Clutter;
 use super::paths::Traced;
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_by_delay_lsb_s, quantise};
-use crate::receiver::chirp_turn::ChirpTurn;
 use crate::receiver::noise::{NoiseScratch, NoiseShaper};
 use crate::receiver::phase_noise::PhaseRates;
 use crate::receiver::spurs::Spurs;

@@ -35,7 +35,7 @@ impl Renderer {
         start_s: f64,
         body: impl Fn(usize, usize) -> Option<[Ellipsoid; SEGMENTS]>,
     ) -> Truth {
-        let size = self.stage.room.size_m;
+        let size = self.stage.room.size_m();
         let (mut count, mut transition) = (0, false);
         for (person, motion) in motions.iter().enumerate() {
             let (mut in_room, mut outside) = (false, false);
@@ -61,7 +61,7 @@ impl Renderer {
     pub(crate) fn people(&self, index: u64) -> Vec<PersonState> {
         let t = self.start_s(index) + 0.5 * self.active_s();
         let radar = self.scene.radar_position();
-        let size = self.stage.room.size_m;
+        let size = self.stage.room.size_m();
         let state = |(slot, motion): (usize, Arc<Motion>)| {
             let at = |t: f64| motion.body(t)[CHEST].centre;
             let h = 5e-4;

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::file::{
-    ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile, WanderFile,
+    ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile, SurfaceFile, SwayFile, VibrationFile,
+    WanderFile,
 };
 use super::material::Material;
 use super::room::OPEN;
@@ -149,7 +150,10 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     if !size.iter().all(|&s| (0.5..=100.0).contains(&s)) {
         return fault("size_m", size, "three lengths from 0.5 to 100 m");
     }
-    within("max_reflections", f64::from(room.max_reflections), 0.0, 4.0, "reflections")?;
+    if room.plan.is_some() && room.solver == Some(SolverFile::Images) {
+        return fault("solver", "images", "\"rays\", or none, beside [room.plan]");
+    }
+    within("max_reflections", f64::from(room.max_reflections), 0.0, 6.0, "reflections")?;
     within("max_body_reflections", f64::from(room.max_body_reflections), 0.0, 3.0, "reflections")?;
     within("diffuse_share", room.diffuse_share, 0.0, 0.5, "of the power")?;
     within("diffuse_points", f64::from(room.diffuse_points), 1.0, 1024.0, "points")?;

@@ -80,14 +80,21 @@ pub struct RoomFile {
     /// make becomes the origin of the scene. A surface that the meshes do not have is `{ material = "open" }`.
     #[serde(default)]
     pub mesh: Vec<RoomMeshFile>,
-    /// Reflections at walls that a path may have in all. Default 3, at most 4.
+    /// How paths are found: "images" takes the box around the room, whose images are a lattice, and furniture as points; "rays"
+    /// takes all faces of walls and furniture, which mirror, hide and diffract. Default "rays" with `plan`, and with `mesh`
+    /// unless that is a box and nothing else; "images" without.
+    #[serde(default)]
+    pub solver: Option<SolverFile>,
+    /// Reflections at walls that a path may have in all. Default 3, at most 6. In rooms of more than 200 faces that rays are
+    /// sent through, two are taken at most.
     #[serde(default = "three")]
     pub max_reflections: u32,
     /// Reflections that a path by way of a person or of furniture may have in all. Default 2, at most 3.
     #[serde(default = "two")]
     pub max_body_reflections: u32,
-    /// Whether people behind the upright walls are seen through them, on the straight way. Plasterboard takes some 11 dB of
-    /// their echoes, both ways, concrete all of them. Default false: who is outside is not seen.
+    /// Whether people behind walls are seen through them: the upright ones of a box, on the straight way; all faces that rays are
+    /// sent through. Plasterboard takes some 11 dB of their echoes, both ways, concrete all of them. Default false: who is behind
+    /// a wall is not seen.
     #[serde(default)]
     pub transmission: bool,
     /// Share of the power that falls on the surfaces that they throw in all directions, by their roughness and by what hangs and
@@ -124,6 +131,16 @@ pub struct RoomFile {
     /// Ceiling.
     #[serde(default)]
     pub ceiling: SurfaceFile,
+}
+
+/// Ways to find paths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SolverFile {
+    /// By the images of a box.
+    Images,
+    /// By rays over all faces.
+    Rays,
 }
 
 /// A slab.
@@ -257,7 +274,8 @@ impl Default for VibrationFile {
 }
 
 /// A static box, reduced to scattering points on the faces that the radar sees: their places and phases are drawn from the
-/// seed, and together they have the stated radar cross-section.
+/// seed, and together they have the stated radar cross-section. Where rays find the paths (`solver` of `[room]`), a box with a
+/// material has its faces instead of points.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FurnitureFile {
@@ -324,7 +342,8 @@ pub struct BedFile {
     pub edge_m: f64,
 }
 
-/// A door.
+/// A door by which people come and go. Beside a floor plan an opening belongs there, too: who goes through a wall of faces is hidden
+/// by it from one chirp to the next.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DoorFile {

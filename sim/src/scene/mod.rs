@@ -1,6 +1,7 @@
 //! Scenes: what a file says, checked and resolved.
 
 pub mod file;
+pub(crate) mod ground;
 pub mod material;
 pub mod surfaces;
 

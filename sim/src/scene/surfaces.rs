@@ -13,6 +13,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
+use super::file::FurnitureFile;
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
 use touch::{Index, TOUCH_M, Touch, touches};
@@ -229,6 +230,17 @@ impl Surfaces {
             EdgeKind::Wedge { other: Some(other), .. } => edge.face < other,
             _ => edge.diffracts(),
         })
+    }
+
+    /// Whether a piece of furniture of a material has sides among the faces.
+    pub fn has_faces_of(&self, furniture: &FurnitureFile) -> bool {
+        let low = DVec3::from_array(furniture.position_m) - TOUCH_M;
+        let high = low + DVec3::from_array(furniture.size_m) + 2.0 * TOUCH_M;
+        let is_within = |face: &Face| {
+            let [face_low, face_high] = face.polygon.bounds();
+            face_low.cmpge(low).all() && face_high.cmple(high).all()
+        };
+        furniture.material.is_some() && self.faces.iter().any(is_within)
     }
 
     /// Number of triangles that are no faces.

@@ -1,5 +1,5 @@
 //! Errors that all echoes of a chirp share: vibration of the radar, settling of the chip within a frame, slow changes of its gain, and
-//! jitter of the chirps' times. Leakage inside the chip has its own ([`super::ClutterDrift`]).
+//! jitter of the chirps' times. Leakage inside the chip has its own ([`ClutterDrift`]).
 
 use std::f64::consts::TAU;
 
@@ -7,8 +7,8 @@ use num_complex::Complex64;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::ClutterDrift;
 use crate::random::{Purpose, generator};
+use crate::receiver::ClutterDrift;
 use crate::scene::Scene;
 use crate::stage::drift;
 use crate::sway::Sway;

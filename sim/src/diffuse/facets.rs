@@ -1,0 +1,117 @@
+//! Walls of rooms of any shape that throw in all directions: the facets that rays from the antenna meet.
+
+use glam::DVec3;
+use rand::Rng;
+
+use super::points::{Place, Walls, mean_power};
+use crate::paths::{FacetId, PolygonRoom};
+
+/// Places are looked at from this far before their facets, m.
+const BEFORE_M: f64 = 1e-4;
+
+/// Facets with the triangles that cover them.
+pub(super) struct FacetWalls<'a> {
+    room: &'a PolygonRoom,
+    /// Area of all triangles before and with each, m^2, the facet and the corners, m.
+    triangles: Vec<(f64, FacetId, [DVec3; 3])>,
+}
+
+impl<'a> FacetWalls<'a> {
+    /// The facets of a room that rays met: what they did not meet gives little, and gets little.
+    pub fn new(room: &'a PolygonRoom) -> Self {
+        let mut triangles = Vec::new();
+        let mut area_m2 = 0.0;
+        for &facet in room.met() {
+            for [a, b, c] in room.paths().environment().triangles(facet) {
+                area_m2 += 0.5 * (b - a).cross(c - a).length();
+                triangles.push((area_m2, facet, [a, b, c]));
+            }
+        }
+        FacetWalls { room, triangles }
+    }
+
+    fn on(&self, facet: FacetId, position: DVec3) -> Place {
+        let normal = self.room.paths().environment().normal(facet).unwrap_or(DVec3::Z);
+        Place { wall: facet as usize, position, normal }
+    }
+}
+
+impl Walls for FacetWalls<'_> {
+    fn area_m2(&self) -> f64 {
+        self.triangles.last().map_or(0.0, |(area_m2, ..)| *area_m2)
+    }
+
+    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place {
+        let number = self.triangles.partition_point(|(area_m2, ..)| *area_m2 <= at_m2);
+        let Some(&(_, facet, [a, b, c])) = self.triangles.get(number).or(self.triangles.last()) else {
+            return self.on(0, DVec3::ZERO);
+        };
+        let (along, across) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+        self.on(facet, a + (b - a) * (along * (1.0 - across)) + (c - a) * (along * across))
+    }
+
+    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64> {
+        let environment = self.room.paths().environment();
+        let wall = environment.facet(wall as FacetId)?.wall;
+        Some(mean_power(wall.reflection(environment.wavenumber_per_m(), cosine)))
+    }
+
+    fn met(&self, from: &Place, direction: DVec3) -> Option<Place> {
+        let (facet, position) =
+            self.room.paths().environment().met_from(from.wall as FacetId, from.position, direction)?;
+        Some(self.on(facet, position))
+    }
+
+    fn seen(&self, antenna: DVec3, place: &Place) -> f64 {
+        self.room.paths().straight([antenna, place.position + place.normal * BEFORE_M], [None; 2])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::points::{Diffuse, WallPoint, points};
+    use super::*;
+    use crate::field::image::{BoxRoom, Element, Wall};
+    use crate::field::pattern::Pattern;
+
+    /// Facets of a box throw what the box does: power by length of the way at a place, over many seeds.
+    #[test]
+    fn facets_of_a_box_throw_what_its_sides_do() {
+        let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
+        let of_box = BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false);
+        let antenna = Element {
+            position: DVec3::new(1.0, 1.5, 1.2),
+            polarisation: DVec3::Z,
+            radar_from_world: glam::DMat3::IDENTITY,
+            pattern: Pattern::new(1.1, 0.9, -15.0),
+        };
+        let polygons = PolygonRoom::of_box(&of_box, antenna.position);
+        let facets = FacetWalls::new(&polygons);
+        let area_m2 = Walls::area_m2(&of_box);
+        assert!((facets.area_m2() - area_m2).abs() < 1e-9 * area_m2);
+        let diffuse = Diffuse { share: 0.1, points: 64, bounces: 4, mirrored: 2 };
+        let place = DVec3::new(3.2, 2.1, 1.0);
+        let by_length = |of_seed: &dyn Fn(u64) -> Vec<WallPoint>| {
+            let mut power = [0.0; 5];
+            for point in (0..400).flat_map(of_seed) {
+                let on = place - point.position;
+                let bin = ((point.there.0 + on.length()) / 3.0) as usize;
+                let cosine = on.normalize().dot(point.normal).max(0.0);
+                if let Some(slot) = power.get_mut(bin) {
+                    *slot += point.there.1.powi(2) * cosine / on.length_squared().max(0.01);
+                }
+            }
+            power
+        };
+        let expected = by_length(&|seed| points(&of_box, diffuse, &antenna, &[], seed));
+        let found = by_length(&|seed| points(&facets, diffuse, &antenna, &[], 10_000 + seed));
+        let whole: f64 = expected.iter().sum();
+        for (bin, (expected, found)) in expected.iter().zip(&found).enumerate() {
+            // Bins that hold little have few points.
+            if *expected > 0.05 * whole {
+                assert!((found / expected - 1.0).abs() < 0.15, "{bin}: {found} {expected}");
+            }
+        }
+        assert!((found.iter().sum::<f64>() / whole - 1.0).abs() < 0.08, "{found:?} {expected:?}");
+    }
+}

@@ -1,0 +1,153 @@
+//! Edges by place: a tree of boxes, so that a way asks a few of thousands.
+
+use glam::DVec3;
+
+use super::edges::SoftEdge;
+
+/// Edges that a box holds without being divided.
+const FEW: usize = 4;
+/// Boxes that a search keeps in mind at once: a tree over 2^32 edges is as deep.
+const DEEPEST: usize = 64;
+
+/// A box around edges.
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    low: DVec3,
+    high: DVec3,
+    /// Of edges, in the tree's order; of an inner box, its second half's box, the first follows it.
+    first: u32,
+    /// Number of edges; 0 for an inner box.
+    count: u32,
+}
+
+/// A tree of boxes over edges.
+#[derive(Debug, Clone, Default)]
+pub(super) struct EdgeIndex {
+    nodes: Vec<Node>,
+    order: Vec<u32>,
+}
+
+impl EdgeIndex {
+    /// A tree over edges, which are named by their numbers.
+    pub fn new(edges: &[SoftEdge]) -> Self {
+        let ends: Vec<[DVec3; 2]> = edges.iter().map(|edge| edge.ends).collect();
+        let mut index = EdgeIndex { nodes: Vec::new(), order: (0..ends.len() as u32).collect() };
+        if !ends.is_empty() {
+            index.divide(&ends, 0, ends.len());
+        }
+        index
+    }
+
+    /// Makes the box around some edges of the order, and those within it.
+    fn divide(&mut self, ends: &[[DVec3; 2]], first: usize, end: usize) {
+        let of = |edge: &u32| ends.get(*edge as usize).copied().unwrap_or([DVec3::ZERO; 2]);
+        let Some(part) = self.order.get_mut(first..end) else { return };
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for [a, b] in part.iter().map(of) {
+            (low, high) = (low.min(a).min(b), high.max(a).max(b));
+        }
+        let number = self.nodes.len();
+        self.nodes.push(Node { low, high, first: first as u32, count: (end - first) as u32 });
+        if end - first <= FEW {
+            return;
+        }
+        let axis = (high - low).max_position();
+        let middle = |edge: &u32| {
+            let [a, b] = of(edge);
+            a[axis] + b[axis]
+        };
+        part.sort_by(|p, q| middle(p).total_cmp(&middle(q)).then(p.cmp(q)));
+        let half = first + (end - first) / 2;
+        self.divide(ends, first, half);
+        let second = self.nodes.len() as u32;
+        if let Some(node) = self.nodes.get_mut(number) {
+            (node.first, node.count) = (second, 0);
+        }
+        self.divide(ends, half, end);
+    }
+
+    /// Numbers of all edges whose boxes come within a distance, m, of a straight way, ascending.
+    pub fn near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
+        found.clear();
+        let (way, grown) = (to - from, DVec3::splat(distance_m));
+        let mut open = [0u32; DEEPEST];
+        let mut count = usize::from(!self.nodes.is_empty());
+        while count > 0 {
+            count -= 1;
+            let number = open.get(count).copied().unwrap_or_default();
+            let Some(node) = self.nodes.get(number as usize) else { continue };
+            if !meets(node.low - grown, node.high + grown, from, way) {
+                continue;
+            }
+            if node.count > 0 {
+                let edges = self.order.get(node.first as usize..(node.first + node.count) as usize);
+                found.extend_from_slice(edges.unwrap_or_default());
+                continue;
+            }
+            for next in [number + 1, node.first] {
+                if let Some(slot) = open.get_mut(count) {
+                    *slot = next;
+                    count += 1;
+                }
+            }
+        }
+        found.sort_unstable();
+    }
+}
+
+/// Whether a straight way from a point comes into a box.
+fn meets(low: DVec3, high: DVec3, from: DVec3, way: DVec3) -> bool {
+    let (mut enters, mut leaves) = (0.0f64, 1.0f64);
+    for axis in 0..3 {
+        if way[axis].abs() < 1e-12 {
+            if from[axis] < low[axis] || from[axis] > high[axis] {
+                return false;
+            }
+            continue;
+        }
+        let (a, b) = ((low[axis] - from[axis]) / way[axis], (high[axis] - from[axis]) / way[axis]);
+        (enters, leaves) = (enters.max(a.min(b)), leaves.min(a.max(b)));
+    }
+    enters <= leaves
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::super::environment::{Environment, Facet};
+    use super::*;
+    use crate::field::image::Wall;
+
+    /// Every edge that comes near a way is found, and few others.
+    #[test]
+    fn all_edges_near_a_way_are_found() {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
+        let mut place = || DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.0..10.0)));
+        let triangle = |at: DVec3| {
+            let corners = [at, at + DVec3::X * 0.3, at + DVec3::new(0.1, 0.2, 0.15)];
+            Facet::new(corners.to_vec(), Wall::Conductor)
+        };
+        let facets: Vec<Facet> = (0..200).map(|_| triangle(place())).collect();
+        let environment = Environment::new(facets, 1257.0).expect("facets");
+        let edges = environment.soft_edges();
+        let (mut found, mut all) = (Vec::new(), 0);
+        for _ in 0..50 {
+            let (from, to, distance_m) = (place(), place(), 0.3);
+            environment.edges_near(from, to, distance_m, &mut found);
+            assert!(found.windows(2).all(|two| two[0] < two[1]));
+            let (direction, length_m) = ((to - from).normalize(), from.distance(to));
+            for (number, edge) in (0..).zip(edges) {
+                let near = (0..=20).any(|i| {
+                    let at = edge.ends[0].lerp(edge.ends[1], f64::from(i) / 20.0);
+                    let along = (at - from).dot(direction).clamp(0.0, length_m);
+                    at.distance(from + direction * along) < distance_m
+                });
+                assert!(!near || found.contains(&number));
+            }
+            all += found.len();
+        }
+        assert!(all < 50 * edges.len() / 4, "{all} of {}", 50 * edges.len());
+    }
+}

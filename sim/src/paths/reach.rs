@@ -1,0 +1,150 @@
+//! Which images may light what lies within a distance of a place, and how strongly: bounds that take no rays.
+
+use glam::{DMat3, DVec3};
+
+use super::discovery::{Image, ImagePaths, MAX_ORDER};
+use super::environment::FacetId;
+use super::illuminate::REACH;
+use crate::field::image::Element;
+
+/// Way from an antenna to a ball.
+struct Cone {
+    antenna: DVec3,
+    middle: DVec3,
+    reach_m: f64,
+}
+
+impl ImagePaths {
+    /// Numbers of the images of at most so many reflections that may light what lies within a distance of a place, ascending;
+    /// the antenna itself is always one of them. Facets are taken for the balls around them, and nothing hides anything: all
+    /// images that light some of it are among them.
+    pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64, max_order: usize) -> Vec<usize> {
+        let cone = Cone { antenna, middle, reach_m };
+        let images = self.images.iter().enumerate().take_while(|(_, image)| image.order <= max_order);
+        let lights = |image: &Image| image.order == 0 || image.sequences.iter().any(|s| self.may_light(s, &cone));
+        images.filter(|(_, image)| lights(image)).map(|(number, _)| number).collect()
+    }
+
+    /// Whether waves by a sequence of facets may come into a ball.
+    fn may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
+        let &Cone { antenna, middle, reach_m } = cone;
+        let mut images = [antenna; MAX_ORDER + 1];
+        let mut image = antenna;
+        for (slot, &facet) in images.iter_mut().skip(1).zip(sequence) {
+            let Some(flat) = self.environment.flat(facet) else { return false };
+            image = flat.mirrored(image);
+            *slot = image;
+        }
+        let length_m = middle.distance(image);
+        if length_m <= reach_m {
+            return true;
+        }
+        let (sine, wavelength_m) = (reach_m / length_m, self.environment.wavelength_m());
+        let spread = (1.0 - sine * sine).sqrt();
+        // Beside a facet waves bend by the first Fresnel zones at most.
+        let bent_m = REACH * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
+        let (mut target, mut off_m) = (middle, reach_m);
+        for (&facet, &source) in sequence.iter().zip(images.iter().skip(1)).rev() {
+            let Some(flat) = self.environment.flat(facet) else { return false };
+            let (over, under) = (flat.height(target), flat.height(source));
+            if under >= 0.0 || over <= -off_m {
+                return false;
+            }
+            if over <= off_m {
+                return true;
+            }
+            let way = target - source;
+            let cosine = (flat.normal.dot(way) / way.length()).abs().min(1.0);
+            // The least cosine of any way in the cone.
+            let least = cosine * spread - (1.0 - cosine * cosine).sqrt() * sine;
+            if least <= 0.02 {
+                return true;
+            }
+            target = target.lerp(source, over / (over - under));
+            off_m = target.distance(source) * sine / least;
+            if flat.is_far(target, off_m + bent_m / least) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it, but for
+    /// what edges add: those of a small mirror double a field at most, where it is a first Fresnel zone.
+    pub fn most_field(&self, element: &Element, image: usize, direction: DVec3, spread_rad: f64) -> f64 {
+        let Some(image) = self.images.get(image) else { return 0.0 };
+        let departure = element.radar_from_world * (image.mirror.transpose() * direction);
+        let by_edges = if self.environment.soft_edges().is_empty() { 1.0 } else { 2.0 };
+        let mirrored = image.sequences.iter().map(|s| self.most_mirrored(s, direction, spread_rad)).fold(0.0, f64::max);
+        element.pattern.most_within(departure, spread_rad) * mirrored * by_edges
+    }
+
+    /// Upper bound of the reflections of a sequence together.
+    fn most_mirrored(&self, sequence: &[FacetId], direction: DVec3, spread_rad: f64) -> f64 {
+        let (mut most, mut later) = (1.0, DMat3::IDENTITY);
+        for flat in sequence.iter().rev().filter_map(|&facet| self.environment.flat(facet)) {
+            let cosine = direction.dot(later * flat.normal).abs();
+            let [te, tm] = flat.table.most_reflection(cosine - spread_rad, cosine + spread_rad);
+            most *= te.max(tm);
+            later *= flat.mirror();
+        }
+        most
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DVec2;
+    use rand::{Rng, SeedableRng};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::super::LaunchOptions;
+    use super::super::environment::Environment;
+    use super::super::rooms::{extruded, l_shape, sheet, slab};
+    use super::*;
+    use crate::field::pattern::Pattern;
+
+    /// Of images that are left out nothing arrives anywhere in the ball, and no image is louder than its bound.
+    #[test]
+    fn images_that_are_left_out_light_nothing() {
+        let options = LaunchOptions { max_order: 2, refinements: 2, max_rays: 20_000 };
+        let (mut kept, mut all, mut lit) = (0, 0, 0);
+        for seed in 0..12 {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+            let outline = l_shape(&mut rng);
+            let mut facets = extruded(&outline, 2.6);
+            facets.extend(sheet(DVec2::new(0.35, -0.25), DVec2::new(0.35, -0.25).lerp(outline[0], 0.5), 2.0, slab(2)));
+            let environment = Arc::new(Environment::new(facets, 1_257.507).expect("facets"));
+            let antenna = Element {
+                position: DVec3::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2), 1.3),
+                polarisation: DVec3::Z,
+                radar_from_world: DMat3::from_rotation_z(0.4),
+                pattern: Pattern::new(1.0, 1.2, -20.0),
+            };
+            let paths = ImagePaths::discover(environment, antenna.position, &options);
+            for _ in 0..6 {
+                let middle = DVec3::new(rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0), 1.0);
+                let reach_m = rng.random_range(0.05..0.6);
+                let near = paths.images_near(antenna.position, middle, reach_m, 2);
+                all += paths.images().len();
+                kept += near.len();
+                for image in 0..paths.images().len() {
+                    let offset = middle - paths.images()[image].of(antenna.position);
+                    let spread_rad = (reach_m / offset.length()).min(1.0).asin();
+                    let most = paths.most_field(&antenna, image, offset.normalize(), spread_rad);
+                    for _ in 0..8 {
+                        let aside = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
+                        let point = middle + aside.clamp_length_max(1.0) * reach_m;
+                        let field = paths.illuminate(&antenna, image, point).field.magnitude();
+                        assert!(field == 0.0 || near.contains(&image), "{seed} {image} {middle} {reach_m}: {field}");
+                        assert!(field <= most + 1e-9, "{seed} {image}: {field} {most}");
+                        lit += usize::from(field > 0.0);
+                    }
+                }
+            }
+        }
+        assert!(lit > 100 && kept < all, "{lit} lit, {kept} of {all} kept");
+    }
+}

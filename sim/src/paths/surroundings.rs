@@ -1,0 +1,273 @@
+//! What is around the antennas of a scene: a box, whose images are a lattice, or plane faces, whose images rays find.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
+use super::environment::{Environment, EnvironmentError, FacetId};
+use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
+use crate::scene::Scene;
+use crate::scene::file::SolverFile;
+use crate::scene::surfaces::Surfaces;
+
+/// Rooms of more facets have paths of two reflections at most: in them paths of three are many and weak.
+const MANY_FACETS: usize = 200;
+const MOST_REFLECTIONS_OF_MANY: usize = 2;
+/// Rays that look for paths at most, in rooms of few facets and of many.
+const MOST_RAYS: [usize; 2] = [100_000, 45_000];
+/// Times that rays are divided where they meet different facets.
+const REFINEMENTS: u32 = 4;
+/// Faces of a box lie in its sides within this, m.
+const IN_SIDE_M: f64 = 1e-4;
+/// Names of a box room's walls in the order in which [`BoxRoom`] numbers them.
+const WALL_NAMES: [&str; 6] = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
+/// Points nearer to a surface than this lie on it, m.
+const ON_SURFACE_M: f64 = 1e-6;
+
+/// What is around the antennas. Images have an [`ImageIndex`]: that of the lattice in a box; else `[number, 0, 0]`, and
+/// `[0, 0, 0]` is the antenna itself.
+// There is one of a prepared scene, and a box is asked millions of times a frame.
+#[allow(clippy::large_enum_variant)]
+#[derive(Debug, Clone)]
+pub enum Surroundings {
+    /// A box.
+    Box(BoxRoom),
+    /// Plane faces.
+    Polygons(Arc<PolygonRoom>),
+}
+
+/// Plane faces around the antennas, with the paths that rays from the transmitter find.
+#[derive(Debug, Clone)]
+pub struct PolygonRoom {
+    paths: ImagePaths,
+    size_m: DVec3,
+    max_body_reflections: usize,
+    /// By facet.
+    names: Vec<String>,
+    /// Facets that rays met, ascending.
+    met: Vec<FacetId>,
+    /// By piece of furniture, whether it has faces.
+    has_faces: Vec<bool>,
+}
+
+impl PolygonRoom {
+    /// Finds the paths of a scene's surfaces.
+    fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element) -> Result<Self, EnvironmentError> {
+        let room = &scene.file().room;
+        let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m())?;
+        let is_many = environment.len() > MANY_FACETS;
+        let environment = Arc::new(environment.with_transmission(room.transmission));
+        let asked = room.max_reflections.max(room.max_body_reflections) as usize;
+        let options = LaunchOptions {
+            max_order: if is_many { asked.min(MOST_REFLECTIONS_OF_MANY) } else { asked },
+            refinements: REFINEMENTS,
+            max_rays: if is_many { MOST_RAYS[1] } else { MOST_RAYS[0] },
+        };
+        let paths = ImagePaths::discover(environment, tx.position, &options);
+        let mut met: Vec<FacetId> = paths.images().iter().flat_map(|image| image.sequences.concat()).collect();
+        met.sort_unstable();
+        met.dedup();
+        let DiscoveryReport { rays, sequences, images, reached_limit, .. } = paths.report();
+        tracing::debug!(facets = names.len(), rays, sequences, images, reached_limit, "paths found by rays");
+        Ok(PolygonRoom {
+            paths,
+            size_m: DVec3::from_array(room.size_m),
+            max_body_reflections: room.max_body_reflections as usize,
+            names,
+            met,
+            has_faces: scene.file().furniture.iter().map(|piece| surfaces.has_faces_of(piece)).collect(),
+        })
+    }
+
+    /// The polygons of a box, for tests.
+    #[cfg(test)]
+    pub(crate) fn of_box(room: &BoxRoom, antenna: DVec3) -> Self {
+        use super::environment::Facet;
+        let environment = Environment::new(Facet::of_box(room), room.wavenumber_per_m).expect("facets");
+        let paths = ImagePaths::discover(Arc::new(environment), antenna, &LaunchOptions::default());
+        let met = (0..6).filter(|&facet| room.walls.get(facet as usize) != Some(&Wall::Open)).collect();
+        let names = WALL_NAMES.map(str::to_owned).to_vec();
+        PolygonRoom { paths, size_m: room.size_m, max_body_reflections: 2, names, met, has_faces: Vec::new() }
+    }
+
+    /// The paths from the transmitter.
+    pub fn paths(&self) -> &ImagePaths {
+        &self.paths
+    }
+
+    /// Facets that rays from the transmitter met, ascending.
+    pub fn met(&self) -> &[FacetId] {
+        &self.met
+    }
+
+    /// Corners of the way from an antenna to a point by an image, whether it is free or not; empty where there is none.
+    pub fn way(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        self.paths.way(number(index), antenna, point)
+    }
+
+    /// Pairs of images of the antennas by which what lies within a distance of a place may be seen, the direct pair first.
+    pub fn pairs_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<(ImageIndex, ImageIndex)> {
+        let near = self.paths.images_near(antenna, middle, reach_m, self.max_body_reflections);
+        let order = |number: usize| self.paths.images().get(number).map_or(0, |image| image.order);
+        let index = |number: usize| [number as i32, 0, 0];
+        let mut pairs = Vec::with_capacity(2 * near.len());
+        for &p in &near {
+            // Images come by their order.
+            let fits = near.iter().take_while(|&&q| order(p) + order(q) <= self.max_body_reflections);
+            pairs.extend(fits.map(|&q| (index(p), index(q))));
+        }
+        pairs
+    }
+}
+
+/// Number of an image of polygons.
+fn number(index: ImageIndex) -> usize {
+    usize::try_from(index[0]).unwrap_or(0)
+}
+
+/// Whether surfaces are those of a box of a size and nothing else.
+fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
+    let is_side = |corners: &[DVec3]| {
+        (0..3).any(|axis| [0.0, size_m[axis]].iter().any(|at| corners.iter().all(|c| (c[axis] - at).abs() < IN_SIDE_M)))
+    };
+    let is_corner = |c: &DVec3| (0..3).all(|i| c[i].abs() < IN_SIDE_M || (c[i] - size_m[i]).abs() < IN_SIDE_M);
+    let is_whole = |outline: &[DVec3]| outline.len() == 4 && outline.iter().all(is_corner) && is_side(outline);
+    surfaces.small.is_empty()
+        && surfaces.faces.len() == walls
+        && surfaces.faces.iter().all(|face| face.polygon.holes.is_empty() && is_whole(&face.polygon.outline))
+}
+
+impl Surroundings {
+    /// The surroundings of a scene's antennas. Floor plans are polygons, and so are rooms of meshes unless these make a box and
+    /// nothing else; a box of six surfaces is one unless the scene asks for rays.
+    pub fn of_scene(scene: &Scene, tx: &Element) -> Self {
+        let file = &scene.file().room;
+        let may_be_box = match file.solver {
+            Some(SolverFile::Rays) => false,
+            Some(SolverFile::Images) => return Surroundings::Box(scene.room()),
+            None => file.plan.is_none(),
+        };
+        if may_be_box && file.mesh.is_empty() {
+            return Surroundings::Box(scene.room());
+        }
+        let (surfaces, room) = (scene.surfaces(), scene.room());
+        let walls = room.walls.iter().filter(|wall| **wall != Wall::Open).count();
+        if may_be_box && is_box(&surfaces, room.size_m, walls) {
+            return Surroundings::Box(room);
+        }
+        match PolygonRoom::new(scene, &surfaces, tx) {
+            Ok(polygons) => Surroundings::Polygons(Arc::new(polygons)),
+            Err(error) => {
+                tracing::error!(scene = scene.name(), %error, "rays cannot be traced: the box around the room is taken");
+                Surroundings::Box(room)
+            }
+        }
+    }
+
+    /// Size of the box around the room, m: its low corner is the origin.
+    pub fn size_m(&self) -> DVec3 {
+        match self {
+            Surroundings::Box(room) => room.size_m,
+            Surroundings::Polygons(room) => room.size_m,
+        }
+    }
+
+    /// Whether a piece of the scene's furniture has faces that mirror.
+    pub fn has_faces_of(&self, furniture: usize) -> bool {
+        match self {
+            Surroundings::Box(_) => false,
+            Surroundings::Polygons(room) => room.has_faces.get(furniture).copied().unwrap_or(false),
+        }
+    }
+
+    /// Number of reflections on the way from an image.
+    pub fn order(&self, index: ImageIndex) -> u32 {
+        match self {
+            Surroundings::Box(_) => order(index),
+            Surroundings::Polygons(room) => room.paths.images().get(number(index)).map_or(0, |i| i.order as u32),
+        }
+    }
+
+    /// All images up to an order, the antenna itself first, then by order.
+    pub fn images(&self, max_order: u32) -> Vec<ImageIndex> {
+        match self {
+            Surroundings::Box(_) => images(max_order),
+            Surroundings::Polygons(room) => {
+                let all = room.paths.images().iter().zip(0i32..);
+                all.filter(|(image, _)| image.order as u32 <= max_order).map(|(_, number)| [number, 0, 0]).collect()
+            }
+        }
+    }
+
+    /// Position of an image, m.
+    pub fn image_position(&self, index: ImageIndex, antenna: DVec3) -> DVec3 {
+        match self {
+            Surroundings::Box(room) => room.image_position(index, antenna),
+            Surroundings::Polygons(room) => {
+                room.paths.images().get(number(index)).map_or(antenna, |image| image.of(antenna))
+            }
+        }
+    }
+
+    /// Field of an element's image at a point; zero where no path leads there.
+    #[inline]
+    pub fn illuminate(&self, element: &Element, index: ImageIndex, point: DVec3) -> Illumination {
+        match self {
+            Surroundings::Box(room) => room.illuminate(element, index, point),
+            Surroundings::Polygons(room) => room.paths.illuminate(element, number(index), point),
+        }
+    }
+
+    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
+    pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
+        match self {
+            Surroundings::Box(room) => room.most_field(element, index, direction, spread_rad),
+            Surroundings::Polygons(room) => room.paths.most_field(element, number(index), direction, spread_rad),
+        }
+    }
+
+    /// Corners of the way from an antenna to a point by an image: antenna, bounces, point; empty where there is no such way.
+    pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        match self {
+            Surroundings::Box(room) => room.polyline(index, antenna, point),
+            Surroundings::Polygons(room) => room.paths.polyline(number(index), antenna, point),
+        }
+    }
+
+    /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
+    /// isotropic antennas' aperture `lambda / 4 pi`, but for the propagation phase; and its length, m.
+    pub fn direct(&self, tx: &Element, index: ImageIndex, rx: &Element) -> (Complex64, f64) {
+        match self {
+            Surroundings::Box(room) => room.direct(tx, index, rx),
+            Surroundings::Polygons(room) => room.paths.direct(tx, number(index), rx),
+        }
+    }
+
+    /// Part of a field that walls and furniture leave on the straight way between two points: all of it in a box, whose walls
+    /// hide nothing within.
+    pub fn straight(&self, from: DVec3, to: DVec3) -> f64 {
+        match self {
+            Surroundings::Box(_) => 1.0,
+            Surroundings::Polygons(room) => room.paths.straight([from, to], [None; 2]),
+        }
+    }
+
+    /// Name of the wall or the piece of furniture on whose surface a point lies.
+    pub fn surface_name(&self, point: DVec3) -> Option<&str> {
+        match self {
+            Surroundings::Box(room) => {
+                let size_m = room.size_m;
+                let away = [point.x, size_m.x - point.x, point.y, size_m.y - point.y, point.z, size_m.z - point.z];
+                let all = away.map(f64::abs).into_iter().zip(WALL_NAMES);
+                let (nearest_m, name) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
+                (nearest_m < ON_SURFACE_M).then_some(name)
+            }
+            Surroundings::Polygons(room) => {
+                let facet = room.paths.environment().below(point)?;
+                room.names.get(facet as usize).map(String::as_str)
+            }
+        }
+    }
+}

@@ -1,0 +1,392 @@
+//! Rooms of any shape over the paths that rays find: against boxes, whose images are known, and against geometry by hand.
+
+mod common;
+#[allow(dead_code)]
+#[path = "surfaces/rooms.rs"]
+mod rooms;
+
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::sync::Arc;
+
+use common::scene;
+use glam::{DMat3, DVec3};
+use num_complex::Complex64;
+use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
+use radome_sim::field::pattern::Pattern;
+use radome_sim::path_list::{ListedPath, PathList, PathListOptions};
+use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundings};
+use radome_sim::stage::Stage;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
+
+const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+
+/// Somebody who walks through the room of most tests, away from its walls.
+const WALKER: &str =
+    "[[people.actor]]\nstep = [{ walk_to_m = [4.0, 3.2] }, { walk_to_m = [1.5, 1.9], speed_m_per_s = 1.0 }]\n";
+
+/// The room of most tests as a plan.
+const PLAN: &str = "floor = { material = \"plasterboard\", thickness_m = 0.0125 }\n\
+                    ceiling = { material = \"plasterboard\", thickness_m = 0.0125 }\n[room.plan]\n\
+                    corners_m = [[0.0, 0.0], [5.25, 0.0], [5.25, 4.5], [0.0, 4.5]]\nheight_m = 2.75\n\
+                    walls = { material = \"plasterboard\", thickness_m = 0.0125 }\n";
+
+/// A scene with what stands in `[room]` and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
+fn made(room: &str, tables: &str, folder: &Path) -> Scene {
+    let hall = common::hall(tables);
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
+}
+
+/// A fixture with something else in it.
+fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
+    let mut text = std::fs::read_to_string(&path).expect("fixture scene");
+    for (from, to) in changes {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    Scene::parse(&text, &path).expect("a good scene")
+}
+
+/// The same room of plasterboard as a plan and from files, all of them over faces.
+fn rooms_of_faces(tables: &str, folder: &Path) -> Vec<(&'static str, Scene)> {
+    let quads = faces([0.0; 3], SIZE_M);
+    let named = quads.map(|quad| (quad, "plaster"));
+    let files = [
+        ("room.stl", "unit = \"mm\"\nup = \"z\"\n", stl(&triangles(&quads), 1000.0)),
+        ("room.obj", "unit = \"m\"\nup = \"z\"\n", obj(&named)),
+        ("room.gltf", "", gltf(&quads)),
+    ];
+    let mut all = vec![("plan", made(PLAN, tables, folder))];
+    let boxed = format!("solver = \"rays\"\n{}", box_keys("plasterboard"));
+    all.push(("box by rays", made(&boxed, tables, folder)));
+    for (name, unit, content) in files {
+        std::fs::write(folder.join(name), content).expect("written");
+        let keys = format!(
+            "solver = \"rays\"\n[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}"
+        );
+        all.push((name, made(&keys, tables, folder)));
+    }
+    all
+}
+
+fn listed(scene: &Scene, margin_db: f64) -> Vec<ListedPath> {
+    let options = PathListOptions { margin_db, time_s: 0.5, ..PathListOptions::default() };
+    PathList::new(scene, &options).expect("a list").paths
+}
+
+/// Whether every path of one list is in the other: within a micrometre and 0.01 dB.
+fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
+    for path in some {
+        let is_same = |other: &&ListedPath| {
+            other.rx == path.rx
+                && other.kind == path.kind
+                && (other.length_m - path.length_m).abs() < 1e-6
+                && (other.gain_db - path.gain_db).abs() < 0.01
+        };
+        assert!(all.iter().any(|other| is_same(&other)), "{what}: {path:?}");
+    }
+}
+
+#[test]
+fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let of_box = made(&box_keys("plasterboard"), WALKER, folder.path());
+    assert!(matches!(Stage::new(&of_box, 1, 10.0).room, Surroundings::Box(_)));
+    // Paths at the threshold are in one list or the other.
+    let [expected, wider] = [10.0, 13.0].map(|margin_db| listed(&of_box, margin_db));
+    assert!(expected.len() > 20, "{} paths", expected.len());
+    for (name, scene) in rooms_of_faces(WALKER, folder.path()) {
+        assert!(matches!(Stage::new(&scene, 1, 10.0).room, Surroundings::Polygons(_)), "{name}");
+        assert_among(&expected, &listed(&scene, 13.0), name);
+        assert_among(&listed(&scene, 10.0), &wider, name);
+    }
+}
+
+/// What comes back from a walker: the power of the difference over that of the box's frame.
+#[test]
+fn a_box_has_the_same_frames_from_toml_plan_obj_stl_and_gltf() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let options = SimulateOptions { seed: 3, ..SimulateOptions::default() };
+    let echoes = |scene: &Scene| Simulator::new(scene, options).expect("a simulator").echo_samples(4);
+    let expected = echoes(&made(&box_keys("plasterboard"), WALKER, folder.path()));
+    let power = |samples: &mut dyn Iterator<Item = f64>| samples.map(|x| x * x).sum::<f64>();
+    let of_box = power(&mut expected.iter().map(|&x| f64::from(x)));
+    assert!(of_box > 0.0);
+    for (name, scene) in rooms_of_faces(WALKER, folder.path()) {
+        let found = echoes(&scene);
+        let apart = power(&mut found.iter().zip(&expected).map(|(a, b)| f64::from(a - b)));
+        let apart_db = 10.0 * (apart / of_box).max(1e-30).log10();
+        assert!(apart_db < -30.0, "{name}: {apart_db:.1} dB");
+    }
+}
+
+/// Meshes that are a box and nothing else take its images, unless the scene asks for rays.
+#[test]
+fn a_mesh_that_is_a_box_is_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let quads = faces([0.0; 3], SIZE_M);
+    std::fs::write(folder.path().join("room.stl"), stl(&triangles(&quads), 1.0)).expect("written");
+    let keys = "[[room.mesh]]\nfile = \"room.stl\"\nmaterial = \"plasterboard\"\nunit = \"m\"\nup = \"z\"\n";
+    let room = |keys: &str| Stage::new(&made(keys, WALKER, folder.path()), 1, 10.0).room;
+    assert!(matches!(room(keys), Surroundings::Box(_)));
+    assert!(matches!(room(&format!("solver = \"rays\"\n{keys}")), Surroundings::Polygons(_)));
+    assert!(matches!(Stage::new(&scene("room-mesh"), 1, 10.0).room, Surroundings::Polygons(_)));
+    let by_images = changed("room-mesh", &[("[[room.mesh]]", "[room]\nsolver = \"images\"\n[[room.mesh]]")]);
+    assert!(matches!(Stage::new(&by_images, 1, 10.0).room, Surroundings::Box(_)));
+}
+
+/// Loudest path whose surfaces are these, by the first receiver.
+fn loudest<'a>(all: &'a [ListedPath], fits: impl Fn(&[String]) -> bool) -> Option<&'a ListedPath> {
+    let own = all.iter().filter(|path| path.rx == 1 && fits(&path.surfaces));
+    own.max_by(|a, b| a.gain_db.total_cmp(&b.gain_db))
+}
+
+/// Who stands beyond the corner: not straight, by the wall at x = 0, and by that and the one at y = 0, as long as mirrors say.
+#[test]
+fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
+    let l = changed(
+        "l-corridor",
+        &[
+            ("max_body_reflections = 2", "max_body_reflections = 3"),
+            ("[7.65, 1.0, 1.5]", "[7.65, 0.4, 1.5]"),
+            ("{ walk_to_m = [6.0, 1.2] }", "{ walk_to_m = [1.5, 2.75] },\n    { stand_s = 100.0 }"),
+        ],
+    );
+    let (tx, rx) = l.elements();
+    let list =
+        PathList::new(&l, &PathListOptions { margin_db: 50.0, time_s: 10.0, person: Some(0), ..Default::default() });
+    let all = list.expect("a list").paths;
+    let is_body = |name: &str| name.starts_with("person 0");
+    let once = loudest(&all, |s| matches!(s, [a, b, c] if a == "wall 5" && is_body(b) && c == "wall 5"));
+    let once = once.expect("a path by the wall, there and back");
+    let straight = loudest(&all, |s| matches!(s, [a] if is_body(a)));
+    let straight_db = straight.map_or(f64::NEG_INFINITY, |path| path.gain_db);
+    // Straight it comes around the edge, twice.
+    assert!(straight_db < once.gain_db - 10.0, "{straight_db} {}", once.gain_db);
+    let place = |path: &ListedPath, number: usize| DVec3::from_array(path.points_m[number]);
+    let mirrored = |p: DVec3| DVec3::new(-p.x, p.y, p.z);
+    let body = place(once, 2);
+    let length_m = mirrored(tx.position).distance(body) + mirrored(rx[0].position).distance(body);
+    assert!((once.length_m - length_m).abs() < 1e-6, "{} {length_m}", once.length_m);
+    let twice =
+        loudest(&all, |s| matches!(s, [a, b, c, d] if a == "wall 0" && b == "wall 5" && is_body(c) && d == "wall 5"));
+    let twice = twice.expect("a path by two walls");
+    let body = place(twice, 3);
+    let corner = DVec3::new(-tx.position.x, -tx.position.y, tx.position.z);
+    let length_m = corner.distance(body) + mirrored(rx[0].position).distance(body);
+    assert!((twice.length_m - length_m).abs() < 1e-6, "{} {length_m}", twice.length_m);
+    assert!(twice.gain_db < once.gain_db);
+}
+
+/// The walker of the corridor is in its frames, before the corner and beyond it.
+#[test]
+fn l_corridors_have_frames() {
+    let simulator = common::simulator(&scene("l-corridor"), 2, None);
+    let (_, report) = simulator.render_with_report(5);
+    assert!(report.static_paths > 3 && report.moving_paths > 3, "{report:?}");
+    let power: f64 = simulator.echo_samples(60).iter().map(|&x| f64::from(x).powi(2)).sum();
+    assert!(power.is_finite() && power > 0.0);
+}
+
+fn polygons(scene: &Scene) -> Stage {
+    let stage = Stage::new(scene, 1, 10.0);
+    assert!(matches!(stage.room, Surroundings::Polygons(_)));
+    stage
+}
+
+/// Field of the transmitter's image at a point over that of its pattern, dB.
+fn seen_db(stage: &Stage, index: ImageIndex, point: DVec3) -> f64 {
+    let lit = stage.room.illuminate(&stage.tx, index, point);
+    let towards = stage.tx.radar_from_world * (point - stage.tx.position).normalize();
+    20.0 * (lit.field.magnitude() / stage.tx.pattern.field(towards)).max(1e-15).log10()
+}
+
+/// The images by whose first reflection at a surface of this name a point is lit.
+fn lit_by(stage: &Stage, name: &str, point: DVec3) -> Vec<ImageIndex> {
+    let of_first = stage.room.images(1).into_iter().skip(1);
+    let is_lit = |index: &ImageIndex| {
+        let way = stage.room.polyline(*index, stage.tx.position, point);
+        way.get(1).filter(|_| way.len() == 3).and_then(|at| stage.room.surface_name(*at)) == Some(name)
+    };
+    of_first.filter(is_lit).collect()
+}
+
+/// Through the gap all is seen, through the wall what plasterboard leaves, through the leaf what wood leaves; the leaf mirrors.
+#[test]
+fn a_half_open_door_shows_a_gap_and_mirrors() {
+    let stage = polygons(&scene("half-open-door"));
+    let direct = [0; 3];
+    let gap_db = seen_db(&stage, direct, DVec3::new(5.0, 2.3, 1.3));
+    assert!(gap_db.abs() < 2.0, "{gap_db}");
+    let wall_db = seen_db(&stage, direct, DVec3::new(5.0, 3.6, 1.3));
+    assert!((-9.0..-3.0).contains(&wall_db), "{wall_db}");
+    let leaf_db = seen_db(&stage, direct, DVec3::new(5.0, 1.6, 1.3));
+    assert!((-40.0..-10.0).contains(&leaf_db), "{leaf_db}");
+    let mirrored = DVec3::new(3.3, 0.8, 1.3);
+    let [image] = lit_by(&stage, "door in partition 0", mirrored)[..] else { panic!("no image in the leaf") };
+    let length_m = stage.room.illuminate(&stage.tx, image, mirrored).distance_m;
+    // The leaf lies in the plane x + y = 5, which changes x and y of the transmitter to 5 less the other.
+    let tx = stage.tx.position;
+    let expected_m = DVec3::new(5.0 - tx.y, 5.0 - tx.x, tx.z).distance(mirrored);
+    assert!((length_m - expected_m).abs() < 1e-6, "{length_m} {expected_m}");
+}
+
+#[test]
+fn a_metal_cupboard_shadows_and_mirrors() {
+    let stage = polygons(&scene("cupboard"));
+    assert!(seen_db(&stage, [0; 3], DVec3::new(4.9, 2.0, 1.0)) < -20.0);
+    assert!(seen_db(&stage, [0; 3], DVec3::new(2.3, 1.6, 1.2)).abs() < 0.5);
+    let before = DVec3::new(2.3, 1.6, 1.2);
+    let [image] = lit_by(&stage, "cupboard x_low", before)[..] else { panic!("no image in the cupboard") };
+    let lit = stage.room.illuminate(&stage.tx, image, before);
+    let tx = stage.tx.position;
+    let expected_m = DVec3::new(6.4 - tx.x, tx.y, tx.z).distance(before);
+    assert!((lit.distance_m - expected_m).abs() < 1e-6);
+    // Metal mirrors all of the field, but for what its edges take.
+    let towards = stage.tx.radar_from_world * DVec3::new(-lit.direction.x, lit.direction.y, lit.direction.z);
+    let part = lit.field.magnitude() / stage.tx.pattern.field(towards);
+    assert!((part - 1.0).abs() < 0.2, "{part}");
+    // Its faces are not points as well.
+    let list = PathList::new(&scene("cupboard"), &PathListOptions { people: Some(0), ..Default::default() });
+    let paths = list.expect("a list").paths;
+    assert!(paths.iter().any(|path| path.surfaces.contains(&"cupboard x_low".to_owned())));
+    assert!(paths.iter().all(|path| path.kind != radome_sim::path_list::PathKind::Furniture));
+}
+
+/// What is seen through a wall of polygons is what is seen through the wall of a box: the slab's transmission.
+#[test]
+fn facets_let_through_what_walls_of_boxes_do() {
+    let glass = Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.01 };
+    let mut walls = [Wall::Open; 6];
+    walls[1] = glass;
+    let room = BoxRoom::new(DVec3::new(4.0, 8.0, 3.0), walls, WAVENUMBER, true);
+    let antenna = DVec3::new(1.0, 4.0, 1.2);
+    let environment = Environment::new(Facet::of_box(&room), WAVENUMBER).expect("facets").with_transmission(true);
+    let paths = ImagePaths::discover(Arc::new(environment), antenna, &LaunchOptions::default());
+    for polarisation in [DVec3::Z, DVec3::Y, DVec3::new(0.2, 0.6, 0.7).normalize()] {
+        let element = Element {
+            position: antenna,
+            polarisation,
+            radar_from_world: DMat3::IDENTITY,
+            pattern: Pattern::new(1.2, 1.1, -20.0),
+        };
+        for point in [DVec3::new(6.0, 4.0, 1.2), DVec3::new(5.5, 6.0, 1.5), DVec3::new(5.0, 2.2, 0.9)] {
+            let (ours, known) = (paths.illuminate(&element, 0, point), room.illuminate(&element, [0; 3], point));
+            let apart = (ours.field.re - known.field.re).length() + (ours.field.im - known.field.im).length();
+            assert!(known.field.magnitude() > 0.1 && apart < 1e-6, "{point} {polarisation}: {apart:e}");
+        }
+    }
+}
+
+/// Somebody behind glass is seen through it, straight and by the walls behind it; without transmission nobody is there.
+#[test]
+fn behind_a_glass_wall_somebody_is_seen() {
+    let power = |scene: &Scene| -> f64 {
+        let simulator = common::simulator(scene, 1, None);
+        simulator.echo_samples(10).iter().map(|&x| f64::from(x).powi(2)).sum()
+    };
+    let through = power(&scene("glass-wall"));
+    let hidden = power(&changed("glass-wall", &[("transmission = true", "transmission = false")]));
+    let free = power(&changed("glass-wall", &[("material = \"glass\"", "material = \"open\"")]));
+    assert!(hidden < 1e-6 * through, "{hidden} {through}");
+    // Some 8 dB of glass, twice.
+    let lost_db = 10.0 * (through / free).log10();
+    assert!((-30.0..-4.0).contains(&lost_db), "{lost_db}");
+    let stage = polygons(&scene("glass-wall"));
+    let behind = DVec3::new(6.0, 2.0, 1.2);
+    assert!(!lit_by(&stage, "wall 1", behind).is_empty(), "by the wall behind");
+}
+
+#[test]
+fn an_office_of_ten_thousand_triangles_is_simulated() {
+    let simulator = common::simulator(&scene("open-plan"), 1, None);
+    let (frame, report) = simulator.render_with_report(3);
+    assert!(report.static_paths > 0 && report.moving_paths > 0, "{report:?}");
+    assert!(frame.codes.iter().any(|&code| code != frame.codes[0]));
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn plan(tables: &str) -> String {
+        format!(
+            "diffuse_share = 0.1\nfloor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n\
+             [room.plan]\ncorners_m = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [2.5, 4.0], [2.5, 3.0], [0.0, 3.0]]\n\
+             height_m = 2.6\nwalls = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n{tables}"
+        )
+    }
+
+    /// Frames of a scene are numbers, and somebody is in them.
+    fn assert_sound(scene: &Scene, what: &str) {
+        let simulator = common::simulator(scene, 1, None);
+        for index in [0, 9] {
+            let power: f64 = simulator.echo_samples(index).iter().map(|&x| f64::from(x).powi(2)).sum();
+            assert!(power.is_finite() && power > 0.0, "{what}, frame {index}: {power}");
+            let frame = simulator.render(index);
+            assert_eq!(frame.codes.len(), frame.shape.codes(), "{what}");
+        }
+    }
+
+    /// On a wall, in a corner of the room and in the outward corner of an L the radar is 1 cm off its walls.
+    #[test]
+    fn the_radar_may_be_on_a_wall_and_in_a_corner() {
+        for (place, azimuth_deg) in
+            [("[0.011, 1.5, 1.2]", 0.0), ("[0.011, 0.011, 0.011]", 45.0), ("[2.511, 2.989, 1.2]", -60.0)]
+        {
+            let text = common::hall(WALKER);
+            let (before, rest) = text.split_once("size_m").expect("written");
+            let (_, after) = rest.split_once("[radar]").expect("written");
+            let text = format!("{before}\n{}\n[radar]\nazimuth_deg = {azimuth_deg:?}\n{after}", plan(""));
+            let text = text.replace("[1.0, 10.0, 1.2]", place).replace("[4.0, 3.2]", "[4.0, 2.2]");
+            let scene = Scene::parse(&text, Path::new("scene.toml")).expect("a good scene");
+            assert_sound(&scene, place);
+        }
+    }
+
+    /// Shoulders in the wall are hidden, the rest is there.
+    #[test]
+    fn somebody_may_touch_a_wall() {
+        for place in ["[4.9, 2.0]", "[4.0, 0.05]", "[4.95, 3.95]"] {
+            let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}]\n");
+            assert_sound(&made(&plan(""), &actor, Path::new("")), place);
+        }
+    }
+
+    #[test]
+    fn a_room_may_have_no_ceiling() {
+        let open = plan("").replace("ceiling = { material = \"concrete\" }", "ceiling = { material = \"open\" }");
+        assert_sound(&made(&open, WALKER, Path::new("")), "no ceiling");
+        let boxed = format!("solver = \"rays\"\n{}", box_keys("open"));
+        assert_sound(&made(&boxed, WALKER, Path::new("")), "no ceiling, by rays");
+    }
+
+    /// Points in all of a room and around it: nothing that is not a number, and nothing louder than two mirrors can make it.
+    #[test]
+    fn fields_are_numbers_everywhere() {
+        let stage = polygons(&made(&plan(""), WALKER, Path::new("")));
+        for index in stage.room.images(2) {
+            for i in 0..300 {
+                let part = |by: f64| (f64::from(i) * by).fract();
+                let point = DVec3::new(6.0 * part(0.618) - 0.5, 5.0 * part(0.755) - 0.5, 3.0 * part(0.57) - 0.2);
+                let field = stage.room.illuminate(&stage.tx, index, point).field.magnitude();
+                assert!(field.is_finite() && field < 3.0, "{index:?} {point}: {field}");
+            }
+        }
+    }
+
+    /// The order of threads changes nothing.
+    #[test]
+    fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
+        let scene = made(&plan(""), WALKER, Path::new(""));
+        let frames = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| common::simulator(&scene, 7, None).render(6).codes)
+        };
+        assert_eq!(frames(1), frames(3));
+    }
+}
