@@ -8,10 +8,8 @@ use rand::Rng;
 use rand::seq::SliceRandom;
 
 use super::LEAST_LEG_M;
-use super::facets::FacetWalls;
 use crate::field::fresnel::Reflection;
 use crate::field::image::{BoxRoom, Element, Wall};
-use crate::paths::Surroundings;
 use crate::random::{Purpose, generator};
 
 /// How a room throws back in all directions.
@@ -149,14 +147,7 @@ fn bounces(at: f64, most: u32) -> (u32, f64) {
     (count, 2f64.powi(count.min(most.saturating_sub(1)) as i32))
 }
 
-/// The points of a room.
-pub fn wall_points(room: &Surroundings, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
-    match room {
-        Surroundings::Box(room) => points(room, diffuse, tx, rx, seed),
-        Surroundings::Polygons(room) => points(&FacetWalls::new(room), diffuse, tx, rx, seed),
-    }
-}
-
+/// The points of walls.
 pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
     let Diffuse { share, points: count, .. } = diffuse;
     let whole = walls.area_m2();

@@ -10,7 +10,8 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::environment::{Environment, FacetId};
+use super::environment::Environment;
+use super::flat::{FacetId, Flat};
 
 /// Most reflections of a path.
 pub const MAX_ORDER: usize = 6;
@@ -162,7 +163,7 @@ pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[
 }
 
 /// Whether some corner of a facet lies before another's plane.
-fn sees(of: &super::environment::Flat, other: &super::environment::Flat) -> bool {
+fn sees(of: &Flat, other: &Flat) -> bool {
     other.facet.corners.iter().any(|&corner| of.height(corner) > MERGE_M)
 }
 

@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-use super::environment::{FacetId, Flat};
+use super::flat::{FacetId, Flat};
 
 /// Points nearer to a plane than this lie on it, m.
 pub(super) const SAME_M: f64 = 1e-6;

@@ -15,6 +15,7 @@ mod edges;
 pub mod environment;
 pub mod exhaustive;
 mod facets;
+mod flat;
 mod illuminate;
 mod reach;
 #[cfg(test)]

@@ -1,0 +1,242 @@
+//! Facets: plane polygons with a wall each, and what follows from their planes.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec2, DVec3};
+use thiserror::Error;
+
+use super::triangulate::{doubled_area, triangulate};
+use crate::field::image::{BoxRoom, Wall};
+use crate::field::wall::WallTable;
+use crate::geometry::polygon;
+use crate::trace::BodyError;
+
+/// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
+pub(super) const PLANAR_M: f64 = 1e-6;
+/// Points beyond a side by this much still lie on a facet, m: those on the seam of two facets lie on one of them at least.
+const SEAM_M: f64 = 1e-9;
+/// Walls let waves through that leave more than this part of a field at normal incidence: -40 dB.
+const LEAST_TRANSMISSION: f64 = 0.01;
+
+/// Index of a facet in its environment.
+pub type FacetId = u32;
+
+/// A plane polygon that reflects on the side of its normal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Facet {
+    /// Outline, m: a simple polygon, counter-clockwise seen against the normal.
+    pub corners: Vec<DVec3>,
+    /// Outlines of holes, m, in any direction.
+    pub holes: Vec<Vec<DVec3>>,
+    /// What it is made of. Nothing is there where it is [`Wall::Open`].
+    pub wall: Wall,
+    /// For each side of the outline, from its corner to the next: whether it diffracts as a free edge or an outward corner does.
+    /// Empty where that is to be found from the geometry, as it is for sides of holes.
+    pub soft_edges: Vec<bool>,
+}
+
+/// Facets from which no environment can be made.
+#[derive(Debug, Error, PartialEq)]
+pub enum EnvironmentError {
+    /// A facet is no plane polygon.
+    #[error("facet {facet}: {why}\n\nhint: an outline has three corners or more, in one plane within {PLANAR_M} m")]
+    NoPolygon {
+        /// The facet.
+        facet: usize,
+        /// Why.
+        why: &'static str,
+    },
+    /// The list of soft edges is not as long as the outline.
+    #[error("facet {facet}: {given} soft edges for {sides} sides, expected one a side or none")]
+    SoftEdges {
+        /// The facet.
+        facet: usize,
+        /// Sides of the outline.
+        sides: usize,
+        /// Soft edges given.
+        given: usize,
+    },
+    /// Rays cannot be traced among the facets.
+    #[error(transparent)]
+    Body(#[from] BodyError),
+}
+
+impl Facet {
+    /// A facet without holes whose soft edges are found from the geometry.
+    pub fn new(corners: Vec<DVec3>, wall: Wall) -> Self {
+        Facet { corners, holes: Vec::new(), wall, soft_edges: Vec::new() }
+    }
+
+    /// The six surfaces of a box room, numbered as its walls are.
+    pub fn of_box(room: &BoxRoom) -> Vec<Facet> {
+        let s = room.size_m;
+        let at = |x: u8, y: u8, z: u8| s * DVec3::new(f64::from(x), f64::from(y), f64::from(z));
+        let corners = [
+            [at(0, 0, 0), at(0, 1, 0), at(0, 1, 1), at(0, 0, 1)],
+            [at(1, 0, 0), at(1, 0, 1), at(1, 1, 1), at(1, 1, 0)],
+            [at(0, 0, 0), at(0, 0, 1), at(1, 0, 1), at(1, 0, 0)],
+            [at(0, 1, 0), at(1, 1, 0), at(1, 1, 1), at(0, 1, 1)],
+            [at(0, 0, 0), at(1, 0, 0), at(1, 1, 0), at(0, 1, 0)],
+            [at(0, 0, 1), at(0, 1, 1), at(1, 1, 1), at(1, 0, 1)],
+        ];
+        corners.into_iter().zip(room.walls).map(|(corners, wall)| Facet::new(corners.to_vec(), wall)).collect()
+    }
+}
+
+/// A facet with its plane.
+#[derive(Debug, Clone)]
+pub(super) struct Flat {
+    pub facet: Facet,
+    pub normal: DVec3,
+    pub offset_m: f64,
+    /// Facets in the same plane, of either side, have the same number.
+    pub plane: u32,
+    /// Indices of its soft edges.
+    pub soft: Vec<u32>,
+    /// Coefficients of its wall.
+    pub table: Arc<WallTable>,
+    /// Whether its wall leaves enough of a wave that goes through it to be followed.
+    pub transmits: bool,
+    /// Middle and radius of a ball around it, m.
+    pub middle: DVec3,
+    pub radius_m: f64,
+    axes: [DVec3; 2],
+    outline: Vec<DVec2>,
+    holes: Vec<Vec<DVec2>>,
+}
+
+impl Flat {
+    pub fn new(number: usize, facet: Facet, tables: &mut WallTables) -> Result<Self, EnvironmentError> {
+        let refused = |why| EnvironmentError::NoPolygon { facet: number, why };
+        let all = || facet.corners.iter().chain(facet.holes.iter().flatten());
+        if facet.corners.len() < 3 || facet.holes.iter().any(|hole| hole.len() < 3) {
+            return Err(refused("an outline has fewer than three corners"));
+        }
+        if !all().all(|c| c.is_finite()) {
+            return Err(refused("a corner is not finite"));
+        }
+        if !facet.soft_edges.is_empty() && facet.soft_edges.len() != facet.corners.len() {
+            let (sides, given) = (facet.corners.len(), facet.soft_edges.len());
+            return Err(EnvironmentError::SoftEdges { facet: number, sides, given });
+        }
+        let normal = polygon::normal(&facet.corners);
+        if normal == DVec3::ZERO {
+            return Err(refused("the outline has no area"));
+        }
+        let offset_m = facet.corners.iter().map(|c| c.dot(normal)).sum::<f64>() / facet.corners.len() as f64;
+        if all().any(|c| (c.dot(normal) - offset_m).abs() > PLANAR_M) {
+            return Err(refused("a corner lies out of the plane of the others"));
+        }
+        let u = normal.any_orthonormal_vector();
+        let axes = [u, normal.cross(u)];
+        let flat = |corners: &[DVec3]| -> Vec<DVec2> {
+            corners.iter().map(|c| DVec2::new(c.dot(axes[0]), c.dot(axes[1]))).collect()
+        };
+        let outline = flat(&facet.corners);
+        let holes = facet.holes.iter().map(|hole| flat(hole)).collect();
+        let middle = facet.corners.iter().sum::<DVec3>() / facet.corners.len() as f64;
+        let radius_m = facet.corners.iter().map(|corner| corner.distance(middle)).fold(0.0, f64::max);
+        let through = facet.wall.transmission(tables.wavenumber_per_m, 1.0).te.norm();
+        Ok(Flat {
+            normal,
+            offset_m,
+            plane: 0,
+            soft: Vec::new(),
+            table: tables.of(facet.wall),
+            transmits: through > LEAST_TRANSMISSION,
+            middle,
+            radius_m,
+            axes,
+            outline,
+            holes,
+            facet,
+        })
+    }
+
+    /// Height of a point over the plane, m.
+    pub fn height(&self, point: DVec3) -> f64 {
+        self.normal.dot(point) - self.offset_m
+    }
+
+    /// Mirror image of a point.
+    pub fn mirrored(&self, point: DVec3) -> DVec3 {
+        point - self.normal * (2.0 * self.height(point))
+    }
+
+    /// Mirror image of vectors.
+    pub fn mirror(&self) -> DMat3 {
+        let n = self.normal;
+        DMat3::from_cols(DVec3::X - n * (2.0 * n.x), DVec3::Y - n * (2.0 * n.y), DVec3::Z - n * (2.0 * n.z))
+    }
+
+    /// Whether waves are reflected there at all.
+    pub fn reflects(&self) -> bool {
+        self.facet.wall != Wall::Open
+    }
+
+    /// Whether a point of the plane lies on the facet.
+    pub fn contains(&self, point: DVec3) -> bool {
+        let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
+        let within = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
+        within || std::iter::once(&self.outline).chain(&self.holes).any(|sides| distance_m(sides, p) < SEAM_M)
+    }
+
+    /// Whether a point of the plane lies farther than a distance, m, from the ball around the facet.
+    pub fn is_far(&self, point: DVec3, distance_m: f64) -> bool {
+        let reach_m = self.radius_m + distance_m;
+        self.middle.distance_squared(point) > reach_m * reach_m
+    }
+
+    /// Whether a hole is counter-clockwise seen against the normal, as the outline is.
+    pub fn is_positive(&self, hole: usize) -> bool {
+        self.holes.get(hole).is_some_and(|hole| doubled_area(hole) > 0.0)
+    }
+
+    /// Triangles that cover it, as numbers of its corners and then those of its holes; `None` where its outlines cross.
+    pub fn triangles(&self) -> Option<Vec<[u32; 3]>> {
+        triangulate(&self.outline, &self.holes)
+    }
+}
+
+/// Tables of walls, one for all that are equal.
+pub(super) struct WallTables {
+    wavenumber_per_m: f64,
+    known: Vec<(Wall, Arc<WallTable>)>,
+}
+
+impl WallTables {
+    /// No tables yet, for a wave number.
+    pub fn new(wavenumber_per_m: f64) -> Self {
+        WallTables { wavenumber_per_m, known: Vec::new() }
+    }
+
+    fn of(&mut self, wall: Wall) -> Arc<WallTable> {
+        if let Some((_, table)) = self.known.iter().find(|(known, _)| *known == wall) {
+            return Arc::clone(table);
+        }
+        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, false));
+        self.known.push((wall, Arc::clone(&table)));
+        table
+    }
+}
+
+/// Whether a point lies within a closed outline, by the number of sides that it has on one hand.
+fn encloses(outline: &[DVec2], p: DVec2) -> bool {
+    let mut inside = false;
+    for (a, b) in outline.iter().zip(outline.iter().cycle().skip(1)) {
+        if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
+            inside = !inside;
+        }
+    }
+    inside
+}
+
+/// Distance of a point from the sides of a closed outline, m.
+fn distance_m(outline: &[DVec2], p: DVec2) -> f64 {
+    let to_side = |(a, b): (&DVec2, &DVec2)| {
+        let side = *b - *a;
+        let part = ((p - *a).dot(side) / side.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        p.distance(*a + side * part)
+    };
+    outline.iter().zip(outline.iter().cycle().skip(1)).map(to_side).fold(f64::INFINITY, f64::min)
+}
