@@ -24,15 +24,16 @@ use crate::tracks::OTHERS;
 const HEARD: f64 = 0.1;
 /// Points are looked at from this far before their walls, m.
 const BEFORE_M: f64 = 1e-4;
-/// A segment takes at least so many points, if there are as many.
-const LEAST_POINTS: usize = 16;
+/// A segment takes at least so many points, if there are as many: fewer and stronger echoes stand out of maps one by one, as
+/// a second person's do.
+const LEAST_POINTS: usize = 64;
 /// Fraction of the golden ratio: its multiples fall evenly between 0 and 1.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Number of the walls' points that each segment of a body takes at a tolerance: a quarter of them at 0.5 dB, all of them at
-/// 0.25 dB and below.
+/// Number of the walls' points that each segment of a body takes at a tolerance: half of them at 0.5 dB, all of them at 0.35 dB and
+/// below.
 pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
-    let part = 0.25 * (0.5 / tolerance_db).powi(2);
+    let part = 0.5 * (0.5 / tolerance_db).powi(2);
     ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points)
 }
 
@@ -293,8 +294,8 @@ mod tests {
     /// Subsets cover all points evenly, and all of them at a tight tolerance.
     #[test]
     fn segments_take_points_evenly() {
-        assert_eq!([0.1, 0.25, 0.5, 1.0, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 64, 16, 16]);
-        assert_eq!([0.5, 0.25].map(|db| points_a_segment(8, db)), [8, 8]);
+        assert_eq!([0.1, 0.35, 0.5, 0.6, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 128, 89, 64]);
+        assert_eq!([0.5, 5.0].map(|db| points_a_segment(64, db)), [64, 64]);
         assert!(points_of(5, 100, 100).eq(0..100));
         let mut taken = [0; 256];
         for segment in 0..13 {
