@@ -38,7 +38,7 @@ const TURN_S: f64 = 0.5;
 const MOST_TURN: f64 = 300.0;
 /// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
 const CLEAR: f64 = 0.5;
-/// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse.rs), and how
+/// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse/), and how
 /// much of a wall a range cell holds, m^2.
 const MULTIPATH_SHARE: f64 = 0.16;
 const PIECE_M2: f64 = 3.0;
