@@ -4,7 +4,7 @@
 //! Where a scene asks for it, static paths are diffracted by both sides and the top of the column ([`past_strip`]), in amplitude and
 //! phase: the field past an absorbing rectangle is 1 less a product of two Fresnel integrals over it (double knife edge).
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
@@ -171,6 +171,18 @@ pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Com
     1.0 - across * upright * fade
 }
 
+/// Whether a column that moves by up to `moved_m` may come near a folded path: where it does not, the field past it is whole.
+pub fn reaches(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
+    let axis = DVec2::new(column.x, column.y);
+    let reach_m = column.radius_m + REACH_M + moved_m;
+    polyline.windows(2).any(|leg| {
+        let (from, way) = (leg[0].truncate(), (leg[1] - leg[0]).truncate());
+        let square = way.length_squared();
+        let fraction = if square > 1e-12 { ((axis - from).dot(way) / square).clamp(0.0, 1.0) } else { 0.5 };
+        (from + fraction * way).distance_squared(axis) <= reach_m * reach_m
+    })
+}
+
 /// Field left on a folded path past columns.
 pub fn along(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> f64 {
     let mut weight = 1.0;
@@ -226,6 +238,23 @@ mod tests {
         }
         // The overshoot beside an edge: 1.17 of the free field at nu = 1.22.
         assert!((half_plane(1.217).norm() - 1.17).abs() < 0.01);
+    }
+
+    #[test]
+    fn out_of_reach_nothing_is_lost() {
+        let polyline = [DVec3::new(0.0, 0.0, 1.0), DVec3::new(4.0, 1.0, 1.5), DVec3::new(4.0, 1.0, 3.0)];
+        let mut near = 0;
+        for i in 0..2000 {
+            let (x, y) = (f64::from(i % 50) * 0.1, f64::from(i / 50) * 0.1 - 1.5);
+            let column = Column { x, y, radius_m: 0.18, height_m: 1.75 };
+            let left = along_strips(&polyline, &[column], 0.005);
+            near += usize::from(reaches(&polyline, &column, 0.0));
+            assert!(reaches(&polyline, &column, 0.0) || left == Complex64::ONE, "{x} {y}: {left}");
+            // As near as it was before it moved.
+            let moved = Column { x: x + 0.1, ..column };
+            assert!(reaches(&polyline, &column, 0.1) || !reaches(&polyline, &moved, 0.0), "{x} {y}");
+        }
+        assert!((400..1600).contains(&near), "{near}");
     }
 
     #[test]

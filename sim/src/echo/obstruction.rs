@@ -129,13 +129,7 @@ pub(super) struct Bystanders<'a> {
 
 impl<'a> Bystanders<'a> {
     /// None are known yet of so many images of a box.
-    pub(super) fn new(
-        stage: &'a Stage,
-        room: &'a BoxRoom,
-        people: &'a [Snapshot],
-        me: usize,
-        images: usize,
-    ) -> Self {
+    pub(super) fn new(stage: &'a Stage, room: &'a BoxRoom, people: &'a [Snapshot], me: usize, images: usize) -> Self {
         Bystanders { stage, room, people, me, of_images: vec![Vec::new(); images] }
     }
 

@@ -224,7 +224,13 @@ impl Paths<'_> {
     }
 
     /// Fields of both antennas' images at the highlights, but for spreading.
-    fn fields(&self, room: &BoxRoom, pairs: &[&Pair; WIDE], factors: &WideRow, seen: &HighlightRows) -> [WideFields; 2] {
+    fn fields(
+        &self,
+        room: &BoxRoom,
+        pairs: &[&Pair; WIDE],
+        factors: &WideRow,
+        seen: &HighlightRows,
+    ) -> [WideFields; 2] {
         let stage = self.stage;
         let mut fields = [WideFields::default(); 2];
         let antennas = [&stage.tx, stage.rx.first().unwrap_or(&stage.tx)];

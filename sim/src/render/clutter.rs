@@ -1,5 +1,6 @@
 //! What stands still: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
 
+use glam::DVec3;
 use num_complex::{Complex, Complex64};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -10,13 +11,17 @@ use crate::echo::Snapshot;
 use crate::random::{Purpose, generator};
 use crate::scene::file::ShadowFile;
 use crate::shadow::{self, Column};
-use crate::stage::drift;
+use crate::stage::{StaticPath, drift};
 use crate::synthesis::{Grid, Tone};
 
 /// Weights of static paths in a frame.
 pub(super) struct Clutter {
-    /// `[time][path]`.
-    pub(super) weights: Vec<Vec<Complex64>>,
+    /// Numbers and weights of paths that nobody comes near: the same at all times.
+    steady: Vec<(usize, Complex64)>,
+    /// Numbers of the other paths.
+    changing: Vec<usize>,
+    /// Their weights: `[time][changing path]`.
+    weights: Vec<Vec<Complex64>>,
     /// Whether the times are the middles of all chirps; the ends of the frame's stretches if not.
     pub(super) by_chirp: bool,
 }
@@ -38,24 +43,31 @@ impl Renderer {
         let has_people = traced.snapshots.iter().any(|people| !people.is_empty());
         if !(is_strip && has_people) {
             let weights = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
-            return Clutter { weights, by_chirp: false };
+            let changing = (0..self.stage.static_paths.len()).collect();
+            return Clutter { steady: Vec::new(), changing, weights, by_chirp: false };
         }
         let without_people = self.clutter_weights(index, &[start_s], &[Vec::new()]);
         let without_people = without_people.first().map(Vec::as_slice).unwrap_or_default();
         let (at_ends, active_s) = (columns(&traced.snapshots), self.active_s());
+        let paths = self.stage.static_paths.iter().zip(without_people).enumerate();
+        let (changing, steady): (Vec<_>, Vec<_>) =
+            paths.partition(|(_, (path, _))| may_shade(&path.polyline, &at_ends));
         let weights: Vec<Vec<Complex64>> = (0..self.waveform().shape().chirps)
             .map(|chirp| {
                 let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
-                let paths = self.stage.static_paths.iter().zip(without_people);
                 // Conjugated, as amplitudes at the ADC are.
-                paths
-                    .map(|(path, weight)| {
-                        weight * shadow::along_strips(&path.polyline, &people, self.stage.wavelength_m).conj()
-                    })
-                    .collect()
+                let weight = |(_, (path, weight)): &(usize, (&StaticPath, &Complex64))| {
+                    *weight * shadow::along_strips(&path.polyline, &people, self.stage.wavelength_m).conj()
+                };
+                changing.iter().map(weight).collect()
             })
             .collect();
-        Clutter { weights, by_chirp: true }
+        Clutter {
+            steady: steady.into_iter().map(|(number, (_, weight))| (number, *weight)).collect(),
+            changing: changing.into_iter().map(|(number, _)| number).collect(),
+            weights,
+            by_chirp: true,
+        }
     }
 
     /// Complex weight of every static path at the ends of stretches: `[end][path]`.
@@ -119,27 +131,54 @@ impl Renderer {
 
     /// Grids of static paths at the times of their weights; with every tone times `j` and its delay if so asked.
     pub(super) fn static_grids(&self, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
-        let of = |rx: usize| clutter.weights.iter().map(|weights| self.static_grid(rx, weights, is_by_delay)).collect();
+        let of = |rx: usize| {
+            let mut steady = self.synthesiser.grid();
+            self.add_static(rx, clutter.steady.iter().copied(), is_by_delay, &mut steady);
+            let at = |weights: &Vec<Complex64>| {
+                let mut grid = steady.clone();
+                let changing = clutter.changing.iter().copied().zip(weights.iter().copied());
+                self.add_static(rx, changing, is_by_delay, &mut grid);
+                grid
+            };
+            clutter.weights.iter().map(at).collect()
+        };
         StaticGrids { grids: (0..self.waveform().shape().rx).map(of).collect(), by_chirp: clutter.by_chirp }
     }
 
-    /// What stands still; with every tone times `j` and its delay if so asked.
-    fn static_grid(&self, rx: usize, weights: &[Complex64], is_by_delay: bool) -> Grid {
-        let mut grid = self.synthesiser.grid();
+    /// Lays static paths down, each by its number and with a weight; with every tone times `j` and its delay if so asked.
+    fn add_static(
+        &self,
+        rx: usize,
+        paths: impl Iterator<Item = (usize, Complex64)>,
+        is_by_delay: bool,
+        grid: &mut Grid,
+    ) {
         // Of a tone of one cycle a sample: what stands still has no Doppler.
         let delay_s = self.stage.chirp.sample_rate_hz / self.stage.chirp.slope_hz_per_s;
-        for (path, weight) in self.stage.static_paths.iter().zip(weights) {
-            if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = path.tones.get(rx) {
+        for (number, weight) in paths {
+            let tone = self.stage.static_paths.get(number).and_then(|path| path.tones.get(rx));
+            if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = tone {
                 let mut a = amplitude * weight;
                 if is_by_delay {
                     a *= Complex64::new(0.0, cycles_per_sample * delay_s);
                 }
                 let amplitude = Complex::new(a.re as f32, a.im as f32);
-                self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
+                self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, grid);
             }
         }
-        grid
     }
+}
+
+/// Whether somebody may come near a path between times that are evenly spread: nobody is farther from both neighbouring times than
+/// these are apart.
+fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
+    at_times.iter().enumerate().any(|(time, people)| {
+        people.iter().enumerate().any(|(i, column)| {
+            let next = at_times.get(time + 1).and_then(|people| people.get(i)).unwrap_or(column);
+            let moved_m = (next.x - column.x).hypot(next.y - column.y) + (next.radius_m - column.radius_m).abs();
+            shadow::reaches(polyline, column, moved_m)
+        })
+    })
 }
 
 /// People as columns in other paths' way, at each of several times.
