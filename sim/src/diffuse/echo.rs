@@ -30,10 +30,9 @@ const LEAST_POINTS: usize = 64;
 /// Fraction of the golden ratio: its multiples fall evenly between 0 and 1.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Number of the walls' points that each segment of a body takes at a tolerance: half of them at 0.5 dB, all of them at 0.35 dB and
-/// below.
+/// Number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB, a quarter at 1 dB.
 pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
-    let part = 0.5 * (0.5 / tolerance_db).powi(2);
+    let part = (0.5 / tolerance_db).powi(2);
     ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points)
 }
 
@@ -294,7 +293,7 @@ mod tests {
     /// Subsets cover all points evenly, and all of them at a tight tolerance.
     #[test]
     fn segments_take_points_evenly() {
-        assert_eq!([0.1, 0.35, 0.5, 0.6, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 128, 89, 64]);
+        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 114, 64, 64]);
         assert_eq!([0.5, 5.0].map(|db| points_a_segment(64, db)), [64, 64]);
         assert!(points_of(5, 100, 100).eq(0..100));
         let mut taken = [0; 256];

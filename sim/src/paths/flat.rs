@@ -14,7 +14,7 @@ use crate::trace::BodyError;
 /// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;
 /// Points beyond a side by this much still lie on a facet, m: those on the seam of two facets lie on one of them at least.
-const SEAM_M: f64 = 1e-9;
+pub(super) const SEAM_M: f64 = 1e-9;
 /// Walls let waves through that leave more than this part of a field at normal incidence: -40 dB.
 const LEAST_TRANSMISSION: f64 = 0.01;
 

@@ -11,7 +11,7 @@ use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edge_field::side_from_foot;
 use super::edges::SoftEdge;
 use super::environment::Passing;
-use super::flat::{FacetId, Flat};
+use super::flat::{FacetId, Flat, SEAM_M};
 use crate::field::fresnel::Reflection;
 use crate::field::image::{Element, Illumination};
 use crate::field::{Phasor3, incidence_frame};
@@ -301,7 +301,9 @@ impl ImagePaths {
             let flat = self.environment.flat(facet)?;
             let source = images.get(i + 1).copied()?;
             let (over, under) = (flat.height(target), flat.height(source));
-            if over <= BEFORE_M || under >= -BEFORE_M {
+            // A way into a corner and back meets both faces in their common edge: the one's point lies in the other's plane.
+            let least_m = if i + 1 == count { BEFORE_M } else { -SEAM_M };
+            if over <= least_m || under >= -BEFORE_M {
                 return None;
             }
             target = target.lerp(source, over / (over - under));
