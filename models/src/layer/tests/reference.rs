@@ -86,10 +86,12 @@ pub fn conv2d(
 
 /// Max-pooling of `[channel][rows][columns]`; padding is never the largest.
 pub fn max_pool(input: &[f64], [rows, columns]: [usize; 2], kernel: usize, stride: usize, padding: usize) -> Vec<f64> {
+    // None where the window is larger than the plane.
+    let places = |length: usize| (length + 2 * padding).checked_sub(kernel).map_or(0, |rest| rest / stride + 1);
     let mut out = Vec::new();
     for plane in input.chunks_exact(rows * columns) {
-        for y in 0..(rows + 2 * padding - kernel) / stride + 1 {
-            for x in 0..(columns + 2 * padding - kernel) / stride + 1 {
+        for y in 0..places(rows) {
+            for x in 0..places(columns) {
                 let window = |at: usize, length: usize| {
                     (at * stride).saturating_sub(padding)..(at * stride + kernel - padding).min(length)
                 };
