@@ -50,7 +50,7 @@ pub struct Snapshot {
     pub body: [Ellipsoid; SEGMENTS],
     before: [Ellipsoid; SEGMENTS],
     after: [Ellipsoid; SEGMENTS],
-    /// What stands in other paths' way.
+    /// Obstacle to other paths.
     pub column: Column,
     trunk: Column,
 }
@@ -138,7 +138,7 @@ pub struct Paths<'a> {
     images: usize,
     /// Number of the pair and segment of each highlight, in order.
     highlights: Vec<(usize, usize)>,
-    /// Of each segment, its highlight (0) and its places with folds (from 1 on).
+    /// Range of a segment: its highlight (0) and its places with folds (from 1 on).
     places: std::ops::Range<usize>,
     /// Instructions for paths side by side.
     level: KernelLevel,
@@ -184,7 +184,7 @@ impl<'a> Paths<'a> {
         (all.places.end > 1).then_some(Paths { places: 1..all.places.end, ..all })
     }
 
-    /// How many there are.
+    /// Number of paths.
     pub fn count(&self) -> usize {
         let besides = self.motion.person.at_desk.as_ref().map_or(0, |desk| {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };

@@ -14,12 +14,12 @@ use ahead::Ahead;
 
 mod ahead;
 
-/// What may be chosen beside the scene.
+/// Choices beside the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulateOptions {
     /// All random draws depend on it.
     pub seed: u64,
-    /// How many people there are at most (slots of visits, people at a desk, actors); the scene's own number if `None`, and
+    /// Greatest number of people (slots of visits, people at a desk, actors); the scene's own number if `None`, and
     /// 0 for an empty room.
     pub people: Option<usize>,
     /// End after this many frames; endless if `None`.
@@ -51,18 +51,18 @@ pub enum SimError {
     /// The seed makes no scene of the file's random values.
     #[error("simulation: {reason}")]
     Scene {
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// The tolerance is not a number in range.
     #[error("simulation: tolerance_db is {got}, expected 0.01 to 20 dB")]
     Tolerance {
-        /// What was given.
+        /// Value that was given.
         got: f64,
     },
 }
 
-/// Where somebody is in a frame.
+/// Place of a person in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PersonState {
     /// Slot: the same person keeps it over a visit.
@@ -79,7 +79,7 @@ pub struct PersonState {
     pub in_room: bool,
 }
 
-/// What it took to make a frame.
+/// Cost of making a frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FrameReport {
     /// Static paths.
@@ -112,7 +112,7 @@ pub struct Simulator {
     ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
     spare: Vec<Frame>,
     last_report: Option<FrameReport>,
-    /// Where they are made, if not on the threads that all share.
+    /// Threads on which they are made, if not those that all share.
     pool: Option<Arc<ThreadPool>>,
 }
 
@@ -187,7 +187,7 @@ impl Simulator {
         (frame, report)
     }
 
-    /// What comes back from people alone in a frame, without anything static and without a receiver's noise, LSB:
+    /// Echoes of people alone in a frame, without anything static and without a receiver's noise, LSB:
     /// `[rx][chirp][sample]`.
     pub fn echo_samples(&self, index: u64) -> Vec<f32> {
         self.inner.echo_samples(index, None)
@@ -210,17 +210,17 @@ impl Simulator {
         self.inner.dense_echo_chirp(index, chirp, margin_db)
     }
 
-    /// What it took to make the stream's last frame.
+    /// Cost of making the stream's last frame.
     pub fn last_report(&self) -> Option<&FrameReport> {
         self.last_report.as_ref()
     }
 
-    /// What is true of a frame.
+    /// Ground truth of a frame.
     pub fn truth(&self, index: u64) -> Truth {
         self.inner.truth(index)
     }
 
-    /// Who is where in the middle of a frame, those on their way outside the room included.
+    /// People and their places in the middle of a frame, those on their way outside the room included.
     pub fn people(&self, index: u64) -> Vec<PersonState> {
         self.inner.people(index)
     }

@@ -18,7 +18,7 @@ pub struct Key {
     pub amplitude: Complex64,
 }
 
-/// How a path bends at a key time.
+/// Curvature of a path at a key time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bend {
     /// Second and third derivative of the delay, 1/s and 1/s^2.
@@ -218,7 +218,7 @@ impl Stretch {
         Stretch { amplitude: std::array::from_fn(|p| self.amplitude[p] * first + below(p)), ..*self }
     }
 
-    /// How far it is at a place from a key that was traced there, as a field at `frequency_hz`, LSB.
+    /// Difference at a place from a key that was traced there, as a field at `frequency_hz`, LSB.
     pub fn error_lsb(&self, u: f64, key: &Key, frequency_hz: f64) -> f64 {
         let ((delay_s, _), amplitude) = (self.delay(u), self.amplitude(u));
         let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (delay_s - key.delay_s));

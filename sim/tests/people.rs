@@ -1,5 +1,5 @@
-//! What people do and wear: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways around
-//! furniture, and rough clothes that keep their power.
+//! Motion and clothes of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways
+//! around furniture, and rough clothes that keep their power.
 
 mod common;
 

@@ -252,7 +252,7 @@ impl Served {
         Served { child, address: format!("127.0.0.1:{port}"), token }
     }
 
-    /// Where browsers find it.
+    /// Address at which browsers find it.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }

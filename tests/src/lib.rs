@@ -1,4 +1,4 @@
-//! What the end-to-end tests share: the built program, its files, and its answers.
+//! Helpers of the end-to-end tests: the built program, its files, and its answers.
 
 pub mod browser;
 pub mod running;

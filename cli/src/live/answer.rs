@@ -21,7 +21,7 @@ impl std::fmt::Display for Probabilities {
 }
 
 impl Probabilities {
-    /// Of empty, one and two.
+    /// Probabilities of empty, one and two.
     pub fn values(self) -> [f32; 3] {
         [self.empty, self.one, self.two]
     }

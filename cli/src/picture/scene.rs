@@ -208,7 +208,7 @@ fn ways(preview: &Preview) -> Vec<Way> {
     all.into_iter().enumerate().map(one).collect()
 }
 
-/// When somebody is first in the room, and a few times after that at which they are elsewhere or otherwise.
+/// Time at which somebody is first in the room, and a few later ones at which they are elsewhere or in another posture.
 fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
     let size = scene.room().size_m;
     let in_room = |p: DVec3| p.x > 0.2 && p.y > 0.2 && p.x < size.x - 0.2 && p.y < size.y - 0.2;

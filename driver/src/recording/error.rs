@@ -15,7 +15,7 @@ pub enum RecordingError {
         path: PathBuf,
         /// Operation that failed.
         what: &'static str,
-        /// Why it failed.
+        /// Reason of the failure.
         source: std::io::Error,
     },
     /// A file that belongs to the recording is absent.
@@ -70,7 +70,7 @@ pub enum RecordingError {
     Corrupt {
         /// File.
         path: PathBuf,
-        /// Offset in the file, bytes.
+        /// Position in the file, bytes.
         offset: u64,
         /// Description of the error and of the expected content.
         reason: String,
@@ -111,7 +111,7 @@ pub enum RecordingError {
         path: PathBuf,
         /// Its length.
         offset: u64,
-        /// Whole frames that are there.
+        /// Number of whole frames in the file.
         whole_frames: u64,
         /// Frames that its header promises.
         expected_frames: u64,
@@ -139,7 +139,7 @@ pub enum RecordingError {
     Code {
         /// File.
         path: PathBuf,
-        /// Offset in the file, bytes.
+        /// Position in the file, bytes.
         offset: u64,
         /// Frame.
         frame: u64,

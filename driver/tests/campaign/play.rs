@@ -60,7 +60,7 @@ pub struct Outcome {
     pub lost: u64,
     /// Samples that are not the source's.
     pub wrong: u64,
-    /// Of those, the ones that no client could notice.
+    /// Faults among them that no client could notice.
     pub undetectable: u64,
     /// Faults after which nothing came any more.
     pub not_resumed: u64,

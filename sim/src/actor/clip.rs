@@ -40,11 +40,11 @@ const HAND: &[&str] = &["wrist", "hand"];
 /// One cycle of captured steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyClip {
-    /// How parts are turned; the first's place is that of the hips. Facing +x, in lengths of the legs.
+    /// Orientations of parts; the first's place is that of the hips. Facing +x, in lengths of the legs.
     cycle: Cycle,
     /// Ground covered in a cycle, in lengths of the legs.
     travel: f64,
-    /// Of a body of 1.75 m, as it walks.
+    /// Stance of a body of 1.75 m as it walks.
     walked: Stance,
     /// From when to when in the file, s.
     span_s: [f64; 2],
@@ -153,12 +153,12 @@ impl BodyClip {
         self.travel * hip_height_m * LEG_OF_HIP_HEIGHT
     }
 
-    /// How feet slide over the floor at a speed of walking.
+    /// Sliding of feet over the floor at a speed of walking.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
 
-    /// Which part of the file is the cycle, s.
+    /// Times in the file between which the cycle lies, s.
     pub fn span_s(&self) -> [f64; 2] {
         self.span_s
     }
@@ -188,7 +188,7 @@ fn leg_m(build: &Build) -> f64 {
 const SOLE_RAD: f64 = 0.17;
 const BALL: i32 = 3;
 
-/// Where soles may touch the floor: along the underside of either foot, from the heel to its ball.
+/// Places at which soles may touch the floor: along the underside of either foot, from the heel to its ball.
 fn soles(build: &Build, frames: &Frames) -> Vec<DVec3> {
     let body = build.hang(frames);
     let under = (-8..=BALL).map(|i| (SOLE_RAD * f64::from(i)).sin_cos()).map(|(s, c)| DVec3::new(s, 0.0, -c));
@@ -278,7 +278,7 @@ fn side(bvh: &Bvh, word: &str, letter: &str) -> Result<Side, FileFault> {
     })
 }
 
-/// How far a direction points up, rad.
+/// Angle of a direction above the horizontal, rad.
 fn pitch(v: DVec3) -> f64 {
     v.normalize_or_zero().z.clamp(-1.0, 1.0).asin()
 }
@@ -290,7 +290,7 @@ fn upward(z: DVec3, left: DVec3) -> DMat3 {
     DMat3::from_cols(y.cross(z), y, z)
 }
 
-/// How parts are turned in a pose; the hips are left at the origin.
+/// Orientations of parts in a pose; the hips are left at the origin.
 fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
     let [l, r] = sides;
     let hips = 0.5 * (p[l.thigh] + p[r.thigh]);

@@ -43,10 +43,10 @@ const CLOSED: f64 = 0.03;
 const LEAST_TRAVEL: f64 = 0.1;
 /// Heights that are believed without being asked for, m.
 const HEIGHTS_M: [f64; 2] = [0.5, 2.5];
-/// What touches the floor is among the lowest part of the body.
+/// Lowest part of the body, among which are the vertices that touch the floor.
 const FEET: f64 = 0.15;
 
-/// What may be said of an actor's file beside its name.
+/// Options of an actor's file beside its name.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ActorOptions {
     /// Name of the animation; the only one, or the only one that is called a walk, if absent.
@@ -182,7 +182,7 @@ impl Actor {
         self.cycle_m
     }
 
-    /// How feet slide over the floor at a speed of walking.
+    /// Sliding of feet over the floor at a speed of walking.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
@@ -319,7 +319,7 @@ fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     Sampled { poses, standing }
 }
 
-/// Which of the file's axes points up.
+/// Axis of the file that points up.
 fn up_axis(rig: &Rig) -> DVec3 {
     [DVec3::Y, DVec3::Z].into_iter().find(|&axis| rig.up.to_z_up(axis) == DVec3::Z).unwrap_or(DVec3::Z)
 }
@@ -352,7 +352,7 @@ fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
     all.into_iter().step_by(step).collect()
 }
 
-/// What feet do over a cycle.
+/// Finds the motion of the feet over a cycle.
 fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> Stance {
     let at = |pose: &Vec<Map>| feet.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], pose)).collect();
     let points: Vec<Vec<DVec3>> = poses.iter().map(at).collect();

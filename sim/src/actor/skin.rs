@@ -127,8 +127,8 @@ fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     least - BLEND_M * f64::ln(sum)
 }
 
-/// What moves a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units of
-/// the segment's semi-axes).
+/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units
+/// of the segment's semi-axes).
 #[derive(Debug, Clone, PartialEq)]
 struct Binding {
     first: u32,
@@ -179,8 +179,8 @@ pub struct PosedSkin {
     pub normals: Vec<DVec3>,
 }
 
-/// How far the surface lies beside the middle of an edge, m, from its ends and the unit normals there: the cubic over the edge that
-/// is tangential to the surface at both ends.
+/// Distance of the surface from the middle of an edge, m, from the edge's ends and the unit normals there: the cubic over the
+/// edge that is tangential to the surface at both ends.
 pub fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
     let d = b - a;
     0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
@@ -438,7 +438,7 @@ impl Map {
 }
 
 impl Map {
-    /// What adds nothing.
+    /// Map that adds nothing.
     pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
 }
 

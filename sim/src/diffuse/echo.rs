@@ -178,7 +178,7 @@ struct Segment {
     gains: Vec<f64>,
 }
 
-/// How a way to another receiver differs from that to the first.
+/// Difference of a way to another receiver from that to the first.
 struct Beside {
     length_m: f64,
     ratio: f64,

@@ -37,7 +37,7 @@ const NOTHING: Key = Key { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::
 pub struct Met {
     keys: [Key; RECEIVERS],
     receivers: usize,
-    /// Where it is met on its segment, a point of the unit sphere; `None` where there is no such path.
+    /// Place at which it is met on its segment, a point of the unit sphere; `None` where there is no such path.
     pub place: Option<DVec3>,
     /// The same in the room, m.
     point: DVec3,
@@ -68,7 +68,7 @@ fn vector(rows: &WideRow3, l: usize) -> DVec3 {
 }
 
 impl Snapshot {
-    /// How the material of a segment moves.
+    /// Motion of the material of a segment.
     fn drift(&self, segment: usize) -> Option<Drift> {
         let (before, after) = (self.before.get(segment)?, self.after.get(segment)?);
         let per_s = |step: DVec3| (step / (2.0 * VELOCITY_STEP_S)).to_array();

@@ -61,7 +61,7 @@ impl SkinnedPerson {
         &self.cloth
     }
 
-    /// What other people, and the body itself before the last wall, leave of an image antenna's field at each vertex: by
+    /// Factors of other people, and of the body itself before the last wall, on an image antenna's field at each vertex: by
     /// segment, as vertices follow those.
     pub fn past_people(&self, stage: &Stage, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
         let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
@@ -193,8 +193,8 @@ impl SkinnedPerson {
         all
     }
 
-    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it, at as many keys as
-    /// its loudness asks for.
+    /// Factors of people and limbs on every image antenna's light at the vertices of patches that shine by it, at as many keys
+    /// as its loudness asks for.
     fn weights(
         &self,
         work: &Work,

@@ -23,11 +23,11 @@ use crate::geometry::{Surface, polygon};
 pub struct Face {
     /// Convex polygon, counter-clockwise seen from its front.
     pub corners: Vec<DVec3>,
-    /// What it is made of.
+    /// Material.
     pub boundary: Boundary,
 }
 
-/// What one sequence of faces contributes.
+/// Contribution of one sequence of faces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contribution {
     /// Faces in the order in which the wave meets them.

@@ -67,7 +67,7 @@ pub struct Element {
     pub pattern: Pattern,
 }
 
-/// What an (image) antenna does at a point: its field there but for `e^{-jkR}/R`.
+/// Field of an (image) antenna at a point, but for `e^{-jkR}/R`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Illumination {
     /// Position of the image, m.

@@ -1,4 +1,4 @@
-//! Where a wave comes from or goes to: an antenna in the near field, or a direction in the far field.
+//! Endpoint of a wave: an antenna in the near field, or a direction in the far field.
 //!
 //! Far terminals measure path lengths against the origin and leave spreading out, so that a near-field integral times
 //! `R_t R_r` tends to the far-field one.

@@ -28,15 +28,15 @@ pub enum MeshError {
     NoPlace {
         /// The vertex.
         vertex: usize,
-        /// Where it is, m.
+        /// Place, m.
         position: DVec3,
     },
     /// A length that is none.
     #[error("{what} is {given_m} m, expected a positive number")]
     Length {
-        /// What the length is for.
+        /// Purpose of the length.
         what: &'static str,
-        /// What was given, m.
+        /// Length that was given, m.
         given_m: f64,
     },
 }

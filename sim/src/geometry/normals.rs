@@ -118,7 +118,7 @@ fn ring_normals(mesh: &Mesh) -> (Vec<DVec3>, Vec<f64>) {
     (normals.into_iter().map(DVec3::normalize_or_zero).collect(), areas)
 }
 
-/// Which vertices an edge joins to which.
+/// Vertices that edges join to each vertex.
 struct Adjacency {
     starts: Vec<u32>,
     others: Vec<u32>,

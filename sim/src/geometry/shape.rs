@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::Surface;
 
-/// How many pieces of about this length a length is cut into.
+/// Number of pieces of about this length into which a length is cut.
 fn pieces(length_m: f64, edge_m: f64) -> usize {
     ((length_m / edge_m).round() as usize).clamp(1, 4096)
 }

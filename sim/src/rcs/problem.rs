@@ -21,7 +21,7 @@ const MOST_TRIANGLES: f64 = 4e6;
 const STRAIGHT_RAD: f64 = 1e-9;
 /// Bounces between plane faces, at most.
 const MOST_BOUNCES: usize = 3;
-/// Where far is, in sizes of an exact shape.
+/// Distance that is far, in sizes of an exact shape.
 const FAR: f64 = 1e7;
 /// Most times that facets are halved for the sake of a tolerance.
 const ROUNDS: usize = 7;
@@ -52,7 +52,7 @@ enum Shape {
     Mesh(Box<Mesh>),
 }
 
-/// What a solution is and what it took.
+/// Solution and its cost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
     /// Cross-section, m^2.

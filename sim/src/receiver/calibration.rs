@@ -29,9 +29,9 @@ use leakage::{Shape, fit_shape};
 
 /// Frames without which nothing is fitted.
 pub const LEAST_FRAMES: usize = 16;
-/// Of a recording's noise so many periodograms a channel are kept, evenly spread.
+/// Greatest number of periodograms that are kept of a recording's noise by channel, evenly spread.
 const MOST_PERIODOGRAMS: usize = 20_000;
-/// And of its frames' mean chirps so many.
+/// Greatest number of frames whose mean chirps are kept.
 const MOST_CHIRPS: usize = 4096;
 /// From the median of a normal distribution's deviations to its standard deviation.
 const MAD: f64 = 1.4826;
@@ -67,7 +67,7 @@ pub enum CalibrationError {
     },
 }
 
-/// What is kept of one channel.
+/// Data that are kept of one channel.
 struct Channel {
     /// `[kept][bin]`, LSB^2 a sample.
     periodograms: Vec<Vec<f32>>,
@@ -77,7 +77,7 @@ struct Channel {
     levels: Vec<Vec<Level>>,
 }
 
-/// What is kept of every frame's mean chirp.
+/// Data that are kept of every frame's mean chirp.
 #[derive(Debug, Clone, Copy)]
 struct Level {
     /// Its mean, LSB.
@@ -116,7 +116,7 @@ pub struct ChannelFit {
     pub density_lsb2: Vec<f64>,
     /// Median of the frames' mean chirps, LSB.
     pub chirp_lsb: Vec<f64>,
-    /// What the fit of that leaves, LSB rms.
+    /// Error of the fit of that, LSB rms.
     pub residual_lsb: f64,
 }
 
@@ -150,7 +150,7 @@ impl Calibration {
         })
     }
 
-    /// What comes next is another recording: nothing is said of changes from the last frame to its first.
+    /// Begins another recording: nothing is said of changes from the last frame to its first.
     pub fn begin_recording(&mut self) {
         self.channels.iter_mut().for_each(|channel| channel.levels.push(Vec::new()));
     }
@@ -368,7 +368,7 @@ mod tests {
         calibration.fit(&Receiver::typical(), "fitted", "a test")
     }
 
-    /// What is put in comes out: noise by bin, offsets, mean chirps, jitter.
+    /// The calibration gives back what was put in: noise by bin, offsets, mean chirps, jitter.
     #[test]
     fn a_known_receiver_is_found_again() {
         let mut receiver = Receiver::typical();

@@ -1,4 +1,4 @@
-//! What stands still: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
+//! Static echoes: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
 
 use glam::DVec3;
 use num_complex::{Complex, Complex64};

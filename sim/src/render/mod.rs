@@ -33,8 +33,8 @@ mod receiver;
 mod skins;
 mod truth;
 
-/// How far below the noise of a cell a path is left out, dB: those of 10 dB below it add half a decibel to a cell that
-/// stands just above it.
+/// Distance below the noise of a cell at which a path is left out, dB: those of 10 dB below it add half a decibel to a cell
+/// that stands just above it.
 fn margin_db(tolerance_db: f64) -> f64 {
     10.0 - 20.0 * (tolerance_db / 0.5).log10()
 }
@@ -141,7 +141,7 @@ impl Renderer {
         report
     }
 
-    /// How everybody moves who is there in a frame.
+    /// Motions of all people who are there in a frame.
     fn motions(&self, start_s: f64) -> Vec<Arc<Motion>> {
         self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, motion)| motion).collect()
     }

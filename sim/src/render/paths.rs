@@ -18,15 +18,15 @@ use crate::tracks::Tracks;
 pub(super) const FIRST_HALVINGS: u32 = 1;
 /// Most of that.
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
-/// What may be missed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector magnitude):
-/// weak paths have cells of their own in a map, where nothing stronger hides their errors.
+/// Error that is allowed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector
+/// magnitude): weak paths have cells of their own in a map, where nothing stronger hides their errors.
 const KEY_TOLERANCE: f64 = 0.01;
 
 /// Everybody's paths in a frame.
 pub(super) struct Traced {
     /// `[end of a stretch][person]`.
     pub(super) snapshots: Vec<Vec<Snapshot>>,
-    /// How often the frame is halved into those stretches.
+    /// Number of times that the frame is halved into those stretches.
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,

@@ -1,4 +1,4 @@
-//! Who is in the room in a frame.
+//! People in the room in a frame.
 
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ impl Renderer {
         start_s + self.active_s() * time as f64 / (TRUTH_TIMES - 1) as f64
     }
 
-    /// What is true of a frame, given the bodies of people by the number of the time.
+    /// Ground truth of a frame, given the bodies of people by the number of the time.
     pub(super) fn truth_of(
         &self,
         motions: &[Arc<Motion>],

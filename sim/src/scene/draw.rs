@@ -18,7 +18,7 @@ use toml::{Table, Value};
 
 use crate::random::{Purpose, generator};
 
-/// What a key's value is drawn from: exactly one of the two.
+/// Distribution of a key's value: exactly one of the two.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomFile {
@@ -38,7 +38,7 @@ pub(super) struct DrawFault {
     pub(super) expected: &'static str,
 }
 
-/// Where in its range every value is taken.
+/// Choice of the place in its range at which every value is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Draw {
     /// By chance.
@@ -49,7 +49,7 @@ pub(super) enum Draw {
     Greatest,
 }
 
-/// What must be the same for all seeds, since frames of all of them go together.
+/// Keys that must be the same for all seeds, since frames of all of them go together.
 const FIXED: [&str; 4] = ["format", "name", "waveform", "random"];
 
 /// A scene's table with every key of `random` drawn.
@@ -82,7 +82,7 @@ pub(super) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
     Ok(scene)
 }
 
-/// Where a dotted path leads; its last key may be new.
+/// Value to which a dotted path leads; its last key may be new.
 fn place<'a>(scene: &'a mut Table, path: &str) -> Option<&'a mut Value> {
     let mut keys: Vec<&str> = path.split('.').collect();
     let last = keys.pop()?;

@@ -43,7 +43,7 @@ pub struct OwnMaterial {
     /// Coefficients `[a, b, c, d]` of the recommendation.
     #[serde(default)]
     pub p2040: Option<[f64; 4]>,
-    /// Where that holds, GHz. Everywhere if absent.
+    /// Frequencies at which that holds, GHz. Everywhere if absent.
     #[serde(default)]
     pub band_ghz: Option<[f64; 2]>,
 }
@@ -87,7 +87,7 @@ impl Material {
         Material::deserialize(name).ok()
     }
 
-    /// Where the table's constants hold, GHz.
+    /// Frequencies at which the table's constants hold, GHz.
     pub fn band_ghz(self) -> [f64; 2] {
         match self {
             Material::Concrete | Material::Plasterboard | Material::CeilingBoard | Material::Chipboard => [1.0, 100.0],

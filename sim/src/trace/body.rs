@@ -63,7 +63,7 @@ pub enum BodyError {
     },
 }
 
-/// How much time a structure is worth.
+/// Time that a structure is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Build {
     /// Built once and never moved: large triangles are split among boxes, all nodes are placed again.
@@ -301,7 +301,7 @@ impl Body {
         all
     }
 
-    /// How often a line goes in and out.
+    /// Number of times that a line goes in and out.
     pub(super) fn crossings(&self, probe: &Probe) -> Crossings {
         let mut crossings = Crossings::default();
         if self.build == Build::Static {
@@ -340,7 +340,7 @@ pub(super) fn roaming_m(scale_m: f64) -> f64 {
     8.0 + 2.0 * scale_m
 }
 
-/// What boxes are enlarged by, m: twice what f32 loses in the ray-box test over the longest way.
+/// Length by which boxes are enlarged, m: twice what f32 loses in the ray-box test over the longest way.
 fn pad_m(scale_m: f64) -> f32 {
     (8.0 * f64::from(f32::EPSILON) * (roaming_m(scale_m) + scale_m)) as f32
 }

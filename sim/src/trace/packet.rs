@@ -30,7 +30,7 @@ pub(super) struct Packet {
     bundle: Bundle,
 }
 
-/// What is met by each ray so far, with the body.
+/// Nearest hit of each ray so far, with the body.
 pub(super) type Found = [Option<(u32, Nearest)>; LANES];
 
 impl Packet {
@@ -221,7 +221,7 @@ impl Bundle {
         mask
     }
 
-    /// Which of eight boxes, given by their least and greatest coordinates, overlap the bundle, as bits.
+    /// Boxes of eight, given by their least and greatest coordinates, that overlap the bundle, as bits.
     #[inline(always)]
     fn overlaps(&self, planes: &[[Lane; 2]; 3]) -> u32 {
         let mut enter: Lane = [0.0; LANES];

@@ -80,7 +80,7 @@ impl World {
         blocked_body(self, ray)
     }
 
-    /// How a ray with an end passes a body, as a continuous quantity. `None` where the body's outline is farther than
+    /// Passage of a ray with an end by a body, as a continuous quantity. `None` where the body's outline is farther than
     /// `reach_m` from a clear way; where the way is blocked and no way past is within reach, the clearance is `-reach_m`.
     /// Three times the radius of the first Fresnel zone is reach enough: a knife edge there changes the field by 4 percent.
     pub fn clearance(&self, body: u32, ray: &Ray, reach_m: f64) -> Option<Clearance> {
@@ -95,7 +95,8 @@ impl World {
         all.iter().map(|n| hit(body, n, probe.start)).collect()
     }
 
-    /// How often a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends outside.
+    /// Number of times that a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends
+    /// outside.
     pub fn crossings(&self, body: u32, ray: &Ray) -> Crossings {
         let probe = self.probe(ray);
         self.bodies.get(body as usize).map(|b| b.crossings(&probe)).unwrap_or_default()
@@ -108,8 +109,8 @@ impl World {
         Some((a * wa + b * wb + c * wc) / (wa + wb + wc))
     }
 
-    /// Where a ray meets the plane of a hit's triangle in f64: distance, m, and weights of the corners. `None` where it runs
-    /// along the plane.
+    /// Meeting of a ray with the plane of a hit's triangle in f64: distance, m, and weights of the corners. `None` where it
+    /// runs along the plane.
     pub fn exact(&self, ray: &Ray, hit: &Hit) -> Option<(f64, [f64; 3])> {
         let corners = self.bodies.get(hit.body as usize)?.mesh().corners(hit.triangle as usize)?;
         super::reference::plane(ray, corners)

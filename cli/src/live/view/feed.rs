@@ -60,7 +60,7 @@ pub enum Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
-    /// It is not.
+    /// Static echoes stay.
     None,
     /// The mean over a frame's chirps.
     #[default]

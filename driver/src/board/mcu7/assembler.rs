@@ -43,7 +43,7 @@ pub(super) struct Assembler {
     frame_interval_us: f64,
     /// Number of the next packet since the start: the counter, unwrapped.
     next_packet: u64,
-    /// Offset in the stream up to which bytes have been received or given up.
+    /// Stream offset up to which bytes have been received or given up.
     received: u64,
     /// Contiguous bytes of the stream from `buffer_start` on.
     buffer: Vec<u8>,
@@ -457,7 +457,7 @@ mod tests {
             assert_eq!(found, [Err(gap), Ok((10, 10 * FRAME_NS)), Ok((11, 11 * FRAME_NS))]);
         }
 
-        /// And after an overflow it counted as the very next one.
+        /// After an overflow, a frame counted as the very next one.
         #[test]
         fn a_frame_without_time_after_a_restart_does_not_count_what_was_lost() {
             let mut assembler = two_frames_a_slice();

@@ -67,7 +67,7 @@ pub(super) enum Then {
 /// Direction in which somebody looks who stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Facing {
-    /// As before.
+    /// Posture as before.
     Same,
     /// In a direction, rad.
     Heading(f64),

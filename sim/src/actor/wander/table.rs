@@ -119,7 +119,7 @@ struct Table {
 }
 
 impl Group {
-    /// As many people in a setting.
+    /// Creates as many people in a setting.
     pub fn new(setting: Setting, slots: usize) -> Self {
         let states = vec![State::new(&setting, slots)];
         Group { setting, table: Mutex::new(Table { states, recent: VecDeque::new() }) }

@@ -1,4 +1,4 @@
-//! What can be told of wandering people whatever they do.
+//! Properties of wandering people whatever they do.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -199,7 +199,7 @@ fn two_people_never_come_too_close_and_go_on() {
     }
 }
 
-/// Who walks together is together, who follows is not far behind, who meets stands face to face.
+/// People who walk together are together, followers are not far behind, and people who meet stand face to face.
 #[test]
 fn modes_are_what_they_say() {
     let share = |mode: &str, of: &dyn Fn(&Motion, &Motion, f64) -> bool| {
@@ -342,7 +342,7 @@ fn an_hour_is_short_work() {
     assert!(group.kept_blocks() <= 8, "{} blocks", group.kept_blocks());
 }
 
-/// As many as asked for, or as the seed draws; somebody beyond the wall counts for nobody.
+/// There are as many people as asked for, or as the seed draws; nobody beyond the wall counts.
 #[test]
 fn as_many_people_as_drawn() {
     let scene = scene("passer_by_probability = 1.0");

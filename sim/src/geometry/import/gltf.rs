@@ -29,7 +29,7 @@ pub(crate) struct GltfFile {
     numbers: Cell<usize>,
 }
 
-/// What is wrong with a file, and where.
+/// Error in a file, and its place.
 pub(crate) struct GltfFault {
     pub place: String,
     pub problem: String,

@@ -1,4 +1,4 @@
-//! Where a scene's surfaces come from: its box, its floor plan or its files, and its furniture.
+//! Sources of a scene's surfaces: its box, its floor plan or its files, and its furniture.
 
 use glam::DVec3;
 
@@ -39,7 +39,7 @@ pub(in crate::scene) fn surfaces(
     Surfaces::assemble(drafts, small, DVec3::from_array(file.radar.position_m))
 }
 
-/// What a surface does to waves; `None` where there is none.
+/// Reflection and transmission of a surface; `None` where there is none.
 pub(in crate::scene) fn solid(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
     slab(file, surface, frequency_hz).filter(|wall| *wall != Wall::Open)
 }
