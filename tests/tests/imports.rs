@@ -21,8 +21,6 @@ const CRATES: [(&str, &[&str]); 5] = [
 
 /// Cycles that there are: parent, and the modules below it that import each other. This list may only become shorter.
 const KNOWN_CYCLES: &[&str] = &[
-    "driver::board: deepcraft, error, reconnect",
-    "driver::recording: infineon, mcap, text, writer",
     "sim: actor, field, geometry, scene",
     "sim: diffuse, echo, stage",
     "sim: render, simulator",
