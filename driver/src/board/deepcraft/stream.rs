@@ -6,10 +6,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::board::{DeepcraftBoard, Setting};
-use super::error::DeepcraftError;
 use super::resequencer::Resequencer;
-use crate::board::BoardError;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, check_same, next_event};
+use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
     CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, RING_CODES,
@@ -307,13 +306,8 @@ impl Reconnectable for DeepcraftStream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        // A former attempt may have opened the port and failed later.
-        self.board = None;
         let board = DeepcraftBoard::open(&self.path)?;
-        if board.identity.uuid != self.uuid {
-            let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
-            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-        }
+        check_same(&self.path, &self.uuid, &board.identity)?;
         self.board = Some(board);
         self.begin_anew()?;
         self.resequencer.restart(GapReason::Disconnected);

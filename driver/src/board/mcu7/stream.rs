@@ -9,7 +9,7 @@ use super::assembler::{Assembler, Outcome};
 use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
 use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
 use crate::transport::Address;
@@ -231,13 +231,8 @@ impl Reconnectable for Mcu7Stream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        // A former attempt may have opened the port and failed later.
-        self.board = None;
         let board = Mcu7Board::open_at(&self.address)?;
-        if board.identity().uuid != self.uuid {
-            let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
-            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-        }
+        check_same(&self.path, &self.uuid, board.identity())?;
         self.board = Some(board);
         self.program()?;
         self.assembler.reconnected();
