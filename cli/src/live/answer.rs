@@ -34,7 +34,7 @@ impl From<[f32; 3]> for Probabilities {
 }
 
 /// Answer to one frame.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Answer {
     /// Sequence number of the frame.
     pub sequence: u64,

@@ -166,35 +166,18 @@ mod tests {
 
     use super::super::{Scene, SceneError};
 
-    const SCENE: &str = r#"
+    const SCENE: &str = concat!(
+        r#"
 format = 1
 name = "hall"
 
 [room]
 size_m = [4.0, 4.0, 2.5]
-x_low = { material = "concrete" }
-x_high = { material = "concrete" }
-y_low = { material = "concrete" }
-y_high = { material = "concrete" }
-floor = { material = "concrete" }
-ceiling = { material = "concrete" }
-
+"#,
+        include_str!("test_room.toml"),
+        r#"
 [radar]
 position_m = [0.1, 1.5, 1.2]
-
-[waveform]
-start_frequency_hz = 60.5e9
-end_frequency_hz = 61.5e9
-samples_per_chirp = 128
-chirps_per_frame = 64
-sample_rate_hz = 2e6
-chirp_interval_s = 391.55e-6
-frame_interval_s = 0.1
-rx_antennas = [1]
-tx_power_level = 31
-if_gain_db = 48.0
-high_pass_cutoff_hz = 80e3
-anti_alias_cutoff_hz = 500e3
 
 [[furniture]]
 name = "shelf"
@@ -204,7 +187,8 @@ size_m = [0.8, 0.3, 1.5]
 [people]
 [[people.actor]]
 step = [{ walk_to_m = [2.0, 2.0] }]
-"#;
+"#
+    );
 
     fn scene(random: &str) -> Result<Scene, SceneError> {
         Scene::parse(&format!("{SCENE}\n[random]\n{random}"), Path::new("hall.toml"))
