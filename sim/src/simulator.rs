@@ -132,6 +132,9 @@ impl Clone for Simulator {
 
 impl Simulator {
     /// Prepares a scene: draws what differs between seeds, traces what is static, draws who comes.
+    ///
+    /// # Errors
+    /// [`SimError`] for more people than the scene has room for, for a tolerance out of range, and for a seed that makes no scene.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         let people = &scene.file().people;
         let most = match &people.visits {

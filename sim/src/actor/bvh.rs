@@ -127,6 +127,9 @@ impl<'a> Words<'a> {
 }
 
 /// Parses a BVH file.
+///
+/// # Errors
+/// [`BvhError`] at the first line that is not as expected, for frames that are missing, and for a file beyond the limits.
 pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
     if text.len() > LARGEST_BYTES {
         let problem = format!("the text has {} bytes", text.len());

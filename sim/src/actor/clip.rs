@@ -64,6 +64,9 @@ struct Side {
 impl BodyClip {
     /// A clip from a BVH file's text. `cycle_s` says which part of it is one cycle of two steps; found if absent.
     /// `up` is which of its axes points up.
+    ///
+    /// # Errors
+    /// [`FileFault`] if the text is no BVH file, its skeleton has no two legs, or it holds no cycle of steps.
     pub fn parse(text: &str, up: UpAxis, cycle_s: Option<[f64; 2]>) -> Result<Self, FileFault> {
         let bvh = parse_bvh(text).map_err(|e| {
             let problem = format!("{}, expected {}", e.problem, e.expected);

@@ -77,6 +77,9 @@ pub struct Actor {
 
 impl Actor {
     /// An actor from a glTF (`.gltf`, `.glb`) or COLLADA (`.dae`) file's bytes; `path` tells which, and where buffers lie.
+    ///
+    /// # Errors
+    /// [`FileFault`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
     pub fn parse(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Self, FileFault> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let mut rig = match extension.as_str() {

@@ -178,6 +178,9 @@ impl Track {
 
 impl Rig {
     /// Refuses what cannot be posed; brings weights to a sum of one.
+    ///
+    /// # Errors
+    /// [`FileFault`] for the first part that is out of range or too large.
     pub fn check(&mut self) -> Result<(), FileFault> {
         let export = "export it again from the program it was made with, applying all transforms";
         if self.joints.is_empty() || self.vertices.is_empty() {

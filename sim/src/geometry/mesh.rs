@@ -52,6 +52,9 @@ pub struct Mesh {
 
 impl Mesh {
     /// Refuses indices without a vertex and vertices without a place.
+    ///
+    /// # Errors
+    /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
     pub fn check(&self) -> Result<(), MeshError> {
         check_places(&self.vertices)?;
         let vertices = self.vertices.len();

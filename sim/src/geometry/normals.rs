@@ -13,6 +13,9 @@ use super::{Mesh, MeshError};
 /// Unit normals at the vertices, smoothed over a radius; vertices without a triangle have none (zero). Only what hangs
 /// together over the surface counts, and only what faces within 60 degrees of the vertex's own: across a fold there is another
 /// surface.
+///
+/// # Errors
+/// [`MeshError`] for a mesh that [`Mesh::check`] refuses, and for a radius that is negative or not finite.
 pub fn smooth_normals(mesh: &Mesh, radius_m: f64) -> Result<Vec<DVec3>, MeshError> {
     mesh.check()?;
     // Written so that NaN is refused.

@@ -26,6 +26,9 @@ pub struct Welded {
 
 /// Makes vertices within a tolerance one: each goes where the first of them is, so nothing moves farther than the tolerance.
 /// Files without indices (STL) and seams of textures come apart at edges otherwise: rays leak there, normals break.
+///
+/// # Errors
+/// [`MeshError`] for a mesh that [`Mesh::check`] refuses, and for a tolerance that is not positive and finite.
 pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     mesh.check()?;
     // Written so that NaN is refused.

@@ -133,6 +133,9 @@ pub struct Fit {
 
 impl Calibration {
     /// Nothing yet, for recordings of a waveform of about so many frames in all.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Shape`] if a frame has too few chirps or samples.
     pub fn new(waveform: &Waveform, frames: usize) -> Result<Self, CalibrationError> {
         let shape = waveform.shape();
         if shape.chirps < 3 || shape.samples < 16 {
@@ -156,6 +159,9 @@ impl Calibration {
     }
 
     /// Takes in a frame.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Frame`] if the frame has another shape than the waveform says.
     pub fn push(&mut self, frame: &Frame) -> Result<(), CalibrationError> {
         let shape = self.waveform.shape();
         if frame.shape != shape || frame.codes.len() != shape.codes() {
@@ -195,6 +201,9 @@ impl Calibration {
     }
 
     /// The receiver that made these frames: `base` with what they show.
+    ///
+    /// # Errors
+    /// [`CalibrationError::TooShort`] if there are too few frames, and [`CalibrationError::Silent`] if a channel has no noise.
     pub fn fit(&self, base: &Receiver, name: &str, measured_from: &str) -> Result<Fit, CalibrationError> {
         if self.seen < LEAST_FRAMES {
             return Err(CalibrationError::TooShort { got: self.seen });

@@ -163,6 +163,9 @@ impl Scene {
     }
 
     /// A scene from a file with other values of some keys of its `[waveform]`. Lines in errors are then those of the changed text.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`].
     pub fn load_with_waveform(path: &Path, keys: &toml::Table) -> Result<Self, SceneError> {
         let text = read(path)?;
         if keys.is_empty() {
@@ -176,6 +179,9 @@ impl Scene {
     }
 
     /// Empty space before a radar of a waveform: what a receiver shows by itself.
+    ///
+    /// # Errors
+    /// [`SceneError`] if no scene can have the waveform.
     pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
         let request = toml::to_string(&waveform.request).unwrap_or_default();
         let open = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"]
@@ -189,6 +195,9 @@ impl Scene {
     }
 
     /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`], but for the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
@@ -201,6 +210,9 @@ impl Scene {
     }
 
     /// The scene that a seed makes of this one: the same where the file has no `[random]` table.
+    ///
+    /// # Errors
+    /// [`SceneError`] if the values that are drawn make no scene, or the receiver's file cannot be read any more.
     pub fn drawn(&self, seed: u64) -> Result<Self, SceneError> {
         self.drawn_at(Draw::Seed(seed))
     }
@@ -414,6 +426,9 @@ impl Scene {
 }
 
 /// Reads and checks a receiver file.
+///
+/// # Errors
+/// [`SceneError`] if the file cannot be read, is malformed, or has a value that is out of range.
 pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
     let text = read(path)?;
     let receiver: Receiver = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;

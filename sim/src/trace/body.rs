@@ -97,12 +97,18 @@ pub(super) struct Nearest {
 
 impl Body {
     /// A structure over a mesh each of whose triangles is a surface of its own.
+    ///
+    /// # Errors
+    /// [`BodyError::Mesh`] for a mesh that [`Mesh::check`] refuses, and [`BodyError::TooDeep`].
     pub fn new(mesh: Mesh, build: Build) -> Result<Self, BodyError> {
         let groups = (0..mesh.triangles.len() as u32).collect();
         Self::with_groups(mesh, groups, build)
     }
 
     /// A structure over a mesh with one coplanar group a triangle ([`crate::geometry`] finds them).
+    ///
+    /// # Errors
+    /// Those of [`Body::new`], and [`BodyError::Groups`] if there is not one group a triangle.
     pub fn with_groups(mesh: Mesh, groups: Vec<u32>, build: Build) -> Result<Self, BodyError> {
         Self::in_world(mesh, groups, build, 0.0)
     }
@@ -146,6 +152,10 @@ impl Body {
 
     /// Moves the vertices and fits the boxes to them again. A structure built as [`Build::Static`] is built again, since its
     /// boxes hold parts of triangles.
+    ///
+    /// # Errors
+    /// [`BodyError::OtherMesh`] for another number of vertices, [`BodyError::Mesh`] for a vertex without a place, and
+    /// [`BodyError::TooDeep`] where the structure is built again.
     pub fn refit(&mut self, vertices: &[DVec3]) -> Result<(), BodyError> {
         if vertices.len() != self.mesh.vertices.len() {
             return Err(BodyError::OtherMesh { expected: self.mesh.vertices.len(), given: vertices.len() });

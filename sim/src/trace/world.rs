@@ -20,6 +20,9 @@ pub struct World {
 
 impl World {
     /// A world of bodies. Those much smaller than it have their boxes enlarged for it.
+    ///
+    /// # Errors
+    /// [`BodyError`] if a structure cannot be built again with larger boxes.
     pub fn new(mut bodies: Vec<Body>) -> Result<Self, BodyError> {
         let scale_m = bodies.iter().map(Body::scale_m).fold(0.0, f64::max);
         enlarge(&mut bodies, scale_m)?;
@@ -27,6 +30,9 @@ impl World {
     }
 
     /// Moves the vertices of a body; see [`Body::refit`].
+    ///
+    /// # Errors
+    /// [`BodyError::NoSuchBody`], and those of [`Body::refit`].
     pub fn refit(&mut self, body: u32, vertices: &[DVec3]) -> Result<(), BodyError> {
         let bodies = self.bodies.len();
         let moved = self.bodies.get_mut(body as usize).ok_or(BodyError::NoSuchBody { body, bodies })?;

@@ -148,6 +148,9 @@ pub enum ImportError {
 }
 
 /// Reads a mesh file; its name's ending tells the format.
+///
+/// # Errors
+/// [`ImportError`] if the file cannot be read, its content is damaged or holds no triangle, or its name has another ending.
 pub fn import(path: &Path, unit: LengthUnit, up: UpAxis) -> Result<Vec<Part>, ImportError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     if !["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {
