@@ -4,6 +4,7 @@ mod audible;
 pub mod chirp_sum;
 pub mod demand;
 pub mod dense;
+pub mod diffuse;
 mod key_rows;
 mod obstruction;
 mod patch;

@@ -3,37 +3,16 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use glam::DVec3;
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use thiserror::Error;
 
 use crate::render::Renderer;
+pub use crate::render::{FrameReport, PersonState, SimulateOptions};
 use crate::scene::Scene;
 use ahead::Ahead;
 
 mod ahead;
-
-/// Choices beside the scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SimulateOptions {
-    /// All random draws depend on it.
-    pub seed: u64,
-    /// Greatest number of people (slots of visits, people at a desk, actors); the scene's own number if `None`, and
-    /// 0 for an empty room.
-    pub people: Option<usize>,
-    /// End after this many frames; endless if `None`.
-    pub frames: Option<u64>,
-    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
-    /// and how finely the rest is integrated follows from it.
-    pub tolerance_db: f64,
-}
-
-impl Default for SimulateOptions {
-    fn default() -> Self {
-        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 0.5 }
-    }
-}
 
 /// Options that cannot be met.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -60,45 +39,6 @@ pub enum SimError {
         /// Value that was given.
         got: f64,
     },
-}
-
-/// Place of a person in a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PersonState {
-    /// Slot: the same person keeps it over a visit.
-    pub slot: usize,
-    /// Middle of the chest, m, in the room.
-    pub position: DVec3,
-    /// Its velocity, m/s.
-    pub velocity: DVec3,
-    /// Distance from the radar, m.
-    pub range_m: f64,
-    /// Radial speed, positive receding, m/s.
-    pub radial_speed_m_per_s: f64,
-    /// Whether any part is in the room.
-    pub in_room: bool,
-}
-
-/// Cost of making a frame.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct FrameReport {
-    /// Static paths.
-    pub static_paths: usize,
-    /// Moving paths that were evaluated at the keys.
-    pub traced_paths: usize,
-    /// Those of them that are strong enough to be heard, and so were synthesised.
-    pub moving_paths: usize,
-    /// Key times, of the path that took the most.
-    pub keys: usize,
-    /// Estimated error of interpolation between keys, relative to the echoes, rms by power.
-    pub between_keys: f64,
-    /// Estimated error of the strongest way's echoes where people have skins, dB; `None` where they are ellipsoids, whose
-    /// highlights are closed forms.
-    pub estimate_db: Option<f64>,
-    /// Amplitudes clamped because an antenna was nearer than 10 cm, or inside a body.
-    pub clamped: usize,
-    /// Codes at either end of the ADC.
-    pub clipped: usize,
 }
 
 /// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, or [its own](Simulator::on_own_threads), from

@@ -22,14 +22,7 @@ const CRATES: [(&str, &[&str]); 5] = [
 /// Cycles that there are: parent, and the modules below it that import each other. This list may only become shorter.
 const KNOWN_CYCLES: &[&str] = &[
     "sim: actor, field, geometry, scene",
-    "sim: diffuse, echo, stage",
-    "sim: render, simulator",
     "sim::actor: clip, clothing, collada, cycle, gltf, imported, motion, program, refine, rig, skin, wander",
-    "sim::actor::wander: errand, plan, small, table",
-    "sim::render: clutter, paths",
-    "sim::scene: check, room",
-    "sim::scene: plan, surfaces",
-    "sim::trace: body, packet",
 ];
 
 /// Segments of a path below a crate's root; none for the root.

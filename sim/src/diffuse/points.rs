@@ -28,17 +28,17 @@ pub struct Diffuse {
 /// A point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
-    pub(super) position: DVec3,
+    pub(crate) position: DVec3,
     /// Into the room.
-    pub(super) normal: DVec3,
+    pub(crate) normal: DVec3,
     /// Transmitter to point, by whatever walls: length, m, and what of a unit field the point throws out, times m, but for the
     /// cosine on its way out.
-    pub(super) there: (f64, f64),
+    pub(crate) there: (f64, f64),
     /// The same for the way from the point to each receiver.
-    pub(super) back: Vec<(f64, f64)>,
-    pub(super) phase: Complex64,
+    pub(crate) back: Vec<(f64, f64)>,
+    pub(crate) phase: Complex64,
     /// Number of the point by which what came by this one goes back.
-    pub(super) partner: usize,
+    pub(crate) partner: usize,
 }
 
 /// A place on a wall of a room.

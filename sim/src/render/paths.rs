@@ -2,14 +2,12 @@
 
 use std::sync::Arc;
 
-use super::Renderer;
-use super::clutter::columns;
+use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
-use crate::diffuse;
-use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
 use crate::scene::file::BodyFile;
-use crate::simulator::FrameReport;
+use crate::shadow::Column;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
 use crate::tracks::Tracks;
 
@@ -48,6 +46,11 @@ impl Traced {
             skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
             report: self.report,
         }
+    }
+
+    /// People as columns in other paths' way, at the ends of stretches.
+    pub(super) fn columns(&self) -> Vec<Vec<Column>> {
+        self.snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
     }
 }
 
@@ -132,7 +135,7 @@ impl Renderer {
 
     /// Adds the echoes of swaying reflectors to the paths of a frame.
     pub(super) fn add_sway(&self, start_s: f64, traced: &mut Traced) {
-        let columns = columns(&traced.snapshots);
+        let columns = traced.columns();
         self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.tracks);
     }
 

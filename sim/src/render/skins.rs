@@ -4,8 +4,8 @@ use std::sync::{Arc, PoisonError};
 
 use rayon::prelude::*;
 
-use super::Renderer;
 use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
+use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
 use crate::actor::skin::{EDGE_M, WalkingMesh};
 use crate::echo::demand::{Demand, Missed};
@@ -14,7 +14,6 @@ use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::keys::Instants;
 use crate::scene::file::BodyFile;
-use crate::simulator::FrameReport;
 use crate::stage::threshold_lsb;
 use crate::synthesis::ChirpGrids;
 

@@ -4,12 +4,11 @@ use std::sync::Arc;
 
 use radome_dsp::{Occupancy, Truth};
 
-use super::Renderer;
+use super::{PersonState, Renderer};
 use crate::actor::body::{CHEST, SEGMENTS};
 use crate::actor::motion::Motion;
 use crate::actor::program::half_extent;
 use crate::field::highlight::Ellipsoid;
-use crate::simulator::PersonState;
 
 /// Truth is looked up at this many times of a frame: its quarters.
 const TRUTH_TIMES: usize = 5;

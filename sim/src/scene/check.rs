@@ -6,8 +6,7 @@ use super::file::{
     ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile, SurfaceFile, SwayFile, VibrationFile,
     WanderFile,
 };
-use super::material::Material;
-use super::room::OPEN;
+use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
 

@@ -3,6 +3,9 @@
 use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+/// The material of a surface that is none.
+pub(super) const OPEN: &str = "open";
+
 /// A building material with constants of the recommendation's table 3, or a metal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -7,6 +7,7 @@ pub mod surfaces;
 
 mod actors;
 mod check;
+mod draft;
 mod draw;
 mod plan;
 mod room;

@@ -4,9 +4,8 @@ use glam::{DVec2, DVec3};
 
 use super::Outline;
 use super::check::{Fault, check_material, fault, within};
+use super::draft::{Draft, ROOM, solid};
 use super::file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
-use super::surfaces::Draft;
-use super::surfaces::sources::{ROOM, solid};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 
 /// Places so near are one, m.

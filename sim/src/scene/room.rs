@@ -16,7 +16,7 @@ use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 
 use super::check::{Fault, fault, surfaces};
 use super::file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
-use super::material::Material;
+use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
@@ -27,8 +27,6 @@ use crate::geometry::{Mesh, edges, lint, planes, weld};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
 pub(super) const WELD_M: f64 = 1e-4;
-/// The material of a surface that is none.
-pub(super) const OPEN: &str = "open";
 /// Planes so near are one wall, m.
 const SAME_WALL_M: f64 = 0.01;
 /// A wall looks along an axis within this, as the cosine of 2 degrees.

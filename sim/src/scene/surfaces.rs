@@ -13,6 +13,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
+use super::draft::Draft;
 use super::file::FurnitureFile;
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
@@ -146,16 +147,6 @@ pub struct Surfaces {
     pub small: Vec<SmallPart>,
     /// Faces that were left out because another one covers them.
     pub coincident: Vec<Coincident>,
-}
-
-/// A face before it is known where there is air.
-#[derive(Debug, Clone)]
-pub(super) struct Draft {
-    pub polygon: PlanarPolygon,
-    pub wall: Wall,
-    pub name: String,
-    /// Faces of one group may close a volume together.
-    pub group: usize,
 }
 
 impl Surfaces {

@@ -7,7 +7,7 @@
 use glam::{DVec2, DVec3};
 
 use super::body::Body;
-use super::packet::Bundle;
+use super::bundle::Bundle;
 use super::probe::Probe;
 use super::ray::Ray;
 

@@ -3,8 +3,9 @@
 use glam::DVec3;
 
 use super::body::{Body, BodyError, Nearest, roaming_m};
+use super::bundle::LANES;
 use super::clearance::{Clearance, clearance};
-use super::packet::{Found, LANES, Packet};
+use super::packet::{Found, Packet};
 use super::probe::Probe;
 use super::ray::{Crossings, Hit, Ray, Surface};
 

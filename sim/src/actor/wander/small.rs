@@ -9,7 +9,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::super::body::Build;
 use super::super::motion::Small;
 use super::super::track::smooth_step;
-use super::table::Knot;
+use super::node::Knot;
 use super::walker::STEP_S;
 use super::{chance, draw};
 

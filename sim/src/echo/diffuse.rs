@@ -10,9 +10,9 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
-use super::{LEAST_LEG_M, WallPoint};
+use super::{Snapshot, inside_room};
 use crate::actor::body::CHEST;
-use crate::echo::{Snapshot, inside_room};
+use crate::diffuse::{LEAST_LEG_M, WallPoint};
 use crate::field::image::Element;
 use crate::field::{fresnel, highlight::Ellipsoid};
 use crate::scene::material::SKIN_PERMITTIVITY;
