@@ -28,7 +28,6 @@ use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
 use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::{AtDesk, BodyPoint, Motion};
-use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, ImageIndex};
@@ -37,6 +36,7 @@ use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
 use crate::slow_time::Key;
+use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.

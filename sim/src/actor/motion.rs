@@ -15,10 +15,11 @@ use super::clothing::Clothing;
 use super::gait::{self, Style};
 use super::imported::Actor;
 use super::low::{Crouch, HIPS_OVER_SEAT_M, Lying};
-use super::track::{Track, smooth_step};
+use super::track::Track;
 use super::wander::Wanderer;
 use crate::field::highlight::Ellipsoid;
 use crate::random::{Purpose, generator};
+use crate::smooth::smooth_step;
 pub use builder::{Bed, MotionBuilder};
 
 /// Steps on the spot in a second, two in each cycle.

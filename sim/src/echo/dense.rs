@@ -14,12 +14,12 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
 use crate::actor::skin::{PosedSkin, bulge};
-use crate::actor::track::smooth_step;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex};
 use crate::field::triangle;
 use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).

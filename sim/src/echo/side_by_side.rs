@@ -14,7 +14,6 @@ use super::obstruction::{Bystanders, limb_column, opposite};
 use super::path_rows::{Drift, HeardRows, WideFields, heard, launched, reflected};
 use super::{EchoReport, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
 use crate::actor::body::SEGMENTS;
-use crate::actor::track::smooth_step;
 use crate::field::Phasor3;
 use crate::field::highlight::LEAST_COSINE;
 use crate::field::highlight_rows::{HighlightRows, highlights};
@@ -25,6 +24,7 @@ use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::weaken_rows;
 use crate::slow_time::Key;
+use crate::smooth::smooth_step;
 use crate::tracks::OTHERS;
 
 /// Most receivers.

@@ -61,10 +61,7 @@ fn follow(faces: &[Face], link: &Link, accuracy: Accuracy, left: usize, beam: &B
         if beam.faces.last() == Some(&i) || beam.source.side(corner, normal) <= 0.0 {
             continue;
         }
-        let lit = beam
-            .windows
-            .iter()
-            .fold(face.corners.clone(), |lit, window| polygon::through_window(lit, window, &beam.source));
+        let lit = beam.windows.iter().fold(face.corners.clone(), |lit, window| beam.source.seen_through(&lit, window));
         if lit.len() < 3 {
             continue;
         }

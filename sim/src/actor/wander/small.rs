@@ -8,10 +8,10 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::super::body::Build;
 use super::super::motion::Small;
-use super::super::track::smooth_step;
 use super::node::Knot;
 use super::walker::STEP_S;
 use super::{chance, draw};
+use crate::smooth::smooth_step;
 
 /// Waves of each part's sway, each with a frequency in a band of its own.
 const WAVES: usize = 4;
