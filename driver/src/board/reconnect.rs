@@ -1,10 +1,10 @@
-//! Policy for boards that were unplugged or fell silent, and counts of lost frames.
+//! Policy for boards that were unplugged or fell silent.
 
 use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, GapReason, SourceEvent};
+use radome_dsp::{Frame, SourceEvent};
 
 use super::{BoardError, BoardIdentity};
 
@@ -130,23 +130,6 @@ pub(super) fn check_same(path: &Path, uuid: &str, found: &BoardIdentity) -> Resu
     }
     let (expected, found) = (uuid.to_owned(), found.uuid.clone());
     Err(BoardError::OtherBoard { path: path.to_owned(), expected, found })
-}
-
-/// Frames lost, by reason.
-#[derive(Debug, Default)]
-pub(super) struct Losses(Vec<(GapReason, u64)>);
-
-impl Losses {
-    pub fn count(&mut self, gap: &Gap) {
-        match self.0.iter_mut().find(|(reason, _)| *reason == gap.reason) {
-            Some((_, frames)) => *frames += gap.frames,
-            None => self.0.push((gap.reason, gap.frames)),
-        }
-    }
-
-    pub fn frames(&self, reason: GapReason) -> u64 {
-        self.0.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
-    }
 }
 
 #[cfg(test)]

@@ -3,9 +3,7 @@
 #![allow(dead_code, clippy::print_stderr)]
 
 use radome_driver::Mcu7Board;
-use radome_dsp::{
-    Frame, FrameSource, Gap, GapReason, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest,
-};
+use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 
 /// Frames in which every code follows from frame, receiver, chirp and sample.
 pub struct Pattern {
@@ -135,14 +133,6 @@ pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&
         }
     }
     gaps
-}
-
-/// Asserts that a stream has counted the frames of these gaps as lost.
-pub fn assert_lost(gaps: &[Gap], lost_frames: impl Fn(GapReason) -> u64) {
-    for reason in [GapReason::Disconnected, GapReason::PacketLost, GapReason::Crc, GapReason::FifoOverflow] {
-        let frames: u64 = gaps.iter().filter(|g| g.reason == reason).map(|g| g.frames).sum();
-        assert_eq!(lost_frames(reason), frames, "{reason:?}");
-    }
 }
 
 /// Starts and stops a board three times: no frame of an earlier run comes in a later one.

@@ -480,11 +480,6 @@ impl WalkingMesh {
         WalkingMesh { skin, motion }
     }
 
-    /// A mesh for a motion, with the skin of its build that somebody has made already.
-    pub fn with_skin(skin: Arc<Skin>, motion: Arc<Motion>) -> Self {
-        WalkingMesh { skin, motion }
-    }
-
     /// The skin.
     pub fn skin(&self) -> &Skin {
         &self.skin

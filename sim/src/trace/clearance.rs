@@ -23,15 +23,6 @@ pub struct Clearance {
     pub along_m: f64,
 }
 
-impl Clearance {
-    /// The Fresnel-Kirchhoff parameter of the edge, positive in shadow: `-clearance sqrt(2 L / (lambda d1 d2))` for a way of
-    /// length `L` split into `d1` and `d2` (ITU-R P.526, section 4.1).
-    pub fn fresnel_parameter(&self, length_m: f64, wavelength_m: f64) -> f64 {
-        let (before, after) = (self.along_m, length_m - self.along_m);
-        -self.clearance_m * (2.0 * length_m / (wavelength_m * before * after)).sqrt()
-    }
-}
-
 /// An edge of the outline where it is nearest to the way.
 struct Candidate {
     /// Across, m.

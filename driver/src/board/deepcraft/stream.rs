@@ -7,7 +7,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, check_same, next_event};
+use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
@@ -51,7 +51,6 @@ pub struct DeepcraftStream {
     last_byte: Instant,
     /// Time at which the last chunk came, or the stream began.
     last_chunk: Instant,
-    losses: Losses,
 }
 
 impl DeepcraftBoard {
@@ -95,7 +94,6 @@ impl DeepcraftStream {
             recovery: Recovery::default(),
             last_byte: now,
             last_chunk: now,
-            losses: Losses::default(),
             board: Some(board),
         };
         stream.begin()?;
@@ -130,11 +128,6 @@ impl DeepcraftStream {
         self
     }
 
-    /// Number of frames lost so far for this reason.
-    pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.losses.frames(reason)
-    }
-
     /// Register list that was sent to the board; empty for a preset of the firmware.
     pub fn registers(&self) -> &RegisterList {
         &self.setting.registers
@@ -152,12 +145,9 @@ impl DeepcraftStream {
             self.keep_alive()?;
             self.take_dropped_count();
             if let Some(event) = self.pop(frame) {
-                match &event {
-                    SourceEvent::Gap(gap) => self.losses.count(gap),
-                    _ => {
-                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                        frame.host_time_ns = now.as_nanos() as u64;
-                    }
+                if event == SourceEvent::Frame {
+                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                    frame.host_time_ns = now.as_nanos() as u64;
                 }
                 return Ok(Some(event));
             }
