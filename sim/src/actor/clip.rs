@@ -8,8 +8,7 @@ use glam::{DMat3, DVec3};
 
 use super::body::{Build, Frames, Posture, SEGMENTS};
 use super::bvh::{Bvh, parse_bvh};
-use super::cycle::{Cycle, FootSliding, Stance, best_cycle};
-use super::motion::Walk;
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
 use super::skin::Map;
 use crate::fault::FileFault;
 use crate::field::highlight::Ellipsoid;

@@ -16,6 +16,19 @@ const SURGE_HARMONICS: usize = 6;
 /// Rounds in which the spline's coefficients settle: each takes half of what is left.
 const ROUNDS: usize = 60;
 
+/// Place on the ground plan, and in the cycle of steps, at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Walk {
+    /// Place, m.
+    pub position_m: [f64; 2],
+    /// Facing, from +x towards +y, rad.
+    pub heading_rad: f64,
+    /// Cycles (two steps) made.
+    pub phase: f64,
+    /// 0 standing, 1 walking.
+    pub vigour: f64,
+}
+
 /// Poses of bones over one cycle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Cycle {

@@ -15,8 +15,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, SEGMENTS};
-use super::cycle::{Cycle, FootSliding, Stance, best_cycle};
-use super::motion::Walk;
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
 use super::refine::{BoundMesh, follow, refine};
 use super::rig::{Clip, Rig, mean};
 use super::skin::{Map, Skin};

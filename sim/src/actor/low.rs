@@ -144,7 +144,7 @@ mod tests {
     use glam::{DVec2, DVec3};
 
     use super::*;
-    use crate::actor::program::half_extent;
+    use crate::actor::body::half_extent;
 
     const BUILDS: [Build; 3] = [
         Build { height_m: 1.55, girth: 0.9 },

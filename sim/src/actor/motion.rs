@@ -12,6 +12,7 @@ use rand::Rng;
 use super::body::{Build, Posture};
 use super::clip::BodyClip;
 use super::clothing::Clothing;
+pub use super::cycle::Walk;
 use super::gait::{self, Style};
 use super::imported::Actor;
 use super::low::{Crouch, HIPS_OVER_SEAT_M, Lying};
@@ -37,19 +38,6 @@ pub enum Steps {
     Clip(Arc<BodyClip>),
     /// An actor from a file, with a body of its own.
     Actor(Arc<Actor>),
-}
-
-/// Place on the ground plan, and in the cycle of steps, at a time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Walk {
-    /// Place, m.
-    pub position_m: [f64; 2],
-    /// Facing, from +x towards +y, rad.
-    pub heading_rad: f64,
-    /// Cycles (two steps) made.
-    pub phase: f64,
-    /// 0 standing, 1 walking.
-    pub vigour: f64,
 }
 
 /// Draws that belong to a person, whatever they do.

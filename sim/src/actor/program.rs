@@ -481,14 +481,3 @@ impl Visits {
         path.walk_to(at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
     }
 }
-
-/// Half the extent of an ellipsoid along the room's axes, m.
-pub fn half_extent(e: &crate::field::highlight::Ellipsoid) -> DVec3 {
-    let scaled = glam::DMat3::from_cols(
-        e.axes.x_axis * e.semi_axes_m.x,
-        e.axes.y_axis * e.semi_axes_m.y,
-        e.axes.z_axis * e.semi_axes_m.z,
-    );
-    let t = scaled.transpose();
-    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
-}

@@ -395,7 +395,8 @@ mod tests {
 
     use super::*;
     use crate::actor::motion::{MotionBuilder, Person};
-    use crate::actor::skin::{EDGE_M, WalkingMesh};
+    use crate::actor::skin::EDGE_M;
+    use crate::actor::walking_mesh::WalkingMesh;
     use crate::trace::{Body, Build, Ray, World};
 
     const WAVELENGTH_M: f64 = 0.005;

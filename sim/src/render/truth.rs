@@ -5,9 +5,8 @@ use std::sync::Arc;
 use radome_dsp::{Occupancy, Truth};
 
 use super::{PersonState, Renderer};
-use crate::actor::body::{CHEST, SEGMENTS};
+use crate::actor::body::{CHEST, SEGMENTS, half_extent};
 use crate::actor::motion::Motion;
-use crate::actor::program::half_extent;
 use crate::field::highlight::Ellipsoid;
 
 /// Truth is looked up at this many times of a frame: its quarters.

@@ -7,7 +7,8 @@ use rand::Rng;
 
 use super::*;
 use crate::actor::motion::{MotionBuilder, Person};
-use crate::actor::skin::{EDGE_M, WalkingMesh};
+use crate::actor::skin::EDGE_M;
+use crate::actor::walking_mesh::WalkingMesh;
 use crate::geometry::{Mesh, isosurface, planes};
 use crate::random::{Purpose, generator};
 
