@@ -160,7 +160,7 @@ pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     Ok(file)
 }
 
-/// When a recording's first frame begins and its last one ends, by the frames' own clock, s; `None` if it has none.
+/// Start of a recording's first frame and end of its last one by the frames' own clock, s; `None` if it has none.
 fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
     let interval_s = source.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(source.waveform().shape());

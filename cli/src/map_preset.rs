@@ -9,9 +9,9 @@ pub enum MapPreset {
     #[default]
     #[value(alias = "house")]
     Default,
-    /// As the paper's statistics
+    /// Normalised as the paper's statistics
     Paper,
-    /// As the vendor's examples
+    /// Normalised as the vendor's examples
     Sdk,
 }
 

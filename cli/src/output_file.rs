@@ -11,7 +11,7 @@ use crate::files;
 /// Stands for the time in the name of an output.
 const TIME: &str = "{time}";
 
-/// Whether the output may take the place of a file that exists.
+/// Permission to replace an existing output file.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct Overwrite {
     /// Replace the output file if it exists; the old one stays until the new one is whole, or begun where it is recorded

@@ -10,6 +10,7 @@
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -129,6 +130,11 @@ pub struct Source {
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
         Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), playback: None }
+    }
+
+    fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
+        let description = format!("{} on {at}", board.name);
+        Source { is_live: true, board: Some(board), registers, ..Source::without_board(frames, description) }
     }
 }
 
@@ -270,18 +276,10 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
                 );
             };
             let identity = board.identity().clone();
-            let description = format!("{} on {}", identity.name, address);
             // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
             let stream = board.start(waveform)?.with_reconnect(options.reconnect());
             let registers = stream.registers().clone();
-            Ok(Source {
-                frames: Box::new(stream),
-                is_live: true,
-                description,
-                board: Some(identity),
-                registers,
-                playback: None,
-            })
+            Ok(Source::of_board(Box::new(stream), identity, address, registers))
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Esp32(stream) => {
@@ -298,18 +296,10 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
             "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
         );
     };
-    let identity = board.identity().clone();
-    let description = format!("{} on {}", identity.name, board.path().display());
+    let (identity, port) = (board.identity().clone(), board.path().display().to_string());
     let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
     let registers = stream.registers().clone();
-    Ok(Source {
-        frames: Box::new(stream),
-        is_live: true,
-        description,
-        board: Some(identity),
-        registers,
-        playback: None,
-    })
+    Ok(Source::of_board(Box::new(stream), identity, port, registers))
 }
 
 /// The only board that discovery finds.

@@ -23,7 +23,7 @@ const RISE_US: u32 = 100_000;
 #[derive(Debug, Error)]
 pub enum ProbeError {
     /// The probe cannot be opened.
-    #[error("{path}: cannot open the debug probe", path = path.display())]
+    #[error("{path}: cannot open the debug probe")]
     Open {
         /// Device node.
         path: PathBuf,
@@ -31,7 +31,7 @@ pub enum ProbeError {
         source: io::Error,
     },
     /// Another program holds the probe.
-    #[error("{path}: another program has this debug probe; close it and try again", path = path.display())]
+    #[error("{path}: another program has this debug probe; close it and try again")]
     Busy {
         /// Device node.
         path: PathBuf,
@@ -39,7 +39,6 @@ pub enum ProbeError {
     /// The user may not open the probe.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
-        path = path.display(),
         remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied {
@@ -47,7 +46,7 @@ pub enum ProbeError {
         path: PathBuf,
     },
     /// The connection broke.
-    #[error("{path}: the connection to the debug probe broke", path = path.display())]
+    #[error("{path}: the connection to the debug probe broke")]
     Disconnected {
         /// Device node.
         path: PathBuf,
@@ -55,13 +54,13 @@ pub enum ProbeError {
         source: io::Error,
     },
     /// No answer came.
-    #[error("{path}: the debug probe does not answer; does another program use it?", path = path.display())]
+    #[error("{path}: the debug probe does not answer; does another program use it?")]
     NoAnswer {
         /// Device node.
         path: PathBuf,
     },
     /// The answer is malformed.
-    #[error("{path}: malformed answer", path = path.display())]
+    #[error("{path}: malformed answer")]
     Malformed {
         /// Device node.
         path: PathBuf,
@@ -69,7 +68,7 @@ pub enum ProbeError {
         source: AnswerError,
     },
     /// The probe could not carry out a command.
-    #[error("{path}: the debug probe could not {what}", path = path.display())]
+    #[error("{path}: the debug probe could not {what}")]
     Refused {
         /// Device node.
         path: PathBuf,

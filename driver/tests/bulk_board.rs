@@ -4,7 +4,7 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Pattern, waveform};
+use common::{Pattern, start_and_stop, waveform};
 use radome_driver::{
     Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, Reconnect,
     UsbAddress,
@@ -62,17 +62,7 @@ fn the_board_says_that_it_is_the_bulk_variant() {
     assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0252));
     assert_eq!((identity.chip.as_str(), identity.extended_version.as_str()), ("BGT60TR13C", "emulated"));
     assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
-    // Stopped and started again, nothing of the first run comes in the second.
-    let mut frame = Frame::zeroed(waveform.shape());
-    for _ in 0..3 {
-        let mut stream = client.start(&waveform).expect("starts");
-        for sequence in 0..5 {
-            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
-            assert_eq!(frame.sequence, sequence);
-        }
-        client = stream.stop().expect("stops");
-    }
-    drop(client.start(&waveform).expect("starts"));
+    drop(start_and_stop(client, &waveform).start(&waveform).expect("starts"));
     // Who only asks leaves the chip as it is; who opens the board has reset it.
     assert_eq!(Mcu7Board::identity_at(board.address()).expect("answers"), identity);
     let (client, left) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");

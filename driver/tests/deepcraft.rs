@@ -1,5 +1,7 @@
 //! The DEEPCRAFT protocol as bytes: against bytes written by hand, against protobuf, and against a bad line.
 
+mod common;
+
 use proptest::prelude::*;
 use prost::Message;
 use radome_driver::protocol::deepcraft::*;
@@ -19,6 +21,23 @@ fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
     let mut line = Vec::new();
     layout.encode(number, &codes, &mut line);
     line
+}
+
+/// Words of the captured blob, written out by hand.
+#[test]
+fn words_are_where_the_firmware_looks_for_them() {
+    let blob = Custom::compile(&common::captured_waveform()).expect("fits").encode();
+    let word = |i: usize| u32::from_le_bytes(blob[4 * i..4 * i + 4].try_into().expect("four bytes"));
+    assert_eq!([word(0), word(1)], [38, 16]);
+    assert_eq!(u64::from(word(3)) << 32 | u64::from(word(2)), 58_000_000_000);
+    assert_eq!(u64::from(word(5)) << 32 | u64::from(word(4)), 63_000_000_000);
+    assert_eq!([6, 7, 8, 9, 10].map(word), [64, 64, 3, 1, 2_000_000]);
+    assert_eq!([11, 12].map(|i| f32::from_bits(word(i))), [591.125e-6, 0.0772688]);
+    assert_eq!(blob.len(), 4 * (16 + 38));
+    // ADC0 and PACR1 of the captured list as SPI write words.
+    assert_eq!([word(16), word(17)], [0x030A_0210, 0x09E9_67FD]);
+    // MAIN waits for the firmware to start it.
+    assert_eq!(word(16 + 37), 0x011E_8270);
 }
 
 /// Result of a parser.

@@ -5,7 +5,7 @@ mod common;
 use std::io::{Read, Write};
 use std::time::Duration;
 
-use common::{Pattern, waveform};
+use common::{Pattern, read_frames, waveform};
 use prost::Message;
 use radome_driver::protocol::deepcraft::{
     Answer, CapabilitiesRequest, Command, MAX_RESPONSE, MessageParser, Preset, Request, Response, device_status,
@@ -43,41 +43,12 @@ fn start(board: &EmulatedBoard, waveform: &Waveform) -> DeepcraftStream {
     DeepcraftBoard::open(board.path()).expect("opens").start(waveform).expect("starts")
 }
 
-/// Reads so many frames. Each must be a whole frame of the source, later than the one before, and sequence numbers must
-/// leave no hole but the gaps. Gives the gaps.
+/// Reads so many frames, each at the time of its number. Returns the gaps.
 fn read(stream: &mut DeepcraftStream, frames: usize) -> Vec<Gap> {
-    let waveform = stream.waveform().clone();
-    let mut frame = Frame::zeroed(waveform.shape());
-    let mut expected = frame.clone();
-    let pattern = Pattern::new(waveform.clone(), 0);
-    let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
-    while received < frames {
-        match stream.next_frame(&mut frame).expect("stream") {
-            SourceEvent::Frame => {
-                let found = (next_of_source..next_of_source + 5000).find(|sequence| {
-                    pattern.fill(*sequence, &mut expected);
-                    expected.codes == frame.codes
-                });
-                next_of_source = found.expect("a frame of the source") + 1;
-                assert_eq!(frame.sequence, next_sequence);
-                let expected_ns = next_sequence as f64 * waveform.frame_interval_s() * 1e9;
-                assert!((frame.time_ns as f64 - expected_ns).abs() < 1.0);
-                next_sequence += 1;
-                received += 1;
-            }
-            SourceEvent::Gap(gap) => {
-                assert!(gap.first_sequence == next_sequence && gap.frames > 0, "{gap:?}");
-                next_sequence += gap.frames;
-                gaps.push(gap);
-            }
-            SourceEvent::End => panic!("a board does not end"),
-        }
-    }
-    for reason in [GapReason::Disconnected, GapReason::PacketLost, GapReason::Crc, GapReason::FifoOverflow] {
-        let frames: u64 = gaps.iter().filter(|g| g.reason == reason).map(|g| g.frames).sum();
-        assert_eq!(stream.lost_frames(reason), frames, "{reason:?}");
-    }
-    gaps
+    let interval_ns = stream.waveform().frame_interval_s() * 1e9;
+    read_frames(stream, frames, |frame| {
+        assert!((frame.time_ns as f64 - frame.sequence as f64 * interval_ns).abs() < 1.0);
+    })
 }
 
 /// The payload is in FIFO order although the stream's shape says otherwise: three receivers and unlike axes would show

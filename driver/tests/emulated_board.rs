@@ -4,7 +4,7 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Pattern, waveform};
+use common::{Pattern, start_and_stop, waveform};
 use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{
     BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board, Pace,
@@ -89,16 +89,7 @@ fn boards_of_protocol_3_measure_as_well() {
 fn stream_can_be_stopped_and_started_again() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
-    let mut client = Mcu7Board::open(board.path()).expect("opens");
-    let mut frame = Frame::zeroed(waveform.shape());
-    for _ in 0..3 {
-        let mut stream = client.start(&waveform).expect("starts");
-        for sequence in 0..5 {
-            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
-            assert_eq!(frame.sequence, sequence);
-        }
-        client = stream.stop().expect("stops");
-    }
+    let client = start_and_stop(Mcu7Board::open(board.path()).expect("opens"), &waveform);
     // Dropping a running stream leaves a board that can be opened again.
     drop(client.start(&waveform).expect("starts"));
     Mcu7Board::open(board.path()).expect("opens again");

@@ -72,7 +72,6 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
         }
     }
     assert!(lost > 0);
-    assert_eq!(stream.lost_frames(GapReason::Disconnected), lost);
 }
 
 mod hard_cases {

@@ -6,7 +6,6 @@ use proptest::prelude::*;
 use radome_driver::chip::ChipConfiguration;
 use radome_driver::protocol::mcu7::*;
 use radome_driver::protocol::packed12;
-use radome_dsp::{Waveform, WaveformRequest};
 
 /// Messages of `protocol4.txt`: whether the host sent it, and its bytes.
 fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
@@ -24,19 +23,7 @@ fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
 
 /// Requests of the session of the transcript, in its order.
 fn session() -> Vec<Command> {
-    let request = WaveformRequest {
-        start_frequency_hz: 58e9,
-        end_frequency_hz: 63e9,
-        samples_per_chirp: 64,
-        chirps_per_frame: 64,
-        sample_rate_hz: 2e6,
-        chirp_interval_s: 591.125e-6,
-        frame_interval_s: 0.0772688,
-        if_gain_db: 23.0,
-        high_pass_cutoff_hz: 80e3,
-        ..WaveformRequest::paper()
-    };
-    let waveform = Waveform::realise(request).expect("valid");
+    let waveform = common::captured_waveform();
     let slice = SliceLayout::for_frame(waveform.shape().codes());
     let list = ChipConfiguration { waveform, slice_samples: slice.samples }.compile().expect("fits");
     let execute = |words, answer| Command::Execute { words, answer };

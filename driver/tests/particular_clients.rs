@@ -29,7 +29,7 @@ const STOP: u32 = MAIN | 0xC;
 struct Client {
     port: TTYPort,
     parser: BoardParser,
-    /// It misses answers that come within this time.
+    /// Time within which the client misses answers.
     deaf_for: Duration,
     /// Counters of the data packets since the last start, and whether each ends a slice.
     packets: Vec<(u16, bool)>,
@@ -136,7 +136,7 @@ impl Client {
         assert_eq!((missing, self.damaged), (None, 0));
     }
 
-    /// As the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing
+    /// Measures as the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing
     /// transmitted, and reset in the end.
     fn measure_temperature(&mut self) -> f64 {
         self.write(&[

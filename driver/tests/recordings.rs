@@ -437,7 +437,7 @@ mod hard_cases {
         assert!(matches!(recording::open(&other), Err(RecordingError::Unknown { .. })));
     }
 
-    /// As after `kill -9`: the file ends anywhere. A chunk spans a second, so at most ten frames are lost.
+    /// A file may end anywhere, as after `kill -9`. A chunk spans a second, so at most ten frames are lost.
     #[test]
     fn an_unfinished_recording_is_readable_to_its_last_chunk() {
         let folder = tempfile::tempdir().expect("folder");

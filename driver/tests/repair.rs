@@ -211,7 +211,7 @@ mod hard_cases {
         assert!(std::fs::read(&path).expect("reads") == bytes);
     }
 
-    /// Whole chunks in front of the cut are saved wherever it falls.
+    /// Complete chunks in front of the cut are saved wherever it falls.
     #[test]
     fn a_cut_costs_what_lies_behind_its_chunk() {
         let bytes = whole();

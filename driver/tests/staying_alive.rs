@@ -4,9 +4,9 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Pattern, waveform};
+use common::{Pattern, read_frames, waveform};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace, Reconnect};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
 /// Patient enough for any machine.
 const POLICY: Reconnect = Reconnect {
@@ -21,40 +21,6 @@ fn options(faults: &[Fault]) -> EmulatorOptions {
 
 fn source(waveform: &Waveform) -> Box<Pattern> {
     Box::new(Pattern::new(waveform.clone(), u64::MAX))
-}
-
-/// Reads so many frames. Each must be a whole frame of the source, later than the one before, and sequence numbers must
-/// leave no hole but the gaps. Gives the gaps.
-fn read(stream: &mut Mcu7Stream, waveform: &Waveform, frames: usize) -> Vec<Gap> {
-    let mut frame = Frame::zeroed(waveform.shape());
-    let mut expected = frame.clone();
-    let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
-    while received < frames {
-        match stream.next_frame(&mut frame).expect("stream") {
-            SourceEvent::Frame => {
-                let pattern = Pattern::new(waveform.clone(), 0);
-                let found = (next_of_source..next_of_source + 1000).find(|sequence| {
-                    pattern.fill(*sequence, &mut expected);
-                    expected.codes == frame.codes
-                });
-                next_of_source = found.expect("a frame of the source") + 1;
-                assert_eq!(frame.sequence, next_sequence);
-                next_sequence += 1;
-                received += 1;
-            }
-            SourceEvent::Gap(gap) => {
-                assert!(gap.first_sequence == next_sequence && gap.frames > 0, "{gap:?}");
-                next_sequence += gap.frames;
-                gaps.push(gap);
-            }
-            SourceEvent::End => panic!("a board does not end"),
-        }
-    }
-    for reason in [GapReason::Disconnected, GapReason::PacketLost, GapReason::Crc, GapReason::FifoOverflow] {
-        let frames: u64 = gaps.iter().filter(|g| g.reason == reason).map(|g| g.frames).sum();
-        assert_eq!(stream.lost_frames(reason), frames, "{reason:?}");
-    }
-    gaps
 }
 
 fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
@@ -73,7 +39,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
         let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
-        let gaps = read(&mut stream, &waveform, frames[2] as usize + 20);
+        let gaps = read_frames(&mut stream, frames[2] as usize + 20, |_| {});
         assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
     }
 }
@@ -84,7 +50,7 @@ fn a_board_that_stalls_is_started_anew() {
     let board = EmulatedBoard::spawn(source(&waveform), options(&[Fault::Stall(4)])).expect("spawns");
     let client = Mcu7Board::open(board.path()).expect("opens");
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
-    let gaps = read(&mut stream, &waveform, 10);
+    let gaps = read_frames(&mut stream, 10, |_| {});
     assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
     // By the host's clock: the frame after the deadline of 1.3 s is the thirteenth at least.
     assert!(gaps[0].frames >= 12, "{gaps:?}");
@@ -98,7 +64,7 @@ fn lost_alignment_is_found_by_starting_anew() {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
         let board = EmulatedBoard::spawn(source(&waveform), options(&[fault])).expect("spawns");
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
-        let gaps = read(&mut stream, &waveform, 5);
+        let gaps = read_frames(&mut stream, 5, |_| {});
         // A middle packet may pass for another one; the last of its slice does not.
         assert!((1..=2).contains(&gaps.len()), "{gaps:?}");
         assert!(gaps.iter().all(|gap| gap.reason == GapReason::PacketLost), "{gaps:?}");
@@ -124,7 +90,7 @@ mod hard_cases {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = EmulatedBoard::spawn(source(&small), options(&[Fault::ReorderPacket(3)])).expect("spawns");
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&small).expect("starts");
-        let gaps = read(&mut stream, &small, 8);
+        let gaps = read_frames(&mut stream, 8, |_| {});
         assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
     }
 
@@ -147,7 +113,7 @@ mod hard_cases {
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
         let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
-        let gaps = read(&mut stream, &waveform, 250);
+        let gaps = read_frames(&mut stream, 250, |_| {});
         use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
         assert_eq!(
             reasons(&gaps),
@@ -165,7 +131,7 @@ mod hard_cases {
         let client = Mcu7Board::open(board.path()).expect("opens");
         let policy = Reconnect { give_up_after: Duration::from_millis(300), ..POLICY };
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(policy);
-        read(&mut stream, &waveform, 3);
+        read_frames(&mut stream, 3, |_| {});
         drop(board);
         let error = first_error(&mut stream, &waveform);
         assert!(error.to_string().contains("connection broke"), "{error}");
@@ -182,7 +148,7 @@ mod hard_cases {
         let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
-        read(&mut stream, &waveform, 10);
+        read_frames(&mut stream, 10, |_| {});
         let error = first_error(&mut stream, &waveform);
         assert!(error.to_string().contains("connection broke"), "{error}");
     }

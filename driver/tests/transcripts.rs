@@ -248,7 +248,7 @@ fn describe(bytes: &[u8]) -> String {
     }
 }
 
-/// What must be left out of the vendor's sequence (`-`) and put in (`+`) to get ours: the longest common subsequence
+/// Lines to leave out of the vendor's sequence (`-`) and to put in (`+`) to get ours: the longest common subsequence
 /// stays.
 fn differences(vendor: &[Vec<u8>], ours: &[Vec<u8>]) -> Vec<String> {
     let (n, m) = (vendor.len(), ours.len());

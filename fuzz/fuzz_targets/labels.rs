@@ -19,7 +19,7 @@ fn near(a: &[LabelSpan], b: &[LabelSpan]) {
     }
 }
 
-/// What was read runs forwards, so that only overlaps and the recording's ends can be wrong with it.
+/// Checks that labels run forwards, so that only overlaps and the recording's ends can be wrong with it.
 fn check(spans: &[LabelSpan]) {
     assert!(matches!(check_spans(spans, None), Ok(()) | Err(SpanError::Overlap { .. })));
     assert!(matches!(

@@ -1,4 +1,4 @@
-//! What a board sends: the same messages whatever the pieces, each byte accounted for, each message as it was encoded.
+//! Bytes that a board sends: the same messages whatever the pieces, each byte accounted for, each message as it was encoded.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! What a host sends, and the payloads of answers: requests as they were encoded, commands that mean the same again.
+//! Bytes that a host sends, and the payloads of answers: requests as they were encoded, commands that mean the same again.
 
 #![no_main]
 

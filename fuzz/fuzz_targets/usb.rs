@@ -1,4 +1,4 @@
-//! What comes over USB: bulk reads of any length give each byte once, as a packet that is as it was encoded or as damage;
+//! Transfers over USB: bulk reads of any length give each byte once, as a packet that is as it was encoded or as damage;
 //! control setups, and commands and answers of debug probes.
 
 #![no_main]

@@ -83,7 +83,7 @@ pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// What stands between the files of one input.
+/// Separator between the files of one input.
 pub const SEPARATOR: &[u8] = b"\n====\n";
 
 /// The files of an input; those that are not there are empty.

@@ -20,7 +20,7 @@ pub fn waveform() -> Waveform {
     Waveform::realise(request).expect("valid")
 }
 
-/// What a recording gives.
+/// Item that a recording gives.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     Frame(Frame),
@@ -71,7 +71,8 @@ pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Ev
     writer.finish().expect("finishes").omitted.is_empty()
 }
 
-/// What was read whole must come back from the native format, and from another one if that says that it holds all.
+/// Checks that a recording that was read whole comes back from the native format, and from another one if that says that it
+/// holds all.
 pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan], other: Format) {
     let path = folder.join("again.mcap");
     write(&path, Format::Mcap, header, events, labels);

@@ -309,7 +309,7 @@ mod tests {
         }
     }
 
-    /// How many frames a second there are does not matter: the same probabilities, shown at 10 and at 20 Hz, come to the same at
+    /// The frame rate does not matter: the same probabilities, shown at 10 and at 20 Hz, come to the same at
     /// the same times.
     #[test]
     fn evidence_is_by_time_and_not_by_frame() {

@@ -11,7 +11,8 @@ use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::ray::RayHit;
 use obvhs::triangle::Triangle;
 use radome_sim::actor::motion::{MotionBuilder, Person};
-use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::actor::skin::EDGE_M;
+use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::geometry::Mesh;
 use radome_sim::trace::{Body, Build, Hit, Ray, World};
 

@@ -37,7 +37,7 @@ pub enum Refused {
     Outside {
         /// The path as it is written.
         name: String,
-        /// What to do.
+        /// Remedy.
         hint: &'static str,
     },
 }

@@ -16,7 +16,7 @@ pub struct Chirp {
 }
 
 impl Chirp {
-    /// Of a waveform.
+    /// Chirp of a waveform.
     pub fn new(waveform: &Waveform) -> Self {
         Chirp {
             start_hz: waveform.sampled_start_frequency_hz,

@@ -4,6 +4,7 @@ mod audible;
 pub mod chirp_sum;
 pub mod demand;
 pub mod dense;
+pub mod diffuse;
 mod key_rows;
 mod obstruction;
 mod patch;
@@ -27,7 +28,6 @@ use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
 use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::{AtDesk, BodyPoint, Motion};
-use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, ImageIndex};
@@ -36,6 +36,7 @@ use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
 use crate::slow_time::Key;
+use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.
@@ -50,7 +51,7 @@ pub struct Snapshot {
     pub body: [Ellipsoid; SEGMENTS],
     before: [Ellipsoid; SEGMENTS],
     after: [Ellipsoid; SEGMENTS],
-    /// What stands in other paths' way.
+    /// Obstacle to other paths.
     pub column: Column,
     trunk: Column,
 }
@@ -138,7 +139,7 @@ pub struct Paths<'a> {
     images: usize,
     /// Number of the pair and segment of each highlight, in order.
     highlights: Vec<(usize, usize)>,
-    /// Of each segment, its highlight (0) and its places with folds (from 1 on).
+    /// Range of a segment: its highlight (0) and its places with folds (from 1 on).
     places: std::ops::Range<usize>,
     /// Instructions for paths side by side.
     level: KernelLevel,
@@ -184,7 +185,7 @@ impl<'a> Paths<'a> {
         (all.places.end > 1).then_some(Paths { places: 1..all.places.end, ..all })
     }
 
-    /// How many there are.
+    /// Number of paths.
     pub fn count(&self) -> usize {
         let besides = self.motion.person.at_desk.as_ref().map_or(0, |desk| {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };

@@ -1,16 +1,16 @@
-//! What is wrong with a file that a scene names.
+//! Error in a file that a scene names.
 
 use thiserror::Error;
 
-/// What is wrong, where, what was expected and what to do. Whoever reads the file adds its name.
+/// Error in a file: its place, what was expected and what to do. Whoever reads the file adds its name.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{place}: {problem}\n\nhint: {hint}")]
 pub struct FileFault {
-    /// Where in the file: a line, an accessor, a node, a clip, a part.
+    /// Place in the file: a line, an accessor, a node, a clip, a part.
     pub place: String,
-    /// What was found, and what was expected.
+    /// Content that was found, and what was expected.
     pub problem: String,
-    /// What to do about it.
+    /// Remedy.
     pub hint: String,
 }
 

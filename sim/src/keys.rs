@@ -1,4 +1,4 @@
-//! Which key times the paths of people take.
+//! Key times of the paths of people.
 //!
 //! A path is traced at the ends of a frame, in its middle and at its quarters. Where ends and quarters do not predict the middle, in
 //! delay and amplitude together, it is cut in halves, and each half is tested in the same way, with quarters of its own. So a trunk
@@ -36,13 +36,13 @@ pub struct Instants<'a> {
 }
 
 impl<'a> Instants<'a> {
-    /// Of `span_s` from a time on, which may be halved this often.
+    /// Covers `span_s` from a time on, which may be halved this often.
     pub fn new(motions: &'a [Arc<Motion>], start_s: f64, span_s: f64, halvings: u32) -> Self {
         let count = 4usize << halvings;
         Instants { motions, start_s, span_s, count, snapshots: vec![OnceCell::new(); count + 1] }
     }
 
-    /// How everybody moves.
+    /// Motions of all people.
     pub fn motions(&self) -> &'a [Arc<Motion>] {
         self.motions
     }
@@ -78,12 +78,12 @@ impl<'a> Instants<'a> {
     }
 }
 
-/// What is asked of the key times.
+/// Accuracy that is asked of the key times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyDemand {
     /// A path is heard if it is as strong as this at an end or in the middle of the frame, LSB.
     pub heard_lsb: f64,
-    /// What may be missed of a path however weak it is, LSB.
+    /// Error that is allowed of a path however weak it is, LSB.
     pub least_lsb: f64,
     /// Part of a path's own amplitude that may be missed.
     pub tolerance: f64,
@@ -131,7 +131,7 @@ fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveKeys> {
 }
 
 impl KeyedPaths {
-    /// What is missed at most within stretches relative to the echoes, rms by power.
+    /// Greatest error within stretches relative to the echoes, rms by power.
     pub fn error(&self) -> f64 {
         if self.power > 0.0 { (self.missed / self.power).sqrt() } else { 0.0 }
     }

@@ -6,7 +6,7 @@ pub mod vector;
 /// Numbers side by side.
 pub const LANES: usize = 16;
 
-/// As many numbers as there are lanes.
+/// One number for each lane.
 pub type Row = [f32; LANES];
 
 /// A vector in every lane: `[axis][lane]`.
@@ -15,7 +15,7 @@ pub type Row3 = [Row; 3];
 /// Numbers in double precision side by side.
 pub const WIDE: usize = 8;
 
-/// As many numbers in double precision as there are such lanes.
+/// One number in double precision for each such lane.
 pub type WideRow = [f64; WIDE];
 
 /// A vector in double precision in every such lane: `[axis][lane]`.

@@ -33,6 +33,7 @@ pub mod scene;
 pub mod shadow;
 pub mod simulator;
 pub mod slow_time;
+mod smooth;
 pub mod stage;
 pub mod sway;
 pub mod synthesis;

@@ -27,16 +27,16 @@ use crate::stage::Stage;
 /// Points nearer to a surface than this lie on it, m.
 const ON_SURFACE_M: f64 = 1e-6;
 
-/// Which paths are listed.
+/// Choice of the paths that are listed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathListOptions {
     /// Seed of everything random.
     pub seed: u64,
-    /// How many people there are at most; the scene's own number if `None`.
+    /// Greatest number of people; the scene's own number if `None`.
     pub people: Option<usize>,
     /// Only the paths by way of the person of this slot, if any.
     pub person: Option<usize>,
-    /// When, s from the first frame's first chirp.
+    /// Time from the first frame's first chirp, s.
     pub time_s: f64,
     /// Paths this far below the mean noise of a cell of the map are left out, dB. Frames of 0.5 dB leave out those 10 dB below it.
     pub margin_db: f64,
@@ -48,7 +48,7 @@ impl Default for PathListOptions {
     }
 }
 
-/// What a path goes by.
+/// Kind of the things that a path goes by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
@@ -65,9 +65,9 @@ pub enum PathKind {
 pub struct ListedPath {
     /// Number of the receiving antenna, from 1.
     pub rx: u8,
-    /// What it goes by.
+    /// Kind of the things that it goes by.
     pub kind: PathKind,
-    /// What it meets, in order: walls by their names, furniture by its own, a person as `person 0 chest`.
+    /// Surfaces that it meets, in order: walls by their names, furniture by its own, a person as `person 0 chest`.
     pub surfaces: Vec<String>,
     /// Slot of the person whom it meets.
     pub person: Option<usize>,
@@ -92,7 +92,7 @@ pub struct PathList {
     pub scene: String,
     /// Seed of everything random.
     pub seed: u64,
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
     /// Frequency at which phases and Doppler shifts are stated, Hz: the middle of the chirp.
     pub frequency_hz: f64,
@@ -102,7 +102,7 @@ pub struct PathList {
     pub paths: Vec<ListedPath>,
 }
 
-/// What lists are made from.
+/// Inputs of lists.
 struct Lister<'a> {
     scene: &'a Scene,
     stage: Stage,

@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// What a draw is for: draws for different purposes are independent.
+/// Purpose of a draw: draws for different purposes are independent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// Receiver noise of (frame, rx).
@@ -14,7 +14,7 @@ pub enum Purpose {
     Drift,
     /// Scattering points of furniture.
     Furniture,
-    /// When visits of a slot begin and what happens in them.
+    /// Start of visits of a slot, and what happens in them.
     Visit,
     /// Build and clothes of a person.
     Build,
@@ -22,19 +22,19 @@ pub enum Purpose {
     MicroMotion,
     /// Fidgets of a person in an epoch.
     Fidget,
-    /// How people sit at a desk.
+    /// Way in which people sit at a desk.
     Desk,
-    /// What differs between scenes of one file.
+    /// Differences between scenes of one file.
     Scene,
     /// Points of walls that throw in all directions.
     WallPoints,
     /// Cloth and folds of a person.
     Clothing,
-    /// How a person walks.
+    /// Gait of a person.
     Gait,
     /// Phase noise of a frame.
     PhaseNoise,
-    /// When echoes step, and by how much.
+    /// Times and heights of the steps of echoes.
     ClutterStep,
     /// Ways from wall to wall.
     WallWalks,

@@ -8,9 +8,9 @@ use glam::{DVec2, DVec3};
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
-use crate::actor::track::{smooth_ramp, smooth_step};
 use crate::lanes::vector::{dot, subtract};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
+use crate::smooth::{smooth_ramp, smooth_step};
 
 /// An upright obstacle standing on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,37 +3,16 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use glam::DVec3;
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use thiserror::Error;
 
 use crate::render::Renderer;
+pub use crate::render::{FrameReport, PersonState, SimulateOptions};
 use crate::scene::Scene;
 use ahead::Ahead;
 
 mod ahead;
-
-/// What may be chosen beside the scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SimulateOptions {
-    /// All random draws depend on it.
-    pub seed: u64,
-    /// How many people there are at most (slots of visits, people at a desk, actors); the scene's own number if `None`, and
-    /// 0 for an empty room.
-    pub people: Option<usize>,
-    /// End after this many frames; endless if `None`.
-    pub frames: Option<u64>,
-    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
-    /// and how finely the rest is integrated follows from it.
-    pub tolerance_db: f64,
-}
-
-impl Default for SimulateOptions {
-    fn default() -> Self {
-        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 0.5 }
-    }
-}
 
 /// Options that cannot be met.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -51,54 +30,15 @@ pub enum SimError {
     /// The seed makes no scene of the file's random values.
     #[error("simulation: {reason}")]
     Scene {
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// The tolerance is not a number in range.
     #[error("simulation: tolerance_db is {got}, expected 0.01 to 20 dB")]
     Tolerance {
-        /// What was given.
+        /// Value that was given.
         got: f64,
     },
-}
-
-/// Where somebody is in a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PersonState {
-    /// Slot: the same person keeps it over a visit.
-    pub slot: usize,
-    /// Middle of the chest, m, in the room.
-    pub position: DVec3,
-    /// Its velocity, m/s.
-    pub velocity: DVec3,
-    /// Distance from the radar, m.
-    pub range_m: f64,
-    /// Radial speed, positive receding, m/s.
-    pub radial_speed_m_per_s: f64,
-    /// Whether any part is in the room.
-    pub in_room: bool,
-}
-
-/// What it took to make a frame.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct FrameReport {
-    /// Static paths.
-    pub static_paths: usize,
-    /// Moving paths that were evaluated at the keys.
-    pub traced_paths: usize,
-    /// Those of them that are strong enough to be heard, and so were synthesised.
-    pub moving_paths: usize,
-    /// Key times, of the path that took the most.
-    pub keys: usize,
-    /// Estimated error of interpolation between keys, relative to the echoes, rms by power.
-    pub between_keys: f64,
-    /// Estimated error of the strongest way's echoes where people have skins, dB; `None` where they are ellipsoids, whose
-    /// highlights are closed forms.
-    pub estimate_db: Option<f64>,
-    /// Amplitudes clamped because an antenna was nearer than 10 cm, or inside a body.
-    pub clamped: usize,
-    /// Codes at either end of the ADC.
-    pub clipped: usize,
 }
 
 /// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, or [its own](Simulator::on_own_threads), from
@@ -112,7 +52,7 @@ pub struct Simulator {
     ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
     spare: Vec<Frame>,
     last_report: Option<FrameReport>,
-    /// Where they are made, if not on the threads that all share.
+    /// Threads on which they are made, if not those that all share.
     pool: Option<Arc<ThreadPool>>,
 }
 
@@ -132,6 +72,9 @@ impl Clone for Simulator {
 
 impl Simulator {
     /// Prepares a scene: draws what differs between seeds, traces what is static, draws who comes.
+    ///
+    /// # Errors
+    /// [`SimError`] for more people than the scene has room for, for a tolerance out of range, and for a seed that makes no scene.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         let people = &scene.file().people;
         let most = match &people.visits {
@@ -187,7 +130,7 @@ impl Simulator {
         (frame, report)
     }
 
-    /// What comes back from people alone in a frame, without anything static and without a receiver's noise, LSB:
+    /// Echoes of people alone in a frame, without anything static and without a receiver's noise, LSB:
     /// `[rx][chirp][sample]`.
     pub fn echo_samples(&self, index: u64) -> Vec<f32> {
         self.inner.echo_samples(index, None)
@@ -210,17 +153,17 @@ impl Simulator {
         self.inner.dense_echo_chirp(index, chirp, margin_db)
     }
 
-    /// What it took to make the stream's last frame.
+    /// Cost of making the stream's last frame.
     pub fn last_report(&self) -> Option<&FrameReport> {
         self.last_report.as_ref()
     }
 
-    /// What is true of a frame.
+    /// Ground truth of a frame.
     pub fn truth(&self, index: u64) -> Truth {
         self.inner.truth(index)
     }
 
-    /// Who is where in the middle of a frame, those on their way outside the room included.
+    /// People and their places in the middle of a frame, those on their way outside the room included.
     pub fn people(&self, index: u64) -> Vec<PersonState> {
         self.inner.people(index)
     }

@@ -18,7 +18,7 @@ pub struct Key {
     pub amplitude: Complex64,
 }
 
-/// How a path bends at a key time.
+/// Curvature of a path at a key time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bend {
     /// Second and third derivative of the delay, 1/s and 1/s^2.
@@ -217,13 +217,6 @@ impl Stretch {
         let below = |power: usize| power.checked_sub(1).map(|p| self.amplitude[p] * step).unwrap_or_default();
         Stretch { amplitude: std::array::from_fn(|p| self.amplitude[p] * first + below(p)), ..*self }
     }
-
-    /// How far it is at a place from a key that was traced there, as a field at `frequency_hz`, LSB.
-    pub fn error_lsb(&self, u: f64, key: &Key, frequency_hz: f64) -> f64 {
-        let ((delay_s, _), amplitude) = (self.delay(u), self.amplitude(u));
-        let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (delay_s - key.delay_s));
-        (Complex64::new(amplitude.re.into(), amplitude.im.into()) * turn - key.amplitude).norm()
-    }
 }
 
 #[cfg(test)]
@@ -254,7 +247,6 @@ mod tests {
             let a = stretch.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(0, t)).norm() < 1e-5, "{t}");
         }
-        assert!(stretch.error_lsb(0.5, &key(0.3).0, 60e9) < 1e-5);
     }
 
     /// Any septic is met through five keys, and any quartic of amplitude; what the middle adds to a cubic is what is missed.

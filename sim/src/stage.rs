@@ -64,7 +64,7 @@ pub struct Stage {
     pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
     /// Points of the walls that throw in all directions.
     pub wall_points: Vec<WallPoint>,
-    /// What stands still.
+    /// Paths that stand still.
     pub static_paths: Vec<StaticPath>,
     /// Phases of the slow drift that all of it shares, rad.
     pub common_drift: [f64; 3],
@@ -81,7 +81,7 @@ pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -
     2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
 }
 
-/// Where a slow drift's waves begin, rad.
+/// Phases at which a slow drift's waves begin, rad.
 pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
     let mut rng = generator(seed, Purpose::Drift, of);
     std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU))

@@ -161,7 +161,7 @@ impl SwayPath {
     }
 }
 
-/// How often a span is halved so that a wave of this frequency is followed.
+/// Number of times that a span is halved so that a wave of this frequency is followed.
 fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
     (0..MOST_HALVINGS)
         .find(|&h| span_s * fastest_hz <= PERIODS_A_STRETCH * f64::from(1u32 << h))

@@ -11,7 +11,8 @@ use glam::DVec3;
 use radome_sim::actor::clip::BodyClip;
 use radome_sim::actor::imported::{Actor, ActorOptions};
 use radome_sim::actor::motion::{Motion, MotionBuilder, Person, Steps};
-use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::actor::skin::EDGE_M;
+use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::fault::FileFault;
 use radome_sim::geometry::import::UpAxis;
 

@@ -79,7 +79,7 @@ fn listed(scene: &Scene, margin_db: f64) -> Vec<ListedPath> {
     PathList::new(scene, &options).expect("a list").paths
 }
 
-/// Whether every path of one list is in the other: within a micrometre and 0.01 dB.
+/// Asserts that every path of one list is in the other: within a micrometre and 0.01 dB.
 fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
     for path in some {
         let is_same = |other: &&ListedPath| {
@@ -107,7 +107,7 @@ fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
     }
 }
 
-/// What comes back from a walker: the power of the difference over that of the box's frame.
+/// Frames of a walker differ by less than a thousandth of the power of the box's frame.
 #[test]
 fn a_box_has_the_same_frames_from_toml_plan_obj_stl_and_gltf() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -146,7 +146,8 @@ fn loudest<'a>(all: &'a [ListedPath], fits: impl Fn(&[String]) -> bool) -> Optio
     own.max_by(|a, b| a.gain_db.total_cmp(&b.gain_db))
 }
 
-/// Who stands beyond the corner: not straight, by the wall at x = 0, and by that and the one at y = 0, as long as mirrors say.
+/// A walker beyond the corner is seen: not straight, but by the wall at x = 0, and by that and the one at y = 0, as long as
+/// mirrors say.
 #[test]
 fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
     let l = changed(
@@ -260,7 +261,7 @@ fn a_metal_cupboard_shadows_and_mirrors() {
     assert!(paths.iter().all(|path| path.kind != radome_sim::path_list::PathKind::Furniture));
 }
 
-/// What is seen through a wall of polygons is what is seen through the wall of a box: the slab's transmission.
+/// A wall of polygons lets through the same as the wall of a box: the slab's transmission.
 #[test]
 fn facets_let_through_what_walls_of_boxes_do() {
     let glass = Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.01 };

@@ -10,7 +10,7 @@ use radome_sim::stage::Stage;
 
 const FRAME_S: f64 = 0.064;
 
-/// Of all highlights of somebody in a frame: how many there are, how many are kept, and how many are heard.
+/// Counts a person's highlights in a frame: all, those that are kept, and those that are heard.
 fn count(stage: &Stage, motion: &Motion, start_s: f64) -> [usize; 3] {
     let instants_s = [0.0, 0.5, 1.0].map(|part| start_s + part * FRAME_S);
     let kept = audible_paths(stage, motion, &instants_s);

@@ -192,7 +192,7 @@ fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
     }
 }
 
-/// What the simulator makes of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
+/// The simulated echo of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
 #[test]
 fn the_simulators_echoes_are_the_closed_form() {
     let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")

@@ -1,5 +1,5 @@
-//! What people do and wear: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways around
-//! furniture, and rough clothes that keep their power.
+//! Motion and clothes of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways
+//! around furniture, and rough clothes that keep their power.
 
 mod common;
 
@@ -13,7 +13,8 @@ use radome_dsp::Frame;
 use radome_sim::actor::body::{CHEST, PELVIS};
 use radome_sim::actor::motion::{Bed, Motion, MotionBuilder, Person};
 use radome_sim::actor::program::Program;
-use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::actor::skin::EDGE_M;
+use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
 use radome_sim::scene::file::{BodyFile, SceneFile};
 use radome_sim::stage::Stage;

@@ -1,4 +1,4 @@
-//! What frames must show whatever the code does: signs, levels, laws.
+//! Physics that frames must show: signs, levels, laws.
 
 mod common;
 

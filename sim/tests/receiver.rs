@@ -1,4 +1,4 @@
-//! What the receiver does to echoes: phase noise, and clutter that does not stand still.
+//! Effects of the receiver on echoes: phase noise, and clutter that does not stand still.
 
 mod common;
 
@@ -25,7 +25,7 @@ fn wall(clutter: &str, receiver: &str) -> Scene {
     parse(&text)
 }
 
-/// What a frame's mean chirp has in the range bin at a distance (Hann's window): amplitude, and phase in rad.
+/// Echo of a frame's mean chirp in the range bin at a distance (Hann's window): amplitude, and phase in rad.
 fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
     let n = scene.waveform().request.samples_per_chirp;
     let bin = (range_m / scene.waveform().range_step_m(n)).round();
@@ -65,8 +65,8 @@ fn change(values: &[f64], frames: usize) -> f64 {
     (values.iter().zip(&values[frames..]).map(square).sum::<f64>() / count as f64).sqrt()
 }
 
-/// As measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to 4 % of amplitude; and in an
-/// empty room there is more than noise left after static removal, though far less than a person.
+/// Drift and jitter are as measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to 4 % of
+/// amplitude; and in an empty room there is more than noise left after static removal, though far less than a person.
 #[test]
 fn clutter_jitters_and_drifts_as_measured() {
     let typical = "phase_jitter_rad = 0.03\nphase_drift_rad_per_10s = 0.3\namplitude_jitter = 0.01";

@@ -185,7 +185,7 @@ fn map_of(samples: &[f32]) -> Vec<f64> {
     map(&samples[..CHIRPS * SAMPLES].iter().map(|&x| f64::from(x)).collect::<Vec<f64>>())
 }
 
-/// What the program makes of frames, with the key times that it chooses itself, against the program with a trace for every
+/// Frames with the key times that the program chooses itself, against the program with a trace for every
 /// chirp: walls, shadows of limbs and of each other, and what cannot be heard left out as ever.
 #[test]
 fn the_programs_own_keys_hold_its_frames() {

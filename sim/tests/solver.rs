@@ -461,7 +461,7 @@ mod hard_cases {
         assert!(high - low < 0.1, "{values:?}");
     }
 
-    /// What cannot be is refused with words.
+    /// Impossible problems are refused with a message.
     #[test]
     fn impossible_targets_are_refused() {
         let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };

@@ -424,7 +424,7 @@ mod hard_cases {
         told(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
     }
 
-    /// What a box cannot show is not taken for one.
+    /// Meshes that a box cannot show are not taken for one.
     #[test]
     fn a_plan_is_simulated_and_is_no_box() {
         let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");

@@ -60,7 +60,7 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// What varies of a range bin within a frame, relative to its mean.
+/// Variation of a range bin within a frame, relative to its mean.
 fn variation(bins: &[Complex64]) -> f64 {
     let mean = bins.iter().sum::<Complex64>() / bins.len() as f64;
     let square: f64 = bins.iter().map(|bin| (bin - mean).norm_sqr()).sum();

@@ -125,7 +125,7 @@ fn without_transmission_nobody_is_behind_a_wall() {
     assert!(!parse(&hall("[people.desk]\nmax_people = 0\n")).room().transmission, "off unless asked for");
 }
 
-/// Whether walls let waves through makes no difference to who is in the room, to the last bit.
+/// Transmission through walls makes no difference to who is in the room, to the last bit.
 #[test]
 fn inside_the_room_it_makes_no_difference() {
     for place in [[2.0, 9.0], [3.0, 12.0]] {

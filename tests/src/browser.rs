@@ -74,6 +74,9 @@ impl Browser {
     }
 
     /// One method of the protocol.
+    ///
+    /// # Panics
+    /// If the browser answers with an error or not at all.
     pub fn call(&mut self, method: &str, parameters: Value) -> Value {
         self.next_id += 1;
         let id = self.next_id;
@@ -109,6 +112,9 @@ impl Browser {
     }
 
     /// Value of an expression in the page.
+    ///
+    /// # Panics
+    /// If the expression throws, or the browser does not answer.
     pub fn evaluate(&mut self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let result = self.call("Runtime.evaluate", parameters);
@@ -117,6 +123,9 @@ impl Browser {
     }
 
     /// Waits until an expression holds.
+    ///
+    /// # Panics
+    /// If the expression does not hold in time.
     pub fn wait_until(&mut self, expression: &str) {
         let end = Instant::now() + PATIENCE;
         while self.evaluate(&format!("Boolean({expression})")) != Value::Bool(true) {
@@ -165,6 +174,9 @@ impl Browser {
     }
 
     /// A picture of what is seen, as PNG.
+    ///
+    /// # Panics
+    /// If the browser does not answer, or the file cannot be written.
     pub fn screenshot(&mut self, path: &Path) {
         let picture = self.call("Page.captureScreenshot", json!({ "format": "png" }));
         let text = picture["data"].as_str().expect("base64");
@@ -172,6 +184,9 @@ impl Browser {
     }
 
     /// Bytes of the page's JavaScript objects, after collecting those that nobody needs.
+    ///
+    /// # Panics
+    /// If the browser does not answer.
     pub fn heap_bytes(&mut self) -> f64 {
         self.call("HeapProfiler.collectGarbage", json!({}));
         self.call("Runtime.getHeapUsage", json!({}))["usedSize"].as_f64().expect("bytes")
@@ -252,7 +267,7 @@ impl Served {
         Served { child, address: format!("127.0.0.1:{port}"), token }
     }
 
-    /// Where browsers find it.
+    /// Address at which browsers find it.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long a test waits for what must come: far longer than it takes on any machine.
+/// Time that a test waits for what must come: far longer than it takes on any machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Lines that a program has written so far.
@@ -71,9 +71,9 @@ pub fn wait_up_to<T>(patience: Duration, what: &str, mut look: impl FnMut() -> O
 /// A program that is killed when the test is over.
 pub struct Running {
     child: Child,
-    /// What it writes to stdout.
+    /// Lines that it writes to stdout.
     pub stdout: Lines,
-    /// What it writes to stderr.
+    /// Lines that it writes to stderr.
     pub stderr: Lines,
 }
 
@@ -126,7 +126,7 @@ impl Running {
 }
 
 impl Drop for Running {
-    /// Where a test has failed, what its programs said last may tell why.
+    /// Prints the last output of the programs when a test has failed, which may tell why.
     #[allow(clippy::print_stderr)]
     fn drop(&mut self) {
         let ended = self.child.try_wait();

@@ -5,10 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use radome_driver::recording::{Format, Recording, RecordingWriter};
-use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
 use radome_models::ModelCard;
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{add_signal, failure, fixture, json_lines, radome};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -61,37 +59,16 @@ fn made() -> &'static Path {
 
 /// The same without its truth, and with three things that sway by 2 cm about once a second, 8 codes strong, at 2.6 to 3.6 m.
 fn with_sway(from: &Path, to: &Path, phase: f64) {
-    let mut source = Recording::open(from).expect("opens");
-    let waveform = source.waveform().clone();
-    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
-    let shape = waveform.shape();
-    let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / shape.samples as f64;
-    let start_hz = waveform.centre_frequency_hz() - 0.5 * waveform.sampled_bandwidth_hz();
-    let mut frame = Frame::zeroed(shape);
-    loop {
-        match source.next_frame(&mut frame).expect("reads") {
-            SourceEvent::End => break,
-            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
-            SourceEvent::Frame => {
-                for (i, code) in frame.codes.iter_mut().enumerate() {
-                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
-                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
-                    let echo = |thing: f64| {
-                        let turn = TAU * (0.7 + 0.1 * thing) * time_s + phase + thing;
-                        let delay_s = 2.0 * (2.6 + 0.5 * thing + 0.02 * turn.sin()) / 299_792_458.0;
-                        let in_chirp_s = sample as f64 / waveform.sample_rate_hz;
-                        8.0 * (TAU * delay_s * (start_hz + slope * in_chirp_s)).cos()
-                    };
-                    let value = f64::from(*code) + echo(0.0) + echo(1.0) + echo(2.0);
-                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
-                }
-                // What was recorded knows no truth.
-                frame.truth = None;
-                writer.frame(&frame).expect("writes");
-            }
-        }
-    }
-    writer.finish().expect("finishes");
+    add_signal(from, to, false, |waveform, time_s, in_chirp_s| {
+        let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
+        let start_hz = waveform.centre_frequency_hz() - 0.5 * waveform.sampled_bandwidth_hz();
+        let echo = |thing: f64| {
+            let turn = TAU * (0.7 + 0.1 * thing) * time_s + phase + thing;
+            let delay_s = 2.0 * (2.6 + 0.5 * thing + 0.02 * turn.sin()) / 299_792_458.0;
+            8.0 * (TAU * delay_s * (start_hz + slope * in_chirp_s)).cos()
+        };
+        echo(0.0) + echo(1.0) + echo(2.0)
+    });
 }
 
 /// `radome model adapt` of the model with recordings such as `0-1=empty`.

@@ -3,9 +3,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_driver::recording::{Format, Recording, RecordingWriter};
-use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{add_signal, failure, fixture, json_lines, radome};
 use serde_json::Value;
 
 /// A corridor with so many people in it, for thirty seconds.
@@ -17,34 +15,16 @@ fn simulate(path: &Path, people: &str, seed: &str) {
 
 /// The same with a fan at 3 m: three blades that come and go by 6 cm 2.3 times a second, 3 codes strong.
 fn with_fan(from: &Path, to: &Path, phase: f64) {
-    let mut source = Recording::open(from).expect("opens");
-    let waveform = source.waveform().clone();
-    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
-    let mut frame = Frame::zeroed(waveform.shape());
-    let shape = waveform.shape();
-    let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / shape.samples as f64;
-    loop {
-        match source.next_frame(&mut frame).expect("reads") {
-            SourceEvent::End => break,
-            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
-            SourceEvent::Frame => {
-                for (i, code) in frame.codes.iter_mut().enumerate() {
-                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
-                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
-                    let echo = |blade: i32| {
-                        let turn = TAU * (2.3 * time_s + f64::from(blade) / 3.0) + phase;
-                        let delay_s = 2.0 * (3.0 + 0.06 * turn.sin()) / 299_792_458.0;
-                        let in_chirp_s = sample as f64 / waveform.sample_rate_hz;
-                        3.0 * (TAU * delay_s * (waveform.centre_frequency_hz() + slope * in_chirp_s)).cos()
-                    };
-                    let value = f64::from(*code) + (0..3).map(echo).sum::<f64>();
-                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
-                }
-                writer.frame(&frame).expect("writes");
-            }
-        }
-    }
-    writer.finish().expect("finishes");
+    add_signal(from, to, true, |waveform, time_s, in_chirp_s| {
+        let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
+        let frequency_hz = waveform.centre_frequency_hz() + slope * in_chirp_s;
+        let echo = |blade: i32| {
+            let turn = TAU * (2.3 * time_s + f64::from(blade) / 3.0) + phase;
+            let delay_s = 2.0 * (3.0 + 0.06 * turn.sin()) / 299_792_458.0;
+            3.0 * (TAU * delay_s * frequency_hz).cos()
+        };
+        (0..3).map(echo).sum()
+    });
 }
 
 fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {

@@ -96,7 +96,7 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
     recording
 }
 
-/// What stands still says how strong echoes are, and how far from constant.
+/// Static echoes tell how strong echoes are, and how far from constant.
 #[test]
 fn levels_and_jitter_of_what_stands_still_are_found_again() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! What needs no training: the detector that counts people, and directions of echoes.
+//! Methods without training: the detector that counts people, and directions of echoes.
 
 use std::path::Path;
 
@@ -38,7 +38,7 @@ fn the_detector_judges_recordings_in_place_of_a_model() {
     assert_eq!(recordings[1]["majority"], "one", "{answer}");
 }
 
-/// It takes any waveform, live too.
+/// The detector takes any waveform, live too.
 #[test]
 fn the_detector_watches_any_source() {
     let args = ["live", "--model", "cfar", "--frames", "60", "--people", "0", "--json"];
@@ -66,7 +66,7 @@ fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
     path
 }
 
-/// Who walks on the radar's left has a positive azimuth, on its right a negative one; the strongest echo is theirs.
+/// A walker on the radar's left has a positive azimuth, on its right a negative one; the strongest echo is theirs.
 #[test]
 fn azimuth_is_on_the_side_on_which_somebody_walks() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -7,6 +7,18 @@ use std::time::{Duration, Instant};
 
 use radome_tests::{failure, fixture, json_lines, model_of_one_waveform, radome};
 
+/// Maps of one channel in decibels.
+const MAP: &str = r#"[map]
+scale = "minus_one_to_one"
+channels = { one = 0 }
+chirp_mean_removal = false
+static_removal = "slow_time_mean"
+range_window = "hann"
+doppler_window = "hann"
+slow_time = "chirps"
+amplitude = "unnormalised"
+floor_db = -200.0"#;
+
 /// A spec of `runs` short runs of the paper's two scenes; every unit takes a moment.
 fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
     let path = folder.join("spec.toml");
@@ -14,16 +26,7 @@ fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
     let text = format!(
         r#"format = 1
 {more}
-[map]
-scale = "minus_one_to_one"
-channels = {{ one = 0 }}
-chirp_mean_removal = false
-static_removal = "slow_time_mean"
-range_window = "hann"
-doppler_window = "hann"
-slow_time = "chirps"
-amplitude = "unnormalised"
-floor_db = -200.0
+{MAP}
 [[simulated]]
 scene = {corridor:?}
 seeds = [1, {runs}]
@@ -327,23 +330,16 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     copy(&made, &path("data/home/calibration"));
 
     let spec = path("spec.toml");
-    let text = r#"format = 1
-[map]
-scale = "minus_one_to_one"
-channels = { one = 0 }
-chirp_mean_removal = false
-static_removal = "slow_time_mean"
-range_window = "hann"
-doppler_window = "hann"
-slow_time = "chirps"
-amplitude = "unnormalised"
-floor_db = -200.0
+    let text = format!(
+        r#"format = 1
+{MAP}
 [[recorded]]
 folders = "data"
-labels = { "empty*" = "empty", "{scene}/{subject}/one_*" = "one", "{scene}/{subject}/two_*" = "two", "mixed_?" = "spans", "calibration" = "skip" }
+labels = {{ "empty*" = "empty", "{{scene}}/{{subject}}/one_*" = "one", "{{scene}}/{{subject}}/two_*" = "two", "mixed_?" = "spans", "calibration" = "skip" }}
 scene = "home"
-"#;
-    std::fs::write(&spec, text).expect("writable");
+"#
+    );
+    std::fs::write(&spec, &text).expect("writable");
     let said = json_lines(&mut build(&spec, &path("set"))).remove(0);
     let frames = u64::from(frames);
     let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));

@@ -1,4 +1,4 @@
-//! What the doctor finds.
+//! Findings of the doctor.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -207,7 +207,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     assert_eq!(named(&checks, "room")["verdict"], "fail");
 }
 
-/// What is installed by hand is what the program prints.
+/// The files to install by hand are those that the program prints.
 #[test]
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =

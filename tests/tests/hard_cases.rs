@@ -1,4 +1,4 @@
-//! What the program does with input that is not as it should be: a right answer, or an error that says what, where and what
+//! Behaviour on malformed input: a right answer, or an error that says what, where and what
 //! to do; never half a file.
 
 use std::path::Path;

@@ -11,7 +11,7 @@ use radome_tests::running::{Running, free_port, wait_for};
 use radome_tests::{fixture, json_lines, radome};
 use serde_json::Value;
 
-/// What the emulated board calls itself.
+/// Id of the emulated board.
 const ID: &str = "000102030405060708090a0b0c0d0e0f";
 
 /// A mosquitto of the test's own.
@@ -264,7 +264,7 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     stop_and_count(live);
 }
 
-/// What a server answers to these bytes, as far as it does.
+/// Answer of a server to these bytes, as far as it comes.
 fn ask(port: u16, request: &[u8]) -> String {
     let mut answer = Vec::new();
     if let Ok(mut socket) = TcpStream::connect(("127.0.0.1", port)) {
@@ -339,7 +339,7 @@ fn prometheus_reads_counters_gauges_and_a_histogram() {
     assert!(summary["frames"].as_f64().is_some_and(|all| all >= frames));
 }
 
-/// What systemd would hear.
+/// Receiver of the notifications that systemd would hear.
 struct Ear {
     socket: UnixDatagram,
     folder: tempfile::TempDir,
@@ -357,7 +357,7 @@ impl Ear {
         self.folder.path().join("notify")
     }
 
-    /// What is said within this time.
+    /// Notifications within this time.
     fn hear(&self, time: Duration) -> Vec<String> {
         let (start, mut heard, mut bytes) = (Instant::now(), Vec::new(), [0; 4096]);
         while start.elapsed() < time {

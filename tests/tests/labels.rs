@@ -48,7 +48,7 @@ fn spans(recording: &Path) -> Vec<Value> {
     }
 }
 
-/// What the page says is saved is in the file, and outlives a program that has no time to end it.
+/// Labels that the page reports as saved are in the file, and outlive a program that has no time to end it.
 #[test]
 fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -257,7 +257,7 @@ fn shipped_settings_train_a_model() {
 mod hard_cases {
     use super::*;
 
-    /// What stands above noise is not known of maps with a 0 dB of their own; a misspelt setting is no setting.
+    /// The level above noise is unknown for maps with a 0 dB of their own; a misspelt setting is refused.
     #[test]
     fn settings_of_augmentation_that_cannot_be_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");

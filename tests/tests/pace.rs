@@ -1,4 +1,4 @@
-//! How fast and how steadily, over long runs: `tests/long home`. Off by default.
+//! Pace of long runs and its steadiness: `tests/long home`. Off by default.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

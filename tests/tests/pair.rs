@@ -7,7 +7,7 @@ use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
 use radome_tests::{failure, fixture, json_lines, radome, shared};
 use serde_json::Value;
 
-/// Where somebody walks: places, and the speed of the way to each; a place twice is a stand of two seconds.
+/// Path of a walker: places, and the speed of the way to each; a place twice is a stand of two seconds.
 type Path2 = [([f64; 2], f64)];
 
 /// The way-points rounded as scenes round them; the person does not matter.
@@ -59,7 +59,7 @@ fn numbers(value: &Value) -> [f64; 2] {
     [number(0), number(1)]
 }
 
-/// How far a followed trajectory is from the true one.
+/// Distance of a followed trajectory from the true one.
 #[derive(Debug, Default)]
 struct Errors {
     /// Frames in which somebody was visible, of all.
@@ -72,7 +72,8 @@ struct Errors {
 }
 
 impl Errors {
-    /// Of a person's lines; who turns, starts or stops within these times (s, from and to) is not asked how fast.
+    /// Errors of a person's lines; speed is not compared where the walker turns, starts or stops within these times (s, from
+    /// and to).
     fn of(set: &Path, person: u64, truth: &Motion, radar: [f64; 2], frames: usize, turns: &[[f64; 2]]) -> Self {
         /// Middle of the frames of the paper's waveform, s.
         const MIDDLE_S: f64 = 0.032;
@@ -192,7 +193,7 @@ fn two_who_pass_each_other_are_both_recovered() {
     }
 }
 
-/// What comes out is a dataset like any other, whose splits keep both sides together; the mirror is a scene like any other.
+/// The output is a dataset like any other, whose splits keep both sides together; the mirror is a scene like any other.
 #[test]
 fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     let folder = tempfile::tempdir().expect("a folder");

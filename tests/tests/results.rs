@@ -1,4 +1,4 @@
-//! What was said about frames, in the recording beside them.
+//! Answers about frames, in the recording beside them.
 
 use std::path::Path;
 

@@ -35,7 +35,7 @@ fn noise(path: &Path, frames: u64) {
     recorder.finish().expect("finishes");
 }
 
-/// How many frames can be read, one after the other from the first on.
+/// Counts the frames that can be read, one after the other from the first on.
 fn readable(path: &Path) -> u64 {
     let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
     let mut frame = Frame::zeroed(source.waveform().shape());
@@ -105,7 +105,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     }
 }
 
-/// What the unit runs, as systemd would put it together.
+/// Command that the unit runs, as systemd would put it together.
 fn service(source: &Path, options: &[&str]) -> Command {
     let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
     let line = unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("a command");

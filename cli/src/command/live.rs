@@ -114,7 +114,7 @@ pub struct Watch<'a> {
     pub view: &'a view::Arguments,
     /// Recording to write.
     pub output: Option<&'a Path>,
-    /// Whether it may take the place of a file that exists.
+    /// Permission to replace an existing file.
     pub overwrite: Overwrite,
     /// Capture of the empty room.
     pub background: Option<&'a Path>,

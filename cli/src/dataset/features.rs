@@ -124,7 +124,7 @@ fn of_maps(features: &Features) -> Found {
     found
 }
 
-/// Of the strongest static bin of each source: medians over sources.
+/// Features of the strongest static bin of each source: medians over sources.
 fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
     let mut values: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for spec in sources {
@@ -211,7 +211,7 @@ fn deviation(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Of the line of least squares.
+/// Slope of the least-squares line.
 fn slope(x: &[f64], y: &[f64]) -> f64 {
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
     let (mx, my) = (mean(x), mean(y));

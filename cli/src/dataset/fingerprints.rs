@@ -9,8 +9,8 @@ use anyhow::Context;
 use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use sha2::{Digest, Sha256};
 
-/// Of a longer file only its length and so much of either end goes in, bytes: recordings of many gigabytes would be read
-/// twice otherwise.
+/// Length of either end of a longer file that enters the fingerprint beside the file's length, bytes: recordings of many
+/// gigabytes would be read twice otherwise.
 const END: u64 = 1 << 19;
 /// Files that name files that name files.
 const DEEPEST: usize = 4;
@@ -22,7 +22,7 @@ pub struct Fingerprints {
 }
 
 impl Fingerprints {
-    /// Of files named relative to a folder.
+    /// Takes fingerprints of files named relative to a folder.
     pub fn new(base: &Path) -> Self {
         Fingerprints { base: base.to_owned(), prints: BTreeMap::new() }
     }

@@ -280,7 +280,7 @@ impl PlanCard {
         serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))
     }
 
-    /// As text.
+    /// Formats the card as JSON.
     ///
     /// # Errors
     /// The card cannot be written as JSON.

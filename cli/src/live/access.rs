@@ -150,15 +150,15 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
 /// Reason for refusing a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// It names a host that is not this server.
+    /// The request names a host that is not this server.
     Host,
     /// A page of another site made it.
     Origin,
-    /// It brings no token.
+    /// The request brings no token.
     NoToken,
-    /// It brings a token that is not this server's.
+    /// The request brings a token that is not this server's.
     WrongToken,
-    /// It has a body.
+    /// The request has a body.
     Body,
 }
 

@@ -21,7 +21,7 @@ impl std::fmt::Display for Probabilities {
 }
 
 impl Probabilities {
-    /// Of empty, one and two.
+    /// Probabilities of empty, one and two.
     pub fn values(self) -> [f32; 3] {
         [self.empty, self.one, self.two]
     }
@@ -34,7 +34,7 @@ impl From<[f32; 3]> for Probabilities {
 }
 
 /// Answer to one frame.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Answer {
     /// Sequence number of the frame.
     pub sequence: u64,

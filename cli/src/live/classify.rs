@@ -106,17 +106,9 @@ impl FrameClassifier {
         let mut answer = Answer {
             sequence: frame.sequence,
             time_s,
-            label: None,
-            probabilities: None,
-            frame_probabilities: None,
-            occupied: false,
-            people: 0,
-            warming_up: None,
-            no_signal: false,
             truth: frame.truth.map(|t| t.occupancy),
             transition: frame.truth.map(|t| t.transition),
-            saturated_samples: 0,
-            latency_ms: 0.0,
+            ..Answer::default()
         };
         match prediction {
             Prediction::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),

@@ -53,9 +53,9 @@ impl Default for Limits {
 /// Reason why a connection ended without an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
-    /// It was replaced by a newer one.
+    /// The request was replaced by a newer one.
     Replaced,
-    /// It was malformed, too long or too slow, or its client went away.
+    /// The request was malformed, too long or too slow, or its client went away.
     Failed,
 }
 

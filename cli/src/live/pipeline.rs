@@ -69,7 +69,7 @@ impl Failure {
 pub struct Delivery {
     /// Item.
     pub item: Item,
-    /// When its last byte had arrived.
+    /// Arrival of the frame's last byte.
     pub arrived: Instant,
 }
 

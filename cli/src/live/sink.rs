@@ -23,12 +23,21 @@ pub struct Moment<'a> {
 /// its own. An error ends the run.
 pub trait Sink {
     /// A frame has been judged.
+    ///
+    /// # Errors
+    /// The answer cannot be passed on.
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()>;
 
     /// Frames are missing here.
+    ///
+    /// # Errors
+    /// The gap cannot be passed on.
     fn gap(&mut self, gap: &Gap, health: &Health) -> anyhow::Result<()>;
 
     /// The run is over, however it ended.
+    ///
+    /// # Errors
+    /// The summary cannot be passed on, or earlier answers were lost.
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
         let _ = summary;
         Ok(())

@@ -9,7 +9,8 @@ use radome_sim::Scene;
 use radome_sim::actor::body::PELVIS;
 use radome_sim::actor::motion::Motion;
 use radome_sim::actor::program::Program;
-use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::actor::skin::EDGE_M;
+use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::scene::file::{BodyFile, SurfaceFile};
 
@@ -208,7 +209,7 @@ fn ways(preview: &Preview) -> Vec<Way> {
     all.into_iter().enumerate().map(one).collect()
 }
 
-/// When somebody is first in the room, and a few times after that at which they are elsewhere or otherwise.
+/// Time at which somebody is first in the room, and a few later ones at which they are elsewhere or in another posture.
 fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
     let size = scene.room().size_m;
     let in_room = |p: DVec3| p.x > 0.2 && p.y > 0.2 && p.x < size.x - 0.2 && p.y < size.y - 0.2;
@@ -574,7 +575,7 @@ mod tests {
     fn outlines_of_ellipsoids_are_their_shadows() {
         let axes = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(1.1);
         let e = Ellipsoid { centre: DVec3::new(2.0, 1.0, 1.2), axes, semi_axes_m: DVec3::new(0.1, 0.2, 0.6) };
-        let half = radome_sim::actor::program::half_extent(&e) * 50.0;
+        let half = radome_sim::actor::body::half_extent(&e) * 50.0;
         let (low, high) = bounds(&silhouette(&view(), &e));
         assert!((high[0] - low[0] - 2.0 * half.x).abs() < 0.02 * half.x, "{} {}", high[0] - low[0], half.x);
         assert!((high[1] - low[1] - 2.0 * half.z).abs() < 0.02 * half.z, "{} {}", high[1] - low[1], half.z);

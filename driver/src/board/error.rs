@@ -1,11 +1,13 @@
 //! Errors of boards.
 
+mod deepcraft;
+
 use std::path::PathBuf;
 use std::time::Duration;
 
+pub use deepcraft::DeepcraftError;
 use thiserror::Error;
 
-use super::deepcraft::DeepcraftError;
 use crate::chip::ChipError;
 use crate::protocol::ascii::LineError;
 use crate::protocol::mcu7::{PayloadError, Status};
@@ -16,7 +18,7 @@ use crate::transport::usb::OpenError;
 #[derive(Debug, Error)]
 pub enum BoardError {
     /// The port cannot be opened.
-    #[error("{path}: cannot be opened", path = path.display())]
+    #[error("{path}: cannot be opened")]
     Open {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -26,15 +28,14 @@ pub enum BoardError {
     /// No board of this address is attached.
     #[error(
         "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome board list lists what is attached; boards with \
-         the vendor's shipped firmware answer on serial:/dev/ttyACM0",
-        path = path.display()
+         the vendor's shipped firmware answer on serial:/dev/ttyACM0"
     )]
     Absent {
         /// Address that was asked for.
         path: PathBuf,
     },
     /// More than one board matches the address.
-    #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "), path = path.display())]
+    #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "))]
     Ambiguous {
         /// Address that was asked for.
         path: PathBuf,
@@ -42,7 +43,7 @@ pub enum BoardError {
         found: Vec<String>,
     },
     /// Another program holds the port.
-    #[error("{path}: another program has this port open; close it and try again", path = path.display())]
+    #[error("{path}: another program has this port open; close it and try again")]
     Busy {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -50,7 +51,6 @@ pub enum BoardError {
     /// The user may not open the port.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
-        path = path.display(),
         remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied {
@@ -58,7 +58,7 @@ pub enum BoardError {
         path: PathBuf,
     },
     /// The connection broke.
-    #[error("{path}: the connection broke; was the board unplugged?", path = path.display())]
+    #[error("{path}: the connection broke; was the board unplugged?")]
     Disconnected {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -66,7 +66,7 @@ pub enum BoardError {
         source: std::io::Error,
     },
     /// The board did not answer a request.
-    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?", path = path.display())]
+    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?")]
     NoAnswer {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -74,7 +74,7 @@ pub enum BoardError {
         command: &'static str,
     },
     /// The board answered a request with an error status.
-    #[error("{path}: the board answered {status} to the request for {command}", path = path.display())]
+    #[error("{path}: the board answered {status} to the request for {command}")]
     Refused {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -84,7 +84,7 @@ pub enum BoardError {
         status: Status,
     },
     /// An answer does not have the form of its kind.
-    #[error("{path}: the answer is malformed", path = path.display())]
+    #[error("{path}: the answer is malformed")]
     Malformed {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -93,8 +93,7 @@ pub enum BoardError {
     },
     /// The firmware speaks another version of the protocol.
     #[error(
-        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware",
-        path = path.display()
+        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware"
     )]
     Protocol {
         /// Name of the port or USB device.
@@ -105,7 +104,7 @@ pub enum BoardError {
         minor: u16,
     },
     /// The board has no radar chip that answers.
-    #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated", path = path.display())]
+    #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated")]
     ChipSilent {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -113,7 +112,7 @@ pub enum BoardError {
         chip_id: u32,
     },
     /// The board has another radar chip.
-    #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C", path = path.display())]
+    #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C")]
     OtherChip {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -123,7 +122,7 @@ pub enum BoardError {
         chip_id: u32,
     },
     /// Another board is on the port of the one that measured.
-    #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it", path = path.display())]
+    #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it")]
     OtherBoard {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -136,7 +135,7 @@ pub enum BoardError {
     #[error(transparent)]
     Chip(#[from] ChipError),
     /// The board stopped measuring by itself.
-    #[error("{path}: the board stopped measuring with error code {code}", path = path.display())]
+    #[error("{path}: the board stopped measuring with error code {code}")]
     Acquisition {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -144,7 +143,7 @@ pub enum BoardError {
         code: u32,
     },
     /// No frame came within the deadline.
-    #[error("{path}: no frame for {waited:.1?}; the board has stalled", path = path.display())]
+    #[error("{path}: no frame for {waited:.1?}; the board has stalled")]
     Stalled {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -152,7 +151,7 @@ pub enum BoardError {
         waited: Duration,
     },
     /// The board sends lines, but none is a frame of the waveform.
-    #[error("{path}: no frame among its lines", path = path.display())]
+    #[error("{path}: no frame among its lines")]
     Line {
         /// Name of the port or USB device.
         path: PathBuf,
@@ -161,15 +160,14 @@ pub enum BoardError {
     },
     /// The board does not state its waveform, and the caller gave none.
     #[error(
-        "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml",
-        path = path.display()
+        "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml"
     )]
     WaveformUnknown {
         /// Name of the port or USB device.
         path: PathBuf,
     },
     /// An error that only DEEPCRAFT boards have.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: {source}")]
     Deepcraft {
         /// Name of the port or USB device.
         path: PathBuf,

@@ -9,9 +9,9 @@ mod identity;
 mod mcu7;
 mod reconnect;
 
-pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
+pub use deepcraft::{DeepcraftBoard, DeepcraftStream};
 pub use detect::Detected;
-pub use error::BoardError;
+pub use error::{BoardError, DeepcraftError};
 pub use esp32::Esp32Stream;
 pub use identity::BoardIdentity;
 pub use mcu7::{Mcu7Board, Mcu7Stream};

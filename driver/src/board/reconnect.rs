@@ -1,11 +1,12 @@
-//! Policy for boards that were unplugged or fell silent, and counts of lost frames.
+//! Policy for boards that were unplugged or fell silent.
 
+use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, GapReason, SourceEvent};
+use radome_dsp::{Frame, SourceEvent};
 
-use super::BoardError;
+use super::{BoardError, BoardIdentity};
 
 /// Reconnection policy of a stream whose board was unplugged or has stalled: the port is opened again after waits that
 /// double.
@@ -92,7 +93,7 @@ pub(super) trait Reconnectable {
     /// Closes the connection: the old port must be closed before the new one can be opened.
     fn close(&mut self);
 
-    /// Opens the connection again and starts frames.
+    /// Opens the closed connection again and starts frames.
     fn reopen(&mut self) -> Result<(), BoardError>;
 
     /// Time at which the last frame came.
@@ -113,25 +114,22 @@ pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> 
         stream.close();
         let last_frame = stream.last_frame();
         let noticed = stream.recovery().outage.noticed(last_frame);
-        policy.until_back(noticed, error, || stream.reopen())?;
+        let reopen = || {
+            // A former attempt may have opened the port and failed later.
+            stream.close();
+            stream.reopen()
+        };
+        policy.until_back(noticed, error, reopen)?;
     }
 }
 
-/// Frames lost, by reason.
-#[derive(Debug, Default)]
-pub(super) struct Losses(Vec<(GapReason, u64)>);
-
-impl Losses {
-    pub fn count(&mut self, gap: &Gap) {
-        match self.0.iter_mut().find(|(reason, _)| *reason == gap.reason) {
-            Some((_, frames)) => *frames += gap.frames,
-            None => self.0.push((gap.reason, gap.frames)),
-        }
+/// Checks that the board that was opened again at `path` is the one with this UUID.
+pub(super) fn check_same(path: &Path, uuid: &str, found: &BoardIdentity) -> Result<(), BoardError> {
+    if found.uuid == uuid {
+        return Ok(());
     }
-
-    pub fn frames(&self, reason: GapReason) -> u64 {
-        self.0.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
-    }
+    let (expected, found) = (uuid.to_owned(), found.uuid.clone());
+    Err(BoardError::OtherBoard { path: path.to_owned(), expected, found })
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ pub enum EmulatorError {
         link: PathBuf,
     },
     /// A board with USB endpoints cannot use a terminal.
-    #[error("emulator: a board with bulk transfers cannot be on the terminal {path}", path = path.display())]
+    #[error("emulator: a board with bulk transfers cannot be on the terminal {path}")]
     NoTerminal {
         /// Path of the terminal.
         path: PathBuf,

@@ -13,7 +13,7 @@ const LATENCY: Duration = Duration::from_micros(1500);
 pub enum Pace {
     /// The source's time stamps, this many times as fast.
     RealTime(f64),
-    /// As fast as the host reads: the back-pressure of the pseudo-terminal sets the pace, and nothing overflows.
+    /// Sends as fast as the host reads: the back-pressure of the pseudo-terminal sets the pace, and nothing overflows.
     AsFastAsRead,
 }
 

@@ -106,7 +106,7 @@ pub struct LineParser {
     /// Length beyond which a line is given up, bytes.
     limit: usize,
     buffer: Vec<u8>,
-    /// Offset of the next line.
+    /// Position at which the next line begins.
     begin: usize,
     /// Number of bytes from `begin` on that hold no end of line.
     searched: usize,

@@ -9,17 +9,17 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum RecordingError {
     /// A file cannot be read or written.
-    #[error("{path}: {what}", path = path.display())]
+    #[error("{path}: {what}")]
     Io {
         /// File.
         path: PathBuf,
         /// Operation that failed.
         what: &'static str,
-        /// Why it failed.
+        /// Reason of the failure.
         source: std::io::Error,
     },
     /// A file that belongs to the recording is absent.
-    #[error("{path}: no such file, though the recording needs it", path = path.display())]
+    #[error("{path}: no such file, though the recording needs it")]
     Missing {
         /// File.
         path: PathBuf,
@@ -27,7 +27,6 @@ pub enum RecordingError {
     /// An output exists and must not be replaced.
     #[error(
         "{path}: exists already{and}\n\nhint: choose another name, or remove it",
-        path = path.display(),
         and = if path.is_dir() { " and is not empty" } else { "" }
     )]
     Occupied {
@@ -36,8 +35,7 @@ pub enum RecordingError {
     },
     /// Another writer has the file.
     #[error(
-        "{path}: another program is writing to it\n\nhint: stop that program, wait for its end, or choose another name",
-        path = path.display()
+        "{path}: another program is writing to it\n\nhint: stop that program, wait for its end, or choose another name"
     )]
     Locked {
         /// File.
@@ -46,8 +44,7 @@ pub enum RecordingError {
     /// The disk accepts data but does not store them.
     #[error(
         "{path}: the disk has not stored any of it for {waited_s:.0} s\n\nhint: record to a faster disk, and see the system's log for \
-         errors of this one",
-        path = path.display()
+         errors of this one"
     )]
     Stalled {
         /// File.
@@ -58,25 +55,24 @@ pub enum RecordingError {
     /// The path is not a recording.
     #[error(
         "{path}: not a recording: expected an MCAP file, a folder with RadarIfxAvian_00 or radar.npy in it, or the \
-         vendor's text file with its _config.json beside it",
-        path = path.display()
+         vendor's text file with its _config.json beside it"
     )]
     Unknown {
         /// Path that was given.
         path: PathBuf,
     },
     /// The content breaks the format's rules.
-    #[error("{path}: at byte {offset}: {reason}", path = path.display())]
+    #[error("{path}: at byte {offset}: {reason}")]
     Corrupt {
         /// File.
         path: PathBuf,
-        /// Offset in the file, bytes.
+        /// Position in the file, bytes.
         offset: u64,
         /// Description of the error and of the expected content.
         reason: String,
     },
     /// A field of a JSON file is absent or of the wrong kind.
-    #[error("{path}: field `{field}`: {reason}", path = path.display())]
+    #[error("{path}: field `{field}`: {reason}")]
     Field {
         /// File.
         path: PathBuf,
@@ -103,21 +99,20 @@ pub enum RecordingError {
     },
     /// The file ends too early.
     #[error(
-        "{path}: cut short at byte {offset}: {whole_frames} whole frames can be read, {expected_frames} were promised",
-        path = path.display()
+        "{path}: cut short at byte {offset}: {whole_frames} whole frames can be read, {expected_frames} were promised"
     )]
     Truncated {
         /// File.
         path: PathBuf,
         /// Its length.
         offset: u64,
-        /// Whole frames that are there.
+        /// Number of whole frames in the file.
         whole_frames: u64,
         /// Frames that its header promises.
         expected_frames: u64,
     },
     /// The file was never finished and ends within a record.
-    #[error("{path}: the recording was not finished: its last whole chunk ends at byte {offset}", path = path.display())]
+    #[error("{path}: the recording was not finished: its last whole chunk ends at byte {offset}")]
     Unfinished {
         /// File.
         path: PathBuf,
@@ -125,7 +120,7 @@ pub enum RecordingError {
         offset: u64,
     },
     /// The file was written by a newer program.
-    #[error("{path}: format version {got}, this program reads up to {supported}; update it", path = path.display())]
+    #[error("{path}: format version {got}, this program reads up to {supported}; update it")]
     Newer {
         /// File.
         path: PathBuf,
@@ -135,11 +130,11 @@ pub enum RecordingError {
         supported: &'static str,
     },
     /// A sample is not a 12-bit code.
-    #[error("{path}: at byte {offset}: code {code} in frame {frame}, largest possible is 4095", path = path.display())]
+    #[error("{path}: at byte {offset}: code {code} in frame {frame}, largest possible is 4095")]
     Code {
         /// File.
         path: PathBuf,
-        /// Offset in the file, bytes.
+        /// Position in the file, bytes.
         offset: u64,
         /// Frame.
         frame: u64,
@@ -147,7 +142,7 @@ pub enum RecordingError {
         code: u16,
     },
     /// The waveform is impossible.
-    #[error("{path}: the waveform is impossible", path = path.display())]
+    #[error("{path}: the waveform is impossible")]
     Waveform {
         /// File.
         path: PathBuf,
@@ -155,7 +150,7 @@ pub enum RecordingError {
         source: WaveformError,
     },
     /// A frame has another shape than the recording.
-    #[error("{path}: frame {sequence} is {got}, the recording holds {expected}", path = path.display())]
+    #[error("{path}: frame {sequence} is {got}, the recording holds {expected}")]
     FrameShape {
         /// File.
         path: PathBuf,

@@ -17,7 +17,7 @@ use super::vendor_config::read_waveform;
 use super::vendor_fields::read_text;
 use super::{Extent, Position, RecordingError, first_index, time_ns};
 
-pub use writer::InfineonWriter;
+pub(super) use writer::InfineonWriter;
 
 /// Newest version of the format that is supported.
 const SUPPORTED_VERSION: &str = "1.0.0";

@@ -34,14 +34,15 @@ mod repair;
 mod results;
 mod staged;
 mod syncer;
+mod writer;
 
 pub use label_list::{LabelEditor, append_labels, set_labels, stage_labels};
 pub use reader::{McapReader, Results};
 pub use recorder::{Recorder, RecorderOptions, RecordingSummary};
 pub use repair::{Damage, RepairReport, repair, repair_with};
 pub use results::{FrameResult, Judge, RESULTS_VERSION};
-pub(super) use staged::remove_staged_labels;
 pub use syncer::SyncOptions;
+pub(super) use writer::McapWriter;
 
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use serde::{Deserialize, Serialize};

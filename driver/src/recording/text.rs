@@ -9,9 +9,9 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
-use super::mcap::{FrameResult, LabelSpan, RecordingHeader};
+use super::mcap::RecordingHeader;
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
 use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
@@ -199,7 +199,7 @@ fn parse_code(text: &[u8]) -> Option<u16> {
 /// Writer of the vendor's text recording. The file appears under its name when [`TextWriter::finish`] has completed it,
 /// and not at all otherwise.
 #[derive(Debug)]
-pub struct TextWriter {
+pub(super) struct TextWriter {
     partial: Partial,
     partial_config: Partial,
     file: BufWriter<File>,
@@ -207,7 +207,8 @@ pub struct TextWriter {
     header: RecordingHeader,
     /// Every code as a line.
     lines: Vec<[u8; VALUE + 1]>,
-    tally: Tally,
+    /// Counts of the frames, and of the items that the format cannot hold.
+    pub tally: Tally,
     timed: bool,
     temperatures: bool,
 }
@@ -262,21 +263,6 @@ impl TextWriter {
             self.file.write_all(b"\n").map_err(RecordingError::cannot_write(&self.path))?;
         }
         Ok(())
-    }
-
-    /// Counts a gap, which the format cannot hold.
-    pub fn gap(&mut self, gap: &Gap) {
-        self.tally.gap(gap);
-    }
-
-    /// Counts a label, which the format cannot hold.
-    pub fn label(&mut self, _: &LabelSpan) {
-        self.tally.labels += 1;
-    }
-
-    /// Counts a result, which the format cannot hold.
-    pub fn result(&mut self, _: &FrameResult) {
-        self.tally.results += 1;
     }
 
     /// Completes the file and its configuration and gives them their names.

@@ -5,8 +5,7 @@ use std::path::Path;
 use radome_dsp::{Frame, Gap};
 
 use super::infineon::InfineonWriter;
-use super::mcap::{FrameResult, LabelSpan, Recorder, RecordingHeader, remove_staged_labels};
-use super::partial::Partial;
+use super::mcap::{FrameResult, LabelSpan, McapWriter, RecordingHeader};
 use super::text::TextWriter;
 use super::{Existing, RecordingError, WriteReport};
 
@@ -37,7 +36,7 @@ impl Format {
 }
 
 enum Writer {
-    Mcap(Box<Recorder>, Partial),
+    Mcap(Box<McapWriter>),
     Infineon(Box<InfineonWriter>),
     Text(Box<TextWriter>),
 }
@@ -88,10 +87,7 @@ impl RecordingWriter {
         existing: Existing,
     ) -> Result<Self, RecordingError> {
         let writer = match format {
-            Format::Mcap => {
-                let partial = Partial::file(path, existing)?;
-                Writer::Mcap(Box::new(Recorder::start(partial.open()?, path, header, None)?), partial)
-            }
+            Format::Mcap => Writer::Mcap(Box::new(McapWriter::create(path, header, existing)?)),
             Format::Infineon => Writer::Infineon(Box::new(InfineonWriter::create(path, header)?)),
             Format::Text => Writer::Text(Box::new(TextWriter::create(path, header, existing)?)),
         };
@@ -105,7 +101,7 @@ impl RecordingWriter {
     /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         match &mut self.writer {
-            Writer::Mcap(recorder, _) => recorder.frame(frame),
+            Writer::Mcap(writer) => writer.recorder.frame(frame),
             Writer::Infineon(writer) => writer.frame(frame),
             Writer::Text(writer) => writer.frame(frame),
         }
@@ -117,9 +113,9 @@ impl RecordingWriter {
     /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         match &mut self.writer {
-            Writer::Mcap(recorder, _) => recorder.gap(gap)?,
-            Writer::Infineon(writer) => writer.gap(gap),
-            Writer::Text(writer) => writer.gap(gap),
+            Writer::Mcap(writer) => writer.recorder.gap(gap)?,
+            Writer::Infineon(writer) => writer.tally.gap(gap),
+            Writer::Text(writer) => writer.tally.gap(gap),
         }
         Ok(())
     }
@@ -130,9 +126,9 @@ impl RecordingWriter {
     /// [`RecordingError::Io`].
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
         match &mut self.writer {
-            Writer::Mcap(recorder, _) => recorder.label(label)?,
-            Writer::Infineon(writer) => writer.label(label),
-            Writer::Text(writer) => writer.label(label),
+            Writer::Mcap(writer) => writer.recorder.label(label)?,
+            Writer::Infineon(writer) => writer.tally.labels += 1,
+            Writer::Text(writer) => writer.tally.labels += 1,
         }
         Ok(())
     }
@@ -143,9 +139,9 @@ impl RecordingWriter {
     /// [`RecordingError::Io`].
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         match &mut self.writer {
-            Writer::Mcap(recorder, _) => recorder.result(result)?,
-            Writer::Infineon(writer) => writer.result(result),
-            Writer::Text(writer) => writer.result(result),
+            Writer::Mcap(writer) => writer.recorder.result(result)?,
+            Writer::Infineon(writer) => writer.tally.results += 1,
+            Writer::Text(writer) => writer.tally.results += 1,
         }
         Ok(())
     }
@@ -157,16 +153,7 @@ impl RecordingWriter {
     /// [`RecordingError::Io`].
     pub fn finish(self) -> Result<WriteReport, RecordingError> {
         match self.writer {
-            Writer::Mcap(recorder, partial) => {
-                let path = partial.target().to_owned();
-                let summary = recorder.finish()?;
-                partial.finish()?;
-                // Labels of a recording that had this name before.
-                remove_staged_labels(&path)?;
-                let (frames, gaps, frames_lost, bytes) =
-                    (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
-                Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
-            }
+            Writer::Mcap(writer) => writer.finish(),
             Writer::Infineon(writer) => writer.finish(),
             Writer::Text(writer) => writer.finish(),
         }

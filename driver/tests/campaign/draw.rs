@@ -269,7 +269,7 @@ fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     Job { seed, protocol, kind, waveform, faults: all, frames }
 }
 
-/// So many faults, evenly over the protocols.
+/// Jobs with so many faults, evenly over the protocols.
 pub fn jobs(seed: u64, faults: u64) -> Vec<Job> {
     let mut random = Random(seed);
     let mut jobs = Vec::new();

@@ -2,6 +2,7 @@
 
 #![allow(dead_code, clippy::print_stderr)]
 
+use radome_driver::Mcu7Board;
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 
 /// Frames in which every code follows from frame, receiver, chirp and sample.
@@ -84,4 +85,66 @@ pub fn shared(path: &str) -> Option<std::path::PathBuf> {
         return None;
     }
     Some(path)
+}
+
+/// Waveform of the captured sessions.
+pub fn captured_waveform() -> Waveform {
+    Waveform::realise(WaveformRequest {
+        start_frequency_hz: 58e9,
+        end_frequency_hz: 63e9,
+        samples_per_chirp: 64,
+        chirps_per_frame: 64,
+        sample_rate_hz: 2e6,
+        chirp_interval_s: 591.125e-6,
+        frame_interval_s: 0.0772688,
+        if_gain_db: 23.0,
+        high_pass_cutoff_hz: 80e3,
+        ..WaveformRequest::paper()
+    })
+    .expect("valid")
+}
+
+/// Reads so many frames of a board that measures a [`Pattern`]. Each must be a whole frame of the pattern, later than the one
+/// before, and sequence numbers must leave no hole but the gaps. Returns the gaps.
+pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&Frame)) -> Vec<Gap> {
+    let pattern = Pattern::new(stream.waveform().clone(), 0);
+    let mut frame = Frame::zeroed(pattern.waveform.shape());
+    let mut expected = frame.clone();
+    let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
+    while received < frames {
+        match stream.next_frame(&mut frame).expect("stream") {
+            SourceEvent::Frame => {
+                let found = (next_of_source..next_of_source + 5000).find(|sequence| {
+                    pattern.fill(*sequence, &mut expected);
+                    expected.codes == frame.codes
+                });
+                next_of_source = found.expect("a frame of the source") + 1;
+                assert_eq!(frame.sequence, next_sequence);
+                check(&frame);
+                next_sequence += 1;
+                received += 1;
+            }
+            SourceEvent::Gap(gap) => {
+                assert!(gap.first_sequence == next_sequence && gap.frames > 0, "{gap:?}");
+                next_sequence += gap.frames;
+                gaps.push(gap);
+            }
+            SourceEvent::End => panic!("a board does not end"),
+        }
+    }
+    gaps
+}
+
+/// Starts and stops a board three times: no frame of an earlier run comes in a later one.
+pub fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
+    let mut frame = Frame::zeroed(waveform.shape());
+    for _ in 0..3 {
+        let mut stream = client.start(waveform).expect("starts");
+        for sequence in 0..5 {
+            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+            assert_eq!(frame.sequence, sequence);
+        }
+        client = stream.stop().expect("stops");
+    }
+    client
 }

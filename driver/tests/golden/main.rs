@@ -230,7 +230,7 @@ mod hard_cases {
         ("sdk.txt", &["sdk.txt", "sdk.txt_config.json"]),
     ];
 
-    /// What a reader says of a recording: its frames, and the error if there is one. An error names a file of the
+    /// Result of reading a recording: its frames, and the error if there is one. An error names a file of the
     /// recording and a place in it: a byte, a field, or the two files that disagree.
     fn said(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
         let path = folder.join(recording);
@@ -305,7 +305,7 @@ mod hard_cases {
         assert_eq!(most, 8);
     }
 
-    /// Which bits: the same in each run.
+    /// Draws bits to flip: the same in each run.
     fn sample(count: u64, bits: usize) -> impl Iterator<Item = usize> {
         (0..count).map(move |n| {
             let mixed = (n + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);

@@ -16,7 +16,7 @@ pub(super) struct Workspace {
     state: Vec<f64>,
     /// The state with the observable applied, carried back.
     adjoint: Vec<f64>,
-    /// As long as the state.
+    /// Buffer as long as the state.
     scratch: Vec<f64>,
     /// Cosines and sines of the last phases, `[cosine or sine][basis state]`.
     phases: Vec<f64>,

@@ -32,7 +32,7 @@ pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
 pub struct Posture {
     /// Middle of the hips on the ground plan, m.
     pub position_m: [f64; 2],
-    /// Where the body faces, from +x towards +y, rad.
+    /// Direction that the body faces, from +x towards +y, rad.
     pub heading_rad: f64,
     /// Height of the hip joints above the floor, m.
     pub hip_height_m: f64,
@@ -58,7 +58,7 @@ pub struct Posture {
     pub chest_m: f64,
 }
 
-/// How the parts of a body are turned at one time: x forward, y left, z up of each; limbs hang along -z. Sides are left, right.
+/// Orientations of a body's parts at one time: x forward, y left, z up of each; limbs hang along -z. Sides are left, right.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frames {
     /// Middle of the hips, m.
@@ -176,7 +176,7 @@ impl Build {
 }
 
 impl Posture {
-    /// How every part is turned.
+    /// Orientation of every part.
     pub fn frames(&self) -> Frames {
         let heading = DMat3::from_rotation_z(self.heading_rad);
         // Pitching about the body's left axis: positive angles carry what points up forward.
@@ -203,6 +203,17 @@ impl Posture {
             chest_m: self.chest_m,
         }
     }
+}
+
+/// Half the extent of an ellipsoid along the room's axes, m.
+pub fn half_extent(e: &Ellipsoid) -> DVec3 {
+    let scaled = DMat3::from_cols(
+        e.axes.x_axis * e.semi_axes_m.x,
+        e.axes.y_axis * e.semi_axes_m.y,
+        e.axes.z_axis * e.semi_axes_m.z,
+    );
+    let t = scaled.transpose();
+    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ pub struct BvhJoint {
     pub parent: Option<usize>,
     /// From the parent when nothing is turned, in the file's unit.
     pub offset: DVec3,
-    /// What each frame says of it.
+    /// Channels that each frame has of it.
     pub channels: Vec<Channel>,
 }
 
@@ -39,15 +39,15 @@ pub enum Channel {
     Rotation(usize),
 }
 
-/// What is wrong with a file.
+/// Error in a file.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("line {line}: {problem}, expected {expected}")]
 pub struct BvhError {
     /// Counted from one.
     pub line: usize,
-    /// What was found.
+    /// Text that was found.
     pub problem: String,
-    /// What would do.
+    /// Text that was expected.
     pub expected: String,
 }
 
@@ -127,6 +127,9 @@ impl<'a> Words<'a> {
 }
 
 /// Parses a BVH file.
+///
+/// # Errors
+/// [`BvhError`] at the first line that is not as expected, for frames that are missing, and for a file beyond the limits.
 pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
     if text.len() > LARGEST_BYTES {
         let problem = format!("the text has {} bytes", text.len());
@@ -240,7 +243,7 @@ fn channels(words: &mut Words) -> Result<Vec<Channel>, BvhError> {
 }
 
 impl Bvh {
-    /// Where the joints are in a frame, in the file's unit and axes; when nothing is turned, without one.
+    /// Places of the joints in a frame, in the file's unit and axes; when nothing is turned, without one.
     pub fn places(&self, frame: Option<usize>) -> Vec<DVec3> {
         let mut numbers = frame.and_then(|f| self.frames.get(f)).into_iter().flatten();
         let mut world: Vec<(DVec3, DMat3)> = Vec::with_capacity(self.joints.len());

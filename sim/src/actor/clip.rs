@@ -8,8 +8,7 @@ use glam::{DMat3, DVec3};
 
 use super::body::{Build, Frames, Posture, SEGMENTS};
 use super::bvh::{Bvh, parse_bvh};
-use super::cycle::{Cycle, FootSliding, Stance, best_cycle};
-use super::motion::Walk;
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
 use super::skin::Map;
 use crate::fault::FileFault;
 use crate::field::highlight::Ellipsoid;
@@ -40,11 +39,11 @@ const HAND: &[&str] = &["wrist", "hand"];
 /// One cycle of captured steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyClip {
-    /// How parts are turned; the first's place is that of the hips. Facing +x, in lengths of the legs.
+    /// Orientations of parts; the first's place is that of the hips. Facing +x, in lengths of the legs.
     cycle: Cycle,
     /// Ground covered in a cycle, in lengths of the legs.
     travel: f64,
-    /// Of a body of 1.75 m, as it walks.
+    /// Stance of a body of 1.75 m as it walks.
     walked: Stance,
     /// From when to when in the file, s.
     span_s: [f64; 2],
@@ -64,6 +63,9 @@ struct Side {
 impl BodyClip {
     /// A clip from a BVH file's text. `cycle_s` says which part of it is one cycle of two steps; found if absent.
     /// `up` is which of its axes points up.
+    ///
+    /// # Errors
+    /// [`FileFault`] if the text is no BVH file, its skeleton has no two legs, or it holds no cycle of steps.
     pub fn parse(text: &str, up: UpAxis, cycle_s: Option<[f64; 2]>) -> Result<Self, FileFault> {
         let bvh = parse_bvh(text).map_err(|e| {
             let problem = format!("{}, expected {}", e.problem, e.expected);
@@ -153,12 +155,12 @@ impl BodyClip {
         self.travel * hip_height_m * LEG_OF_HIP_HEIGHT
     }
 
-    /// How feet slide over the floor at a speed of walking.
+    /// Sliding of feet over the floor at a speed of walking.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
 
-    /// Which part of the file is the cycle, s.
+    /// Times in the file between which the cycle lies, s.
     pub fn span_s(&self) -> [f64; 2] {
         self.span_s
     }
@@ -188,7 +190,7 @@ fn leg_m(build: &Build) -> f64 {
 const SOLE_RAD: f64 = 0.17;
 const BALL: i32 = 3;
 
-/// Where soles may touch the floor: along the underside of either foot, from the heel to its ball.
+/// Places at which soles may touch the floor: along the underside of either foot, from the heel to its ball.
 fn soles(build: &Build, frames: &Frames) -> Vec<DVec3> {
     let body = build.hang(frames);
     let under = (-8..=BALL).map(|i| (SOLE_RAD * f64::from(i)).sin_cos()).map(|(s, c)| DVec3::new(s, 0.0, -c));
@@ -278,7 +280,7 @@ fn side(bvh: &Bvh, word: &str, letter: &str) -> Result<Side, FileFault> {
     })
 }
 
-/// How far a direction points up, rad.
+/// Angle of a direction above the horizontal, rad.
 fn pitch(v: DVec3) -> f64 {
     v.normalize_or_zero().z.clamp(-1.0, 1.0).asin()
 }
@@ -290,7 +292,7 @@ fn upward(z: DVec3, left: DVec3) -> DMat3 {
     DMat3::from_cols(y.cross(z), y, z)
 }
 
-/// How parts are turned in a pose; the hips are left at the origin.
+/// Orientations of parts in a pose; the hips are left at the origin.
 fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
     let [l, r] = sides;
     let hips = 0.5 * (p[l.thigh] + p[r.thigh]);

@@ -1,4 +1,4 @@
-//! What people wear, as fields over their bodies: how much of the skin's echo cloth leaves, from place to place, and how rough
+//! Clothes, as fields over their bodies: how much of the skin's echo cloth leaves, from place to place, and how rough
 //! its folds are. Neither is there unless a scene asks for it.
 //!
 //! **Cloth.** A millimetre of it over skin, with air between, leaves -4.7 to +1.6 dB of the bare skin's echo, by how thick the air is;
@@ -32,14 +32,14 @@ pub const FOLD_PLACES: usize = 40;
 /// Places whose share is less than this, as a natural logarithm, are silent.
 const LEAST_SHARE: f64 = -12.0;
 
-/// What somebody wears. Nothing that is modelled, by default.
+/// Clothes of a person. Nothing that is modelled, by default.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Clothing {
     cloth: Option<Arc<Cloth>>,
     folds: Option<Arc<Folds>>,
 }
 
-/// How much of the skin's echo is left, from place to place.
+/// Share of the skin's echo that cloth leaves, from place to place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cloth {
     level_db: f64,
@@ -233,7 +233,7 @@ mod tests {
         }
     }
 
-    /// What a highlight loses its neighbours have, wherever on whichever segment it is.
+    /// Echo that a highlight loses goes to its neighbours, anywhere on any segment.
     #[test]
     fn power_is_kept() {
         let all = drawn(3, 0.7e-3);

@@ -43,7 +43,7 @@ enum Kind {
     Scale,
 }
 
-/// What a node is called, and what it is made of.
+/// Name of a node, and its contents.
 struct Place {
     id: String,
     sid: String,
@@ -160,7 +160,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         left.map(|left| self.left.set(left)).ok_or_else(problem)
     }
 
-    /// Where an input's index is among the indices of a corner; nothing where it is not said.
+    /// Position of an input's index among the indices of a corner; `None` where the file does not give it.
     fn offset(&self, input: Element) -> Result<Option<usize>, FileFault> {
         let Some(text) = input.attribute("offset") else { return Ok(None) };
         match text.trim().parse::<usize>() {
@@ -169,7 +169,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         }
     }
 
-    /// What a reference points to.
+    /// Element to which a reference points.
     fn target(&self, at: Element, url: &str) -> Result<Element<'d, 'a>, FileFault> {
         let id = url.trim_start_matches('#');
         self.ids

@@ -16,6 +16,19 @@ const SURGE_HARMONICS: usize = 6;
 /// Rounds in which the spline's coefficients settle: each takes half of what is left.
 const ROUNDS: usize = 60;
 
+/// Place on the ground plan, and in the cycle of steps, at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Walk {
+    /// Place, m.
+    pub position_m: [f64; 2],
+    /// Facing, from +x towards +y, rad.
+    pub heading_rad: f64,
+    /// Cycles (two steps) made.
+    pub phase: f64,
+    /// 0 standing, 1 walking.
+    pub vigour: f64,
+}
+
 /// Poses of bones over one cycle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Cycle {
@@ -63,7 +76,7 @@ impl Cycle {
     }
 }
 
-/// What feet do in a cycle.
+/// Motion of the feet in a cycle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Stance {
     /// Over which ground the body goes in a cycle, m, that feet on the floor rest.
@@ -76,12 +89,12 @@ pub(super) struct Stance {
     heights_m: Vec<f64>,
 }
 
-/// How feet that touch the floor slide over it.
+/// Sliding of feet that touch the floor.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FootSliding {
-    /// Of whatever touches the floor, rms over a cycle, m/s: also feet that are just put down or taken up.
+    /// Speed of all feet that touch the floor, rms over a cycle, m/s: also feet that are just put down or taken up.
     pub rms_m_per_s: f64,
-    /// Of feet that stand, rms, m/s: of those that go back under the body, at no more than twice its speed.
+    /// Speed of feet that stand, rms, m/s: those that go back under the body, at no more than twice its speed.
     pub standing_rms_m_per_s: f64,
     /// Part of the cycle in which a foot stands.
     pub standing: f64,
@@ -148,7 +161,7 @@ impl Stance {
         surge
     }
 
-    /// How feet slide at a speed of walking.
+    /// Sliding of feet at a speed of walking.
     pub fn sliding(&self, speed_m_per_s: f64) -> FootSliding {
         let factor = speed_m_per_s / self.travel_m.length().max(1e-9);
         let rms = |slips: &[DVec3]| {

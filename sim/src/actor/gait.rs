@@ -18,7 +18,7 @@ fn bump(phase: f64, centre: f64, sharpness: f64) -> f64 {
     (sharpness * ((TAU * (phase - centre)).cos() - 1.0)).exp()
 }
 
-/// How somebody walks beside the average.
+/// Way of walking relative to the average.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
     /// Stride over the average one of such legs at such a speed: more takes fewer and longer steps.
@@ -28,7 +28,7 @@ pub struct Style {
 }
 
 impl Style {
-    /// As the average does.
+    /// Way of the average walker.
     pub const AVERAGE: Style = Style { stride: 1.0, arm_swing: 1.0 };
 }
 

@@ -15,8 +15,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, SEGMENTS};
-use super::cycle::{Cycle, FootSliding, Stance, best_cycle};
-use super::motion::Walk;
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
 use super::refine::{BoundMesh, follow, refine};
 use super::rig::{Clip, Rig, mean};
 use super::skin::{Map, Skin};
@@ -43,10 +42,10 @@ const CLOSED: f64 = 0.03;
 const LEAST_TRAVEL: f64 = 0.1;
 /// Heights that are believed without being asked for, m.
 const HEIGHTS_M: [f64; 2] = [0.5, 2.5];
-/// What touches the floor is among the lowest part of the body.
+/// Lowest part of the body, among which are the vertices that touch the floor.
 const FEET: f64 = 0.15;
 
-/// What may be said of an actor's file beside its name.
+/// Options of an actor's file beside its name.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ActorOptions {
     /// Name of the animation; the only one, or the only one that is called a walk, if absent.
@@ -77,6 +76,9 @@ pub struct Actor {
 
 impl Actor {
     /// An actor from a glTF (`.gltf`, `.glb`) or COLLADA (`.dae`) file's bytes; `path` tells which, and where buffers lie.
+    ///
+    /// # Errors
+    /// [`FileFault`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
     pub fn parse(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Self, FileFault> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let mut rig = match extension.as_str() {
@@ -182,7 +184,7 @@ impl Actor {
         self.cycle_m
     }
 
-    /// How feet slide over the floor at a speed of walking.
+    /// Sliding of feet over the floor at a speed of walking.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
@@ -319,7 +321,7 @@ fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     Sampled { poses, standing }
 }
 
-/// Which of the file's axes points up.
+/// Axis of the file that points up.
 fn up_axis(rig: &Rig) -> DVec3 {
     [DVec3::Y, DVec3::Z].into_iter().find(|&axis| rig.up.to_z_up(axis) == DVec3::Z).unwrap_or(DVec3::Z)
 }
@@ -352,7 +354,7 @@ fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
     all.into_iter().step_by(step).collect()
 }
 
-/// What feet do over a cycle.
+/// Finds the motion of the feet over a cycle.
 fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> Stance {
     let at = |pose: &Vec<Map>| feet.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], pose)).collect();
     let points: Vec<Vec<DVec3>> = poses.iter().map(at).collect();

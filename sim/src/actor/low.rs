@@ -66,7 +66,7 @@ impl Crouch {
         Crouch { knee_rad, back_m, lean_rad: UPRIGHT_LEAN_RAD - 0.06, bow_rad: 0.5, arm_rad: [0.40, 1.15] }
     }
 
-    /// How far the hips are behind where they were, m, at a part of the way down.
+    /// Distance of the hips behind their place before, m, at a part of the way down.
     pub fn back_at(&self, part: f64) -> f64 {
         self.back_m * part
     }
@@ -109,7 +109,7 @@ fn knee_for(build: &Build, hip_height_m: f64, back_m: f64) -> f64 {
     cosine.clamp(-0.95, 1.0).acos()
 }
 
-/// Where somebody lies on the back.
+/// Place at which somebody lies on the back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lying {
     /// Middle of the hips on the ground plan, m.
@@ -144,7 +144,7 @@ mod tests {
     use glam::{DVec2, DVec3};
 
     use super::*;
-    use crate::actor::program::half_extent;
+    use crate::actor::body::half_extent;
 
     const BUILDS: [Build; 3] = [
         Build { height_m: 1.55, girth: 0.9 },

@@ -18,6 +18,7 @@ mod rig;
 mod route;
 pub mod skin;
 pub mod track;
+pub mod walking_mesh;
 mod wander;
 
 pub use cycle::FootSliding;

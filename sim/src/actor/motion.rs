@@ -12,13 +12,15 @@ use rand::Rng;
 use super::body::{Build, Posture};
 use super::clip::BodyClip;
 use super::clothing::Clothing;
+pub use super::cycle::Walk;
 use super::gait::{self, Style};
 use super::imported::Actor;
 use super::low::{Crouch, HIPS_OVER_SEAT_M, Lying};
-use super::track::{Track, smooth_step};
+use super::track::Track;
 use super::wander::Wanderer;
 use crate::field::highlight::Ellipsoid;
 use crate::random::{Purpose, generator};
+use crate::smooth::smooth_step;
 pub use builder::{Bed, MotionBuilder};
 
 /// Steps on the spot in a second, two in each cycle.
@@ -26,7 +28,7 @@ pub(super) const MARCH_HZ: f64 = 0.9;
 /// Fidgets happen at most once in an epoch of this length, s.
 const FIDGET_EPOCH_S: f64 = 5.0;
 
-/// Where a person's steps come from.
+/// Source of a person's steps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum Steps {
     /// The gait of [`gait`].
@@ -38,27 +40,14 @@ pub enum Steps {
     Actor(Arc<Actor>),
 }
 
-/// Where somebody is on the ground plan, and in the cycle of steps, at a time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Walk {
-    /// Place, m.
-    pub position_m: [f64; 2],
-    /// Facing, from +x towards +y, rad.
-    pub heading_rad: f64,
-    /// Cycles (two steps) made.
-    pub phase: f64,
-    /// 0 standing, 1 walking.
-    pub vigour: f64,
-}
-
-/// What makes a person this person: all draws that do not depend on what they do.
+/// Draws that belong to a person, whatever they do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Person {
     /// Size.
     pub build: Build,
     /// Identity for later draws.
     pub identity: [u64; 2],
-    /// Amplitude factor of each segment: clothes and folds (-4..+2 dB over skin, sbr.md section 6).
+    /// Amplitude factor of each segment: clothes and folds (-4..+2 dB over skin).
     pub cloth: [f64; super::body::SEGMENTS],
     seed: u64,
     breath_m: f64,
@@ -69,17 +58,17 @@ pub struct Person {
     phases: [f64; 6],
     /// Probability of a fidget in an epoch.
     pub fidget_probability: f64,
-    /// What a person at a desk has besides. None elsewhere.
+    /// Further draws of a person at a desk; `None` elsewhere.
     pub at_desk: Option<AtDesk>,
     /// Whose steps they make.
     pub steps: Steps,
-    /// How they walk by the built-in gait.
+    /// Style of walking by the built-in gait.
     pub style: Style,
-    /// What they wear, as fields over the body.
+    /// Clothes, as fields over the body.
     pub clothing: Clothing,
 }
 
-/// What is known of a person close before the radar.
+/// Draws of a person close before the radar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AtDesk {
     /// Amplitude of the double bounce relative to the direct echo; 0 for none.
@@ -179,7 +168,7 @@ impl Person {
 /// A person's motion over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Who.
+    /// Person who moves.
     pub person: Person,
     x: Track,
     y: Track,
@@ -194,7 +183,7 @@ pub struct Motion {
     /// Down on planted feet, and from there to lying.
     low: Track,
     lie: Track,
-    /// Where to, each from a time on.
+    /// Places to go down to, each from a time on.
     lows: Vec<(f64, Low)>,
     /// Instead of the tracks.
     wanderer: Option<Wanderer>,
@@ -204,14 +193,14 @@ pub struct Motion {
     pub end_s: f64,
 }
 
-/// Where somebody goes down to.
+/// Place to which somebody goes down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Low {
     crouch: Crouch,
     lying: Option<Lying>,
 }
 
-/// What a motion is made of at a time.
+/// State of a motion at a time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Moment {
     /// Place without sway, m.
@@ -228,11 +217,11 @@ pub(super) struct Moment {
     pub march: f64,
     /// Part of the way down on feet that stay.
     pub low: f64,
-    /// That way down.
+    /// Way down to planted feet.
     pub crouch: Option<Crouch>,
     /// Part of the way from there to lying.
     pub lie: f64,
-    /// Where to.
+    /// Place to lie.
     pub lying: Option<Lying>,
     /// Small motions beside those of the person.
     pub small: Option<Small>,
@@ -275,7 +264,7 @@ impl Small {
     }
 }
 
-/// Of things that hold each from a time on, the one at a time; the first one before all.
+/// Value that holds at a time, of values that each hold from a time on; the first one before all.
 fn latest<T: Copy>(all: &[(f64, T)], time_s: f64) -> Option<T> {
     let past = all.partition_point(|(from_s, _)| *from_s <= time_s);
     all.get(past.saturating_sub(1)).map(|(_, what)| *what)
@@ -294,7 +283,7 @@ impl Motion {
         motion
     }
 
-    /// What the motion is made of at a time.
+    /// State of the motion at a time.
     fn moment(&self, time_s: f64) -> Moment {
         if let Some(wanderer) = &self.wanderer {
             return wanderer.moment(time_s);

@@ -1,5 +1,5 @@
-//! Who is in the room when: written scripts, endless visits, people who wander, or people at a desk. All drawn from (seed, slot,
-//! visit).
+//! Presence of people over time: written scripts, endless visits, people who wander, or people at a desk. All drawn from (seed,
+//! slot, visit).
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -88,9 +88,9 @@ impl Program {
     }
 }
 
-/// What stands in people's way, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
+/// Obstacles, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
 pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
-    /// What hangs above this, and what is lower than that, is in nobody's way, m.
+    /// Heights between which things are obstacles, m.
     const OVERHEAD_M: f64 = 1.9;
     const CARPET_M: f64 = 0.05;
     let in_the_way = file.furniture.iter().filter(|f| {
@@ -105,13 +105,13 @@ pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
     in_the_way.map(block).chain(of_plan).collect()
 }
 
-/// Where people may walk; `None` where they walk straight.
+/// Ground on which people may walk; `None` where they walk straight.
 fn ground(file: &SceneFile) -> Option<Ground> {
     let [width, depth, _] = file.room.size_m;
     file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], blocks(file), keep_off_m))
 }
 
-/// What a scene says of how its people walk and what they wear.
+/// Applies the scene's gait and clothes to a person.
 pub(super) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
     let mut rng = generator(seed, Purpose::Gait, person.identity);
     person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
@@ -256,7 +256,7 @@ fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64;
 
 /// Somebody beyond the far wall, where there is one.
 fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion> {
-    /// How far beyond the wall, m.
+    /// Distance beyond the wall, m.
     const BEYOND_M: [f64; 2] = [0.6, 3.0];
     /// Ways there and back: more than a run lasts.
     const LEGS: usize = 400;
@@ -480,15 +480,4 @@ impl Visits {
         path = go(path, at_door(leave_by, INSIDE_M, lateral));
         path.walk_to(at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
     }
-}
-
-/// Half the extent of an ellipsoid along the room's axes, m.
-pub fn half_extent(e: &crate::field::highlight::Ellipsoid) -> DVec3 {
-    let scaled = glam::DMat3::from_cols(
-        e.axes.x_axis * e.semi_axes_m.x,
-        e.axes.y_axis * e.semi_axes_m.y,
-        e.axes.z_axis * e.semi_axes_m.z,
-    );
-    let t = scaled.transpose();
-    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
 }

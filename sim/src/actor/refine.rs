@@ -33,13 +33,13 @@ pub(super) struct BoundMesh {
 }
 
 impl BoundMesh {
-    /// Where the vertices are in a pose.
+    /// Places of the vertices in a pose.
     pub fn posed(&self, maps: &[Map]) -> Vec<DVec3> {
         self.mesh.vertices.iter().zip(&self.weights).map(|(&p, w)| follow(p, w, maps)).collect()
     }
 }
 
-/// Where a vertex is in a pose.
+/// Place of a vertex in a pose.
 pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DVec3 {
     let at = |&(bone, weight): &(usize, f64)| {
         maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.stretch * place) * weight)

@@ -75,7 +75,7 @@ pub(super) struct Track {
     pub values: Values,
 }
 
-/// How values between keys are found.
+/// Interpolation between keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Between {
     /// The earlier key's.
@@ -178,6 +178,9 @@ impl Track {
 
 impl Rig {
     /// Refuses what cannot be posed; brings weights to a sum of one.
+    ///
+    /// # Errors
+    /// [`FileFault`] for the first part that is out of range or too large.
     pub fn check(&mut self) -> Result<(), FileFault> {
         let export = "export it again from the program it was made with, applying all transforms";
         if self.joints.is_empty() || self.vertices.is_empty() {
@@ -311,7 +314,7 @@ impl Rig {
         locals
     }
 
-    /// Where the joints are, in the file's world, and the maps from the skin's own frame.
+    /// Places of the joints in the file's world, and the maps from the skin's own frame.
     pub fn pose(&self, locals: &[Local]) -> (Vec<DVec3>, Vec<Map>) {
         let mut world: Vec<DMat4> = Vec::with_capacity(locals.len());
         for (node, local) in self.nodes.iter().zip(locals) {

@@ -6,7 +6,7 @@ pub(super) type Block = [[f64; 2]; 2];
 /// Corners of a way are so much farther off than asked, m: ways may run along blocks.
 const BESIDE_M: f64 = 1e-6;
 
-/// Where people may walk.
+/// Ground on which people may walk.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Ground {
     size_m: [f64; 2],
@@ -169,7 +169,7 @@ mod tests {
             assert!(way.len() > 1, "{way:?}");
         }
 
-        /// Who begins inside a block or in a niche gets out; a room cut in two is crossed straight.
+        /// A walker who begins inside a block or in a niche gets out; a room cut in two is crossed straight.
         #[test]
         fn there_is_always_a_way() {
             let ground = ground();

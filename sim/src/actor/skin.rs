@@ -6,12 +6,9 @@
 //! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`), so that it takes part in gait, twist and breath alike. Its velocity is the
 //! same sum over the bones' rates, which come from the pose in f64 and never from differences of vertices.
 
-use std::sync::Arc;
-
 use glam::{DMat3, DVec3};
 
-use super::body::{Build, CHEST, PELVIS, SEGMENTS};
-use super::motion::{Motion, Steps};
+use super::body::{Build, CHEST, PELVIS, SEGMENTS, half_extent};
 use crate::field::highlight::Ellipsoid;
 use crate::geometry::{Edge, Mesh, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
@@ -37,8 +34,6 @@ const PATCH_M: f64 = 0.05;
 const LIMB_RADIUS_M: f64 = 0.04;
 /// Rounds of averaging curvatures over neighbours.
 const CURVATURE_SMOOTHING: usize = 4;
-/// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
-const RATE_STEP_S: f64 = 5e-4;
 
 /// Flesh: where it is and which segment moves it.
 #[derive(Debug, Clone, Copy)]
@@ -127,8 +122,8 @@ fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     least - BLEND_M * f64::ln(sum)
 }
 
-/// What moves a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units of
-/// the segment's semi-axes).
+/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units
+/// of the segment's semi-axes).
 #[derive(Debug, Clone, PartialEq)]
 struct Binding {
     first: u32,
@@ -179,8 +174,8 @@ pub struct PosedSkin {
     pub normals: Vec<DVec3>,
 }
 
-/// How far the surface lies beside the middle of an edge, m, from its ends and the unit normals there: the cubic over the edge that
-/// is tangential to the surface at both ends.
+/// Distance of the surface from the middle of an edge, m, from the edge's ends and the unit normals there: the cubic over the
+/// edge that is tangential to the surface at both ends.
 pub fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
     let d = b - a;
     0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
@@ -202,7 +197,7 @@ impl Skin {
         let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
         let of_segment = |segment: usize| parts.iter().filter(|(part, _)| part.segment() == segment).copied().collect();
         let by_segment: [Vec<(Part, Reach)>; SEGMENTS] = std::array::from_fn(of_segment);
-        let around = segments.iter().map(|e| (e.centre, super::program::half_extent(e)));
+        let around = segments.iter().map(|e| (e.centre, half_extent(e)));
         let (least, greatest) =
             around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
@@ -283,7 +278,7 @@ impl Skin {
     }
 
     /// Vertices for a pose of the bones, and their velocities for its rate.
-    fn pose_moving(&self, maps: &[Map], rates: &[Map]) -> MovingVertices {
+    pub(super) fn pose_moving(&self, maps: &[Map], rates: &[Map]) -> MovingVertices {
         let both = self.bindings.iter().map(|b| (self.follow(b, maps), self.follow(b, rates)));
         let (vertices, velocities_m_per_s) = both.unzip();
         MovingVertices { vertices, velocities_m_per_s }
@@ -438,7 +433,7 @@ impl Map {
 }
 
 impl Map {
-    /// What adds nothing.
+    /// Map that adds nothing.
     pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
 }
 
@@ -460,78 +455,6 @@ impl std::ops::Mul<f64> for Map {
     type Output = Map;
     fn mul(self, factor: f64) -> Map {
         Map { centre: self.centre * factor, stretch: self.stretch * factor }
-    }
-}
-
-/// A person who walks as a mesh.
-#[derive(Debug, Clone)]
-pub struct WalkingMesh {
-    skin: Arc<Skin>,
-    motion: Arc<Motion>,
-}
-
-impl WalkingMesh {
-    /// A mesh for a motion: the actor's own skin, or one of the person's build; see [`Skin::new`] for `edge_m`.
-    pub fn new(motion: Arc<Motion>, edge_m: f64) -> Self {
-        let skin = match &motion.person.steps {
-            Steps::Actor(actor) => Arc::clone(actor.skin()),
-            Steps::Gait | Steps::Clip(_) => Arc::new(Skin::new(&motion.person.build, edge_m)),
-        };
-        WalkingMesh { skin, motion }
-    }
-
-    /// A mesh for a motion, with the skin of its build that somebody has made already.
-    pub fn with_skin(skin: Arc<Skin>, motion: Arc<Motion>) -> Self {
-        WalkingMesh { skin, motion }
-    }
-
-    /// The skin.
-    pub fn skin(&self) -> &Skin {
-        &self.skin
-    }
-
-    /// The motion.
-    pub fn motion(&self) -> &Motion {
-        &self.motion
-    }
-
-    /// The skin's bones at a time, in the room.
-    fn maps(&self, time_s: f64) -> Vec<Map> {
-        match &self.motion.person.steps {
-            Steps::Actor(actor) => actor.maps(&self.motion.walk(time_s)),
-            Steps::Gait | Steps::Clip(_) => self.motion.body(time_s).iter().map(Map::of).collect(),
-        }
-    }
-
-    /// Vertices and their velocities at a time, in the room.
-    pub fn at(&self, time_s: f64) -> MovingVertices {
-        let h = RATE_STEP_S;
-        let [far_before, before, after, far_after] =
-            [-2.0 * h, -h, h, 2.0 * h].map(|offset| self.maps(time_s + offset));
-        // The five-point rule: (f(-2h) - 8 f(-h) + 8 f(h) - f(2h)) / 12 h.
-        let near = before.iter().zip(&after);
-        let rates: Vec<Map> = far_before
-            .iter()
-            .zip(&far_after)
-            .zip(near)
-            .map(|((a, d), (b, c))| Map {
-                centre: (a.centre - d.centre + (c.centre - b.centre) * 8.0) / (12.0 * h),
-                stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
-            })
-            .collect();
-        self.skin.pose_moving(&self.maps(time_s), &rates)
-    }
-
-    /// The skin at a time, in the room, with what a surface integral needs.
-    pub fn posed(&self, time_s: f64) -> PosedSkin {
-        let MovingVertices { vertices, velocities_m_per_s } = self.at(time_s);
-        let normals = one_ring_normals(&vertices, &self.skin.rest.triangles);
-        PosedSkin { vertices, velocities_m_per_s, normals }
-    }
-
-    /// The mesh at a time, in the room.
-    pub fn mesh_at(&self, time_s: f64) -> Mesh {
-        Mesh { vertices: self.skin.pose(&self.maps(time_s)), triangles: self.skin.rest.triangles.clone() }
     }
 }
 
@@ -591,8 +514,11 @@ fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::actor::motion::{MotionBuilder, Person};
+    use crate::actor::walking_mesh::WalkingMesh;
 
     fn walker(height_m: f64) -> WalkingMesh {
         let person = Person::draw(1, [0, 0], height_m);

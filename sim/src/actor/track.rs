@@ -1,29 +1,7 @@
 //! Smooth functions of time made of corners: every change of slope or level is spread over a window with a raised cosine, in
 //! closed form, so that position, velocity and acceleration are continuous and any time can be asked for directly.
 
-use std::f64::consts::{PI, TAU};
-
-/// Raised-cosine step from 0 (below -1) to 1 (above 1).
-pub fn smooth_step(x: f64) -> f64 {
-    if x <= -1.0 {
-        0.0
-    } else if x >= 1.0 {
-        1.0
-    } else {
-        0.5 * (x + 1.0) + (PI * x).sin() / TAU
-    }
-}
-
-/// Integral of [`smooth_step`]: 0 below -1, x above 1.
-pub fn smooth_ramp(x: f64) -> f64 {
-    if x <= -1.0 {
-        0.0
-    } else if x >= 1.0 {
-        x
-    } else {
-        0.25 * (x + 1.0) * (x + 1.0) - (1.0 + (PI * x).cos()) / (2.0 * PI * PI)
-    }
-}
+use crate::smooth::{smooth_ramp, smooth_step};
 
 /// `start + sum level_k step((t - t_k)/w_k) + sum slope_k w_k ramp((t - t_k)/w_k)`.
 #[derive(Debug, Clone, PartialEq)]

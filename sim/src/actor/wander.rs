@@ -2,11 +2,12 @@
 //! their weight and gesture, alone or with each other.
 //!
 //! [`plan`] moves everybody together in steps of 50 ms. [`errand`] is one person, who goes to the places of [`setting`] by the motions
-//! of [`steer`]; [`braking`] refuses those that do not leave time to stop. [`walker`] holds the dynamics, [`table`] keeps the steps and
-//! gives the motion between them, [`small`] adds the small motions of a body. Everything is a function of seed and time.
+//! of [`steer`]; [`braking`] refuses those that do not leave time to stop. [`walker`] holds the dynamics, [`table`] keeps the steps,
+//! [`node`] gives the motion between them, [`small`] adds the small motions of a body. Everything is a function of seed and time.
 
 mod braking;
 mod errand;
+mod node;
 mod plan;
 mod setting;
 mod small;
@@ -25,12 +26,13 @@ use super::low::Crouch;
 use super::motion::{Moment, Motion, Person, Small};
 use super::program::{blocks, draw, dressed};
 use super::route::{Block, Ground};
-use super::track::smooth_step;
 use crate::random::{Purpose, generator};
 use crate::scene::file::{SceneFile, SeatFile, WanderFile};
+use crate::smooth::smooth_step;
+use node::Place;
 use setting::{Seat, Setting, View};
 use small::Sway;
-use table::{Group, Place};
+use table::Group;
 use walker::{Limits, march, vigour};
 
 /// Hips keep so far from furniture and walls where the scene says nothing else, m.

@@ -14,16 +14,14 @@
 //! Of all ways by n walls, image antennas stand for those that are mirrored at each of few; the points stand for the others. A
 //! point is the end of a random walk from wall to wall by Lambert's law, which carries what the walls leave of it.
 //!
-//! `points.rs` makes the points of a room, of any shape with `facets.rs`, `echo.rs` somebody's echoes by way of them. There are
-//! thousands: each is weak, and together they are a field of random phases, of which the mean power at each delay and rate is what
-//! counts. At a tolerance that allows it, each segment of a body takes a part of the points ([`points_a_segment`]), and every echo
+//! `points.rs` makes the points of a room, of any shape with `facets.rs`; [`crate::echo::diffuse`] adds a person's echoes by way of
+//! them. There are thousands: each is weak, and together they are a field of random phases, of which the mean power at each delay and rate is what
+//! counts. At a tolerance that allows it, each segment of a body takes a part of the points ([`crate::echo::diffuse::points_a_segment`]), and every echo
 //! keeps its place on the frequency grid for some chirps ([`crate::synthesis::HeldEchoes`]).
 
-mod echo;
 mod facets;
 mod points;
 
-pub use echo::{add, points_a_segment};
 pub use points::{Diffuse, WallPoint};
 
 use crate::field::image::Element;
@@ -31,7 +29,7 @@ use crate::paths::Surroundings;
 use facets::FacetWalls;
 
 /// No leg counts as shorter than this, m.
-const LEAST_LEG_M: f64 = 0.3;
+pub(crate) const LEAST_LEG_M: f64 = 0.3;
 
 /// The points of a room.
 pub fn wall_points(room: &Surroundings, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {

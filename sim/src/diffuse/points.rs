@@ -12,7 +12,7 @@ use crate::field::fresnel::Reflection;
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::random::{Purpose, generator};
 
-/// How a room throws back in all directions.
+/// Diffuse reflection of a room's walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Diffuse {
     /// Share of the power that falls on a wall.
@@ -28,17 +28,17 @@ pub struct Diffuse {
 /// A point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
-    pub(super) position: DVec3,
+    pub(crate) position: DVec3,
     /// Into the room.
-    pub(super) normal: DVec3,
+    pub(crate) normal: DVec3,
     /// Transmitter to point, by whatever walls: length, m, and what of a unit field the point throws out, times m, but for the
     /// cosine on its way out.
-    pub(super) there: (f64, f64),
+    pub(crate) there: (f64, f64),
     /// The same for the way from the point to each receiver.
-    pub(super) back: Vec<(f64, f64)>,
-    pub(super) phase: Complex64,
+    pub(crate) back: Vec<(f64, f64)>,
+    pub(crate) phase: Complex64,
     /// Number of the point by which what came by this one goes back.
-    pub(super) partner: usize,
+    pub(crate) partner: usize,
 }
 
 /// A place on a wall of a room.
@@ -57,10 +57,10 @@ pub(super) trait Walls {
     /// A place drawn where so much area, m^2, comes before.
     fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place;
 
-    /// What a wall reflects of the power that falls on it; `None` where there is none.
+    /// Share of the power on a wall that it reflects; `None` where there is no wall.
     fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
 
-    /// Where a ray from a wall meets another one; `None` where it leaves the room.
+    /// Place at which a ray from a wall meets another one; `None` where it leaves the room.
     fn met(&self, from: &Place, direction: DVec3) -> Option<Place>;
 
     /// Part of an antenna's field that comes straight to a place.
@@ -128,7 +128,7 @@ impl Place {
         Place { wall, position, normal }
     }
 
-    /// Where what leaves here by Lambert's law falls, and the cosine of the angle at which it does.
+    /// Draws the next place of a ray that leaves here by Lambert's law, and the cosine of the angle at which it leaves.
     fn thrown(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
         // A point of the unit sphere about the tip of the normal.
         let z: f64 = rng.random_range(-1.0..1.0);
@@ -188,12 +188,12 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
     points
 }
 
-/// What a walk from wall to wall has come to.
+/// State of a walk from wall to wall.
 struct Walk {
     end: Place,
     /// From its first wall on.
     length_m: f64,
-    /// Of the power that fell on the first wall, what the last one throws in all directions, times the walks for which it stands.
+    /// Share of the power on the first wall that the last one scatters in all directions, times the walks for which it stands.
     left: f64,
 }
 
@@ -234,7 +234,7 @@ mod tests {
     use super::*;
     use crate::field::pattern::Pattern;
 
-    /// What reaches a place by way of the points is on average what every piece of the walls throws there.
+    /// Power at a place by way of the points is on average that from all pieces of the walls.
     #[test]
     fn points_throw_what_walls_do() {
         let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];

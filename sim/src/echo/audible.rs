@@ -1,4 +1,4 @@
-//! Which echoes of somebody may be heard, before any of them is traced.
+//! Selection of a person's echoes that may be heard, before any of them is traced.
 //!
 //! Highlights of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
 //! images' fields over all of the segment ([`BoxRoom::most_field`]), of the highlight's strength ([`Ellipsoid::bound`]), of skin and
@@ -106,7 +106,7 @@ impl Images {
     }
 }
 
-/// How strongly an image may light a segment.
+/// Bound on how strongly an image lights a segment.
 struct Lit {
     source: DVec3,
     /// From the segment's middle, m.

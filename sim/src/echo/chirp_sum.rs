@@ -34,7 +34,7 @@ pub struct TrackRows {
     /// Moment of the field about its own length: integral of the field times how much longer its paths are. It changes so little
     /// that it is linear between the ends.
     pub moment: [Row; 2],
-    /// How much later this field is than the patch's others by the antennas themselves than by their middles, rad; on the
+    /// Phase by which this field is later by the antennas themselves than by their middles, rad; on the
     /// reverse way it is as much earlier. That of the first end counts.
     pub detour_rad: Row,
 }

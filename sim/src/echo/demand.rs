@@ -1,11 +1,12 @@
-//! What error is asked of a skin's echoes, and what that takes.
+//! Error budget of a skin's echoes, and the settings that meet it.
 
-/// How finely a skin is integrated.
+/// Settings of the integration over a skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fineness {
     /// Sine of the angle between normal and bisector up to which everything counts, and from which nothing does.
     pub window: [f64; 2],
-    /// How much farther than usual phases may run across a triangle for the places that it is given ([`crate::field::quadrature`]).
+    /// Factor by which phases may run farther than usual across a triangle for the places that it is given
+    /// ([`crate::field::quadrature`]).
     pub ease: f32,
 }
 
@@ -15,7 +16,7 @@ impl Fineness {
         Fineness { window: self.window.map(|sine| 0.8 * sine), ease: 1.2 * self.ease }
     }
 
-    /// Of what lies beyond the window of [`Self::coarser`], how much is beyond this one, too.
+    /// Share of the echo beyond the window of [`Self::coarser`] that is beyond this window, too.
     pub(super) fn beyond(&self) -> f64 {
         (1.0 - self.window[1]) / (1.0 - self.coarser().window[1])
     }
@@ -29,10 +30,10 @@ impl Fineness {
     }
 }
 
-/// Where relaxation begins, over the noise of a cell: what is spread over some cells stands 25 dB above noise in all.
+/// Level over the noise of a cell at which relaxation begins: spread over some cells, this is 25 dB above noise in all.
 const LOUD: f64 = 18.0;
 
-/// What is asked of a frame's echoes.
+/// Error budget of a frame's echoes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demand {
     /// Error, dB, rms over the cells of the map in which they stand above noise.
@@ -76,7 +77,7 @@ impl Demand {
         }
     }
 
-    /// How much more than for half a decibel may be left out: more than that in less than proportion, for it adds to what
+    /// Factor on what may be left out for half a decibel: beyond that it grows less than in proportion, for it adds to what
     /// integration misses, less in more, for below that it is most of what is missed.
     fn laxity(&self) -> f64 {
         let part = self.tolerance_db / 0.5;
@@ -84,7 +85,7 @@ impl Demand {
     }
 }
 
-/// What is missed of a skin's echoes.
+/// Error of a skin's echoes.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Missed {
     /// By cubics between keys, relative to the loudest pair's field: what leaving out every second key misses, over 16.
@@ -97,7 +98,7 @@ pub struct Missed {
 }
 
 impl Missed {
-    /// Of two people the more.
+    /// Greater error of two people's.
     pub fn max(self, other: Self) -> Self {
         Missed {
             between_keys: self.between_keys.max(other.between_keys),
@@ -106,8 +107,8 @@ impl Missed {
         }
     }
 
-    /// As an error, dB, rms over the cells in which echoes stand above noise: a relative part is missed of all of them, and what
-    /// is left out is as loud in weak cells as in strong ones.
+    /// Converts to an error, dB, rms over the cells in which echoes stand above noise: a relative part is missed of all of
+    /// them, and what is left out is as loud in weak cells as in strong ones.
     pub fn db(&self) -> f64 {
         /// Cells of a map over which a walker is spread above noise, and the mean of noise over echo in them: 170 to 205, and
         /// 0.23, in the frames of a corridor.

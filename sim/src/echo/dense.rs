@@ -14,12 +14,12 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
 use crate::actor::skin::{PosedSkin, bulge};
-use crate::actor::track::smooth_step;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex};
 use crate::field::triangle;
 use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
@@ -66,7 +66,7 @@ struct Image {
     index: ImageIndex,
     source: DVec3,
     sinks: Vec<DVec3>,
-    /// What people and limbs leave of the field at each vertex.
+    /// Factors of people and limbs on the field at each vertex.
     weights: Vec<f64>,
 }
 
@@ -93,7 +93,7 @@ impl Image {
 struct Grid {
     /// Weights of the corners at the pieces' corners.
     nodes: Vec<[f64; 3]>,
-    /// And at the middles of the pieces' edges.
+    /// Factors at the middles of the pieces' edges.
     between: Vec<[f64; 3]>,
     /// Corners of each piece, then the middles of its edges.
     pieces: Vec<([usize; 3], [usize; 3])>,
@@ -131,7 +131,7 @@ struct Surface {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
     between: Vec<DVec3>,
-    /// Of the flat pieces: middle, velocity, twice the area.
+    /// Flat pieces: middle, velocity, twice the area.
     middles: Vec<DVec3>,
     velocities: Vec<DVec3>,
     twice_areas: Vec<f64>,
@@ -175,7 +175,7 @@ fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
 struct ImageView {
     /// Whether there is anything to see.
     lit: bool,
-    /// What is left at the corners behind limbs and people.
+    /// Factors of limbs and people at the corners.
     weights: [f64; 3],
     /// By the transmitter and by the first receiver, at the pieces' corners; `None` where they face away.
     there: Vec<Option<Illumination>>,
@@ -190,7 +190,7 @@ struct Legs {
     /// Lengths from the middles of the flat pieces, m, and their rates, m/s.
     lengths_m: Vec<f64>,
     rates_m_per_s: Vec<f64>,
-    /// What is longer at the corners of each piece, and at the middles of its edges, on the mean, m.
+    /// Excess length at the corners of each piece, and on the mean of the middles of its edges, m.
     corners_m: Vec<[f64; 3]>,
     beside_m: Vec<f64>,
 }
@@ -287,7 +287,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
 struct Tones<'a> {
     stage: &'a Stage,
     samples: usize,
-    /// How far they are apart, Hz.
+    /// Distance between tones, Hz.
     step_hz: f64,
     /// Number of the first: their frequency is their number times the step.
     first: i64,
@@ -316,7 +316,7 @@ impl<'a> Tones<'a> {
         }
     }
 
-    /// Where a tone is, after making room for it and the next.
+    /// Index of a tone, after making room for it and the next.
     fn place(&mut self, number: i64) -> usize {
         let len = self.amplitudes.first().map_or(0, Vec::len);
         if len == 0 {

@@ -55,7 +55,7 @@ impl KeyRows {
     }
 }
 
-/// What goes into it.
+/// Inputs of the integral.
 pub(super) struct Parts<'a> {
     pub(super) posed: &'a PosedPatch,
     /// Places in the list of images.

@@ -1,4 +1,4 @@
-//! What people leave of a path: their own limbs and trunk, and everybody who stands beside one of its legs.
+//! Obstruction of a path by people: their own limbs and trunk, and everybody who stands beside one of its legs.
 
 use glam::{DVec2, DVec3};
 
@@ -9,7 +9,7 @@ use crate::paths::Surroundings;
 use crate::shadow::{self, Column, REACH_M};
 use crate::stage::Stage;
 
-/// Which segment may hide a limb: the same limb of the other side.
+/// Segment that may hide a limb: the same limb of the other side.
 pub(super) fn opposite(segment: usize) -> Option<usize> {
     (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
 }
@@ -96,7 +96,7 @@ struct Standing {
     axis: DVec2,
     /// Square of the distance from its axis beyond which a way is left alone, m^2.
     reach_m2: f64,
-    /// It stands in the way only before the last mirror plane above or below.
+    /// True if it stands in the way only before the last mirror plane above or below.
     is_own: bool,
 }
 

@@ -14,7 +14,7 @@ use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::stage::Stage;
 use crate::synthesis::{EchoWay, phasor};
 
-/// Where the antennas behind an image are.
+/// Places of the antennas behind an image.
 pub(super) struct Place {
     /// Middle of transmitter and receivers: what they are lit by and what hides them is taken to be the same.
     pub(super) middle: DVec3,
@@ -22,7 +22,7 @@ pub(super) struct Place {
     pub(super) rx: Vec<DVec3>,
 }
 
-/// When a frame's keys and chirps are.
+/// Times of a frame's keys and chirps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameTimes {
     /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's, s.
@@ -64,7 +64,7 @@ pub(super) struct Patch {
     places: Vec<PatchPlace>,
 }
 
-/// Where a patch is at a key: means over its triangles by power.
+/// Place of a patch at a key: means over its triangles by power.
 #[derive(Clone, Copy)]
 struct PatchPlace {
     place: DVec3,
@@ -121,7 +121,7 @@ impl Patch {
         Some(Patch { places })
     }
 
-    /// What each receiver makes of it by the way between two images, and by its reverse if it is both.
+    /// Ways by which each receiver hears it between two images, and by the reverse if it is both.
     pub(super) fn ways(
         &self,
         stage: &Stage,
@@ -167,14 +167,14 @@ impl PatchPlace {
         self.length_m / SPEED_OF_LIGHT_M_PER_S
     }
 
-    /// What filters make of its field, as it multiplies `exp(+j ...)`.
+    /// Response of the filters to its field, as it multiplies `exp(+j ...)`.
     fn response(&self, stage: &Stage) -> Complex<f32> {
         let beat_hz = stage.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
         let response = stage.filters.response(beat_hz);
         Complex::new(response.re as f32, response.im as f32)
     }
 
-    /// How much longer the way from the transmitter is than that by the antennas' middles there and back, m: a receiver's own
+    /// Excess length of the way from the transmitter over that by the antennas' middles there and back, m: a receiver's own
     /// distance is to be added.
     fn detour_but_for_receiver_m(&self, [out, back]: [&Place; 2]) -> f64 {
         let by_middles_m = out.middle.distance(self.place) + back.middle.distance(self.place);
@@ -188,7 +188,7 @@ impl PatchPlace {
     }
 }
 
-/// How what a way is longer by the transmitter and the middle of the receivers than by the middles of both changes with the place:
+/// Gradient of the excess length of a way by the transmitter and the middle of the receivers over that by the middles of both:
 /// between an image and itself not at all, otherwise by up to a tenth of a radian over a patch.
 fn detour_gradient([out, back]: [&Place; 2], place: DVec3) -> DVec3 {
     let away = |antenna: DVec3| (place - antenna).normalize_or_zero();

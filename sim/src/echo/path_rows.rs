@@ -21,7 +21,7 @@ pub(super) struct WideFields {
     pub(super) im: WideRow3,
 }
 
-/// What a receiver hears of paths side by side.
+/// Echo at a receiver of paths side by side.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct HeardRows {
     pub(super) delay_s: WideRow,
@@ -30,7 +30,7 @@ pub(super) struct HeardRows {
     pub(super) amplitude: [WideRow; 2],
 }
 
-/// How the material of a segment moves: velocity of its centre, m/s, and velocities by the components of a place on the unit
+/// Motion of the material of a segment: velocity of its centre, m/s, and velocities by the components of a place on the unit
 /// sphere.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Drift(pub(super) [Vector; 4]);

@@ -107,7 +107,7 @@ impl PosedPatch {
         self.nodes.iter_mut().flatten().for_each(|(found, _)| *found = false);
     }
 
-    /// How an image antenna sees it.
+    /// Computes how an image antenna sees it.
     pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
         let from_origin = (antenna - origin).as_vec3().to_array();
         self.lights[image] = light_rows(level, from_origin, &self.vertices.places);

@@ -1,4 +1,4 @@
-//! What a body's own parts leave of the field that one of (image) antennas throws on its skin.
+//! Obstruction by a body's own parts of the field that one of the (image) antennas throws on its skin.
 //!
 //! Whether a place is in the light is yes or no, what arrives there is not: a knife edge's field is a continuous function of the
 //! distance across to the shadow's edge, half on it, falling behind ([`crate::shadow::knife_edge`]). The shadow's edges are the
@@ -40,7 +40,7 @@ struct Seen {
 struct Piece {
     from: Vec2,
     to: Vec2,
-    /// How far away it is, m, and how far what a ray just beside it meets.
+    /// Distance, m, and distance of what a ray just beside it meets.
     depth_m: f32,
     behind_m: f32,
 }
@@ -73,7 +73,7 @@ struct Cells<T> {
 /// A cell's list.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
-    /// Where it begins among the links.
+    /// Index of the first link.
     head: u32,
     /// Least depth of its members, m: most cells have nothing in front of what is looked at.
     nearest_m: f32,
@@ -84,7 +84,7 @@ struct Cell {
 /// The end of a list.
 const END: u32 = u32::MAX;
 
-/// What an antenna sees of a body, as far as it is in front of something that is asked about.
+/// View of an antenna on a body, as far as it is in front of something that is asked about.
 struct View {
     triangles: Cells<Facet>,
     outlines: Cells<Piece>,
@@ -186,7 +186,7 @@ impl<T> Cells<T> {
         (y * self.count[0] + x) as usize
     }
 
-    /// What is nearer than this will be asked about at a place, m.
+    /// Marks that a place will ask about all that is nearer than this, m.
     fn will_ask(&mut self, at: Vec2, than_m: f32) {
         let number = self.number(at);
         if let Some(cell) = self.cells.get_mut(number) {
@@ -230,7 +230,7 @@ impl<T> Cells<T> {
         self.things.push(thing);
     }
 
-    /// What may be at a place and nearer than this, m.
+    /// Entries that may be at a place and nearer than this, m.
     #[inline]
     fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = &T> {
         let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < than_m);
@@ -395,7 +395,8 @@ mod tests {
 
     use super::*;
     use crate::actor::motion::{MotionBuilder, Person};
-    use crate::actor::skin::{EDGE_M, WalkingMesh};
+    use crate::actor::skin::EDGE_M;
+    use crate::actor::walking_mesh::WalkingMesh;
     use crate::trace::{Body, Build, Ray, World};
 
     const WAVELENGTH_M: f64 = 0.005;

@@ -14,7 +14,6 @@ use super::obstruction::{Bystanders, limb_column, opposite};
 use super::path_rows::{Drift, HeardRows, WideFields, heard, launched, reflected};
 use super::{EchoReport, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
 use crate::actor::body::SEGMENTS;
-use crate::actor::track::smooth_step;
 use crate::field::Phasor3;
 use crate::field::highlight::LEAST_COSINE;
 use crate::field::highlight_rows::{HighlightRows, highlights};
@@ -25,6 +24,7 @@ use crate::paths::Surroundings;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::weaken_rows;
 use crate::slow_time::Key;
+use crate::smooth::smooth_step;
 use crate::tracks::OTHERS;
 
 /// Most receivers.
@@ -37,7 +37,7 @@ const NOTHING: Key = Key { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::
 pub struct Met {
     keys: [Key; RECEIVERS],
     receivers: usize,
-    /// Where it is met on its segment, a point of the unit sphere; `None` where there is no such path.
+    /// Place at which it is met on its segment, a point of the unit sphere; `None` where there is no such path.
     pub place: Option<DVec3>,
     /// The same in the room, m.
     point: DVec3,
@@ -68,7 +68,7 @@ fn vector(rows: &WideRow3, l: usize) -> DVec3 {
 }
 
 impl Snapshot {
-    /// How the material of a segment moves.
+    /// Motion of the material of a segment.
     fn drift(&self, segment: usize) -> Option<Drift> {
         let (before, after) = (self.before.get(segment)?, self.after.get(segment)?);
         let per_s = |step: DVec3| (step / (2.0 * VELOCITY_STEP_S)).to_array();

@@ -27,7 +27,8 @@ use super::strength::{any_shines, light_rows};
 use super::workbench::{Pair, Tally, Work, Workbench};
 use super::{EchoReport, Snapshot, past_people, self_shadow};
 use crate::actor::body::SEGMENTS;
-use crate::actor::skin::{PosedSkin, WalkingMesh};
+use crate::actor::skin::PosedSkin;
+use crate::actor::walking_mesh::WalkingMesh;
 use crate::field::curved_triangle::Integrator;
 use crate::field::image::ImageIndex;
 use crate::lanes::Row;
@@ -61,7 +62,7 @@ impl SkinnedPerson {
         &self.cloth
     }
 
-    /// What other people, and the body itself before the last wall, leave of an image antenna's field at each vertex: by
+    /// Factors of other people, and of the body itself before the last wall, on an image antenna's field at each vertex: by
     /// segment, as vertices follow those.
     pub fn past_people(&self, stage: &Stage, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
         let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
@@ -193,8 +194,8 @@ impl SkinnedPerson {
         all
     }
 
-    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it, at as many keys as
-    /// its loudness asks for.
+    /// Factors of people and limbs on every image antenna's light at the vertices of patches that shine by it, at as many keys
+    /// as its loudness asks for.
     fn weights(
         &self,
         work: &Work,

@@ -18,9 +18,9 @@ pub(super) struct VertexRows {
     /// From a place that all are near to, m.
     pub(super) places: Row3,
     pub(super) normals: Row3,
-    /// What clothes and walls leave of the strength.
+    /// Factor of clothes and walls on the strength.
     pub(super) left: Row,
-    /// What sines of angles from the highlight are multiplied by before the window is asked.
+    /// Factor on sines of angles from the highlight before the window is asked.
     pub(super) narrowing: Row,
 }
 
@@ -49,7 +49,7 @@ pub(super) struct FieldAround {
 }
 
 compiled_for_levels! {
-    /// What that is at vertices.
+    /// Field at vertices.
     pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;
 }
 
@@ -71,13 +71,13 @@ fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
     rows
 }
 
-/// What strengths at vertices depend on.
+/// Inputs of the strengths at vertices.
 pub(super) struct Between<'a> {
     pub(super) vertices: &'a VertexRows,
     /// The antennas that light and that listen.
     pub(super) lights: [&'a LightRows; 2],
     pub(super) fields: [&'a FieldRows; 2],
-    /// What people and limbs leave of them.
+    /// Factors of people and limbs on them.
     pub(super) weights: [&'a Row; 2],
     pub(super) permittivity: Complex64,
     pub(super) fineness: &'a Fineness,
@@ -99,7 +99,7 @@ impl LightRows {
         rows
     }
 
-    /// How many of the distances were clamped.
+    /// Number of the distances that were clamped.
     pub(super) fn clamped(&self) -> usize {
         self.inverse_m.iter().filter(|&&inverse_m| inverse_m >= 1.0 / LEAST_DISTANCE_M as f32).count()
     }

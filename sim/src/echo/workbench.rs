@@ -1,4 +1,4 @@
-//! Where a skin's patches are worked on, one after the other: posed at the keys, integrated between pairs of images, and laid down
+//! Solver of a skin's patches, one after the other: posed at the keys, integrated between pairs of images, and laid down
 //! as tones.
 
 use glam::DVec3;
@@ -36,7 +36,7 @@ pub(super) struct Pair {
     pub(super) fineness: Fineness,
 }
 
-/// What is the same for all patches.
+/// Inputs that are the same for all patches.
 pub(super) struct Work<'a> {
     pub(super) stage: &'a Stage,
     pub(super) integrator: &'a Integrator,
@@ -53,7 +53,7 @@ pub(super) struct Work<'a> {
     pub(super) pairs: Vec<Pair>,
     /// At the finer keys.
     pub(super) posed: Vec<PosedSkin>,
-    /// What people and limbs leave of light, `[image][key][vertex]`, at some of the finer keys by their numbers.
+    /// Factors of people and limbs on light, `[image][key][vertex]`, at some of the finer keys by their numbers.
     pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
     /// Roughness of what somebody wears.
     pub(super) folds: Option<&'a Folds>,
@@ -86,9 +86,9 @@ pub(super) struct Workbench {
     keys: Vec<KeyRows>,
     level: usize,
     sums: ChirpSums,
-    /// What each receiver makes of a patch.
+    /// Ways by which each receiver hears a patch.
     ways: Vec<EchoWay>,
-    /// Of the patch, in the middle pose.
+    /// Area of the patch in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
     least: f32,
@@ -400,7 +400,7 @@ const MOST_APART: usize = 4096;
 /// Difference to a coarser field, and the field itself.
 type Difference = [Complex64; 2];
 
-/// What is missed of a pair's field.
+/// Sum of the errors of a pair's field.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     /// Squares of what is missed and of the fields.

@@ -1,4 +1,4 @@
-//! What a surface does to the field that meets it.
+//! Reflection and transmission by a surface.
 
 use glam::DVec3;
 use num_complex::Complex64;

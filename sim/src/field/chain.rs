@@ -23,11 +23,11 @@ use crate::geometry::{Surface, polygon};
 pub struct Face {
     /// Convex polygon, counter-clockwise seen from its front.
     pub corners: Vec<DVec3>,
-    /// What it is made of.
+    /// Material.
     pub boundary: Boundary,
 }
 
-/// What one sequence of faces contributes.
+/// Contribution of one sequence of faces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contribution {
     /// Faces in the order in which the wave meets them.
@@ -61,10 +61,7 @@ fn follow(faces: &[Face], link: &Link, accuracy: Accuracy, left: usize, beam: &B
         if beam.faces.last() == Some(&i) || beam.source.side(corner, normal) <= 0.0 {
             continue;
         }
-        let lit = beam
-            .windows
-            .iter()
-            .fold(face.corners.clone(), |lit, window| polygon::through_window(lit, window, &beam.source));
+        let lit = beam.windows.iter().fold(face.corners.clone(), |lit, window| beam.source.seen_through(&lit, window));
         if lit.len() < 3 {
             continue;
         }

@@ -27,7 +27,7 @@ pub struct TriangleRows {
     pub middles: Row3,
     /// Corners from there, m.
     pub corners: [Row3; 3],
-    /// How far the surface lies beside the middles of the edges (first to second corner, second to third, third to first), m.
+    /// Distance of the surface from the middles of the edges (first to second corner, second to third, third to first), m.
     pub bulges: [Row3; 3],
     /// Half of the squared differences of unit normals along the edges: by these, times both weights, the strength between
     /// corners is above the linear one, since normals in between are as long as they.
@@ -43,7 +43,7 @@ pub struct ViewRows {
     pub distances_m: [f64; LANES],
     /// One over it.
     pub inverse_m: Row,
-    /// How much longer the way is to each of the [`SIX`], wavelengths.
+    /// Excess length of the way to each of the [`SIX`], wavelengths.
     longer: [Row; 6],
 }
 
@@ -63,7 +63,7 @@ pub struct Nodes {
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    /// What the second and third corner weigh.
+    /// Weights of the second and third corner.
     corners: [f32; 2],
     /// Area that the place stands for, m^2.
     area: [f32; HALF],
@@ -142,7 +142,7 @@ impl TriangleRows {
         place
     }
 
-    /// How a place moves as weight goes from the first corner to the second, and to the third: in the first corner, and its
+    /// Derivative of a place as weight goes from the first corner to the second, and to the third: in the first corner, and its
     /// changes by what the second and the third weigh.
     #[inline(always)]
     fn tangents(&self) -> [[Row3; 3]; 2] {
@@ -182,7 +182,7 @@ impl TriangleRows {
 }
 
 impl ViewRows {
-    /// Of triangles, which are given from `origin`.
+    /// Rows of triangles that are given from `origin`.
     #[inline(always)]
     pub fn new(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> Self {
         let zero = [0.0; LANES];
@@ -214,7 +214,7 @@ impl ViewRows {
 }
 
 compiled_for_levels! {
-    /// How far the surface lies beside the middles of the edges, m, from corners and unit normals there: the cubic over an edge
+    /// Distance of the surface from the middles of the edges, m, from corners and unit normals there: the cubic over an edge
     /// that is tangential to the surface at both ends.
     pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
 }
@@ -242,7 +242,7 @@ compiled_for_levels! {
 }
 
 compiled_for_levels! {
-    /// What antennas see.
+    /// Rows of the triangles as antennas see them.
     pub fn view_rows(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> ViewRows = ViewRows::new;
 }
 
@@ -282,7 +282,7 @@ fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Node
 }
 
 compiled_for_levels! {
-    /// How far the phase runs across each triangle between two antennas, rad.
+    /// Span of the phase across each triangle between two antennas, rad.
     pub fn spans_rad(views: [&ViewRows; 2]) -> Row = spans_body;
 }
 
@@ -373,7 +373,7 @@ pub struct CurvedTriangle {
     pub corners: [DVec3; 3],
     /// Unit normals there.
     pub normals: [DVec3; 3],
-    /// How far the surface lies beside the middles of the edges, m.
+    /// Distance of the surface from the middles of the edges, m.
     pub bulges: [DVec3; 3],
 }
 

@@ -136,8 +136,8 @@ mod tests {
         assert!((edge + 6.02).abs() < 0.2, "{edge}");
     }
 
-    /// What makes it exact: the wave equation (by differences of fourth order), no field along a screen's faces, no change of
-    /// it across them, and no more than the root of the distance at the edge.
+    /// The field is exact: it keeps the wave equation (by differences of fourth order), no field along a screen's faces, no
+    /// change of it across them, and no more than the root of the distance at the edge.
     #[test]
     fn the_half_plane_solves_its_equation_and_its_boundary_conditions() {
         for soft in [true, false] {

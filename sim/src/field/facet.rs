@@ -15,7 +15,7 @@ use num_complex::Complex64;
 use super::triangle;
 use crate::geometry::Surface;
 
-/// What the integrand is at a point of the surface.
+/// Integrand at a point of the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Path length `R_t + R_r`, m.
@@ -44,7 +44,7 @@ const MAX_DEPTH: u32 = 11;
 /// matters less, by the square of the ratio.
 const STATIONARY_RAD: f64 = 30.0;
 
-/// How finely to integrate.
+/// Accuracy of an integration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accuracy {
     /// Wave number, 1/m.

@@ -72,7 +72,7 @@ pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, co
     Slab { reflection: Reflection { te, tm }, transmission: Reflection { te: te_through, tm: tm_through } }
 }
 
-/// What a slab does to a field that goes straight through it, over what the same way through air would: transmission without
+/// Factor of a slab on a field that goes straight through it, relative to the same way through air: transmission without
 /// the phase of the air that the slab displaces. Twice of it is the way to somebody behind a wall and back.
 pub fn straight_through(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, cosine: f64) -> Reflection {
     let through = slab(permittivity, thickness_m, wavenumber_per_m, cosine).transmission;

@@ -23,7 +23,7 @@ pub struct Ellipsoid {
     pub semi_axes_m: DVec3,
 }
 
-/// Where a pair of points sees an ellipsoid shine.
+/// Place at which a pair of points sees an ellipsoid shine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Highlight {
     /// The point.
@@ -307,8 +307,8 @@ mod tests {
         unit
     }
 
-    /// Where the path is shortest, then where the mirror's law holds best (of a length that is least, half the digits of the place
-    /// are lost).
+    /// Finds the shortest path, then the place at which the mirror's law holds best (of a length that is least, half the digits
+    /// of the place are lost).
     fn slowly(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> DVec3 {
         let length = |unit: DVec3| e.surface(unit).distance(tx) + e.surface(unit).distance(rx);
         let off_mirror = |unit: DVec3| {
@@ -375,7 +375,7 @@ mod tests {
         assert!(f64::from(places) < 3.2 * f64::from(all), "{places} of {all}");
     }
 
-    /// What is known of the instant before changes nothing but where there would be no beginning.
+    /// Knowledge of the instant before changes nothing but where there would be no start value.
     #[test]
     fn a_start_does_not_change_a_highlight() {
         let mut rng = generator(13, Purpose::Build, [0, 0]);

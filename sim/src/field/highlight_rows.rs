@@ -12,7 +12,7 @@ use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 /// Places that are looked at before a lane is left to the routine for one pair.
 const MOST_PLACES: usize = 6;
 
-/// Where pairs of sources side by side see an ellipsoid shine, as [`super::highlight::Highlight`] has it.
+/// Places at which pairs of sources side by side see an ellipsoid shine, as [`super::highlight::Highlight`] has it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct HighlightRows {
     /// 1 in lanes whose place was found; in the others nothing counts, and [`Ellipsoid::highlight`] tells.

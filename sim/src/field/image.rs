@@ -18,7 +18,7 @@ use super::pattern::Pattern;
 pub use super::wall::Wall;
 use super::wall::WallTable;
 use super::{Phasor3, incidence_frame};
-use crate::actor::track::smooth_step;
+use crate::smooth::smooth_step;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
@@ -67,7 +67,7 @@ pub struct Element {
     pub pattern: Pattern,
 }
 
-/// What an (image) antenna does at a point: its field there but for `e^{-jkR}/R`.
+/// Field of an (image) antenna at a point, but for `e^{-jkR}/R`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Illumination {
     /// Position of the image, m.

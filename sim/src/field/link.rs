@@ -12,9 +12,9 @@ use super::terminal::Terminal;
 /// A transmitter and a receiver whose fields have unit strength in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Link {
-    /// Where the wave comes from.
+    /// Source of the wave.
     pub tx: Terminal,
-    /// Where it is heard.
+    /// Receiver of the wave.
     pub rx: Terminal,
     /// Polarisation of the transmitter, unit vector.
     pub tx_polarisation: DVec3,

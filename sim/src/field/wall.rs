@@ -12,7 +12,7 @@ use num_complex::Complex64;
 
 use super::fresnel::{self, Reflection};
 
-/// What a wall is made of.
+/// Material of a wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wall {
     /// Lossy dielectric slab.
@@ -310,7 +310,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// What cannot be tabulated is asked of the slab itself; no cosine, however wrong, is met with a panic.
+        /// Values outside the table are computed from the slab itself; no cosine, however wrong, causes a panic.
         #[test]
         fn foils_thick_glass_and_odd_cosines_are_those_of_the_slab() {
             let lossless = Complex64::new(2.25, 0.0);

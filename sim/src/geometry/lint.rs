@@ -1,4 +1,4 @@
-//! What is wrong with a mesh before it is simulated.
+//! Defects of a mesh before it is simulated.
 
 use glam::{DVec2, DVec3};
 
@@ -21,7 +21,7 @@ pub struct Shell {
     pub first_triangle: u32,
     /// Triangles.
     pub triangles: usize,
-    /// It has neither border nor tangle.
+    /// True if the mesh has neither border nor tangle.
     pub closed: bool,
     /// Volume, m^3; negative when it faces inwards. Of an open shell, that of the cone over it from the origin.
     pub volume_m3: f64,

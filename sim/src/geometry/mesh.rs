@@ -28,15 +28,15 @@ pub enum MeshError {
     NoPlace {
         /// The vertex.
         vertex: usize,
-        /// Where it is, m.
+        /// Place, m.
         position: DVec3,
     },
     /// A length that is none.
     #[error("{what} is {given_m} m, expected a positive number")]
     Length {
-        /// What the length is for.
+        /// Purpose of the length.
         what: &'static str,
-        /// What was given, m.
+        /// Length that was given, m.
         given_m: f64,
     },
 }
@@ -52,6 +52,9 @@ pub struct Mesh {
 
 impl Mesh {
     /// Refuses indices without a vertex and vertices without a place.
+    ///
+    /// # Errors
+    /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
     pub fn check(&self) -> Result<(), MeshError> {
         check_places(&self.vertices)?;
         let vertices = self.vertices.len();

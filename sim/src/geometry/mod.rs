@@ -1,5 +1,5 @@
 //! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
-//! ([`planes`], [`edges`]), read from files ([`import`]), and smooth where waves see them so ([`smooth_normals`]).
+//! ([`planes`], [`edges`]), and read from files ([`import`]).
 
 mod edges;
 pub mod import;
@@ -22,7 +22,6 @@ pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
 pub(crate) use mesh::check_places;
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
-pub use normals::smooth_normals;
 pub use orient::oriented;
 pub use planar_polygon::{Clearance, PlanarPolygon};
 pub use planes::{Plane, Planes, planes};

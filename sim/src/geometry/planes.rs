@@ -25,7 +25,7 @@ pub struct Plane {
 /// Planes of a mesh.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Planes {
-    /// Of every triangle, the plane's index. A triangle of a curved surface is a plane of its own.
+    /// Index of the plane of every triangle. A triangle of a curved surface is a plane of its own.
     pub of_triangle: Vec<u32>,
     /// The planes, by their lowest triangle.
     pub planes: Vec<Plane>,

@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use super::Surface;
 
-/// How many pieces of about this length a length is cut into.
+/// Number of pieces of about this length into which a length is cut.
 fn pieces(length_m: f64, edge_m: f64) -> usize {
     ((length_m / edge_m).round() as usize).clamp(1, 4096)
 }
@@ -192,6 +192,10 @@ mod tests {
         // Euler: V - E + F = 2 with E = 3 F / 2.
         assert_eq!(sphere.vertices.len(), 2 + sphere.triangles.len() / 2);
         let torso = ellipsoid(DVec3::new(0.12, 0.17, 0.3), 0.014);
-        assert!((torso.mean_edge_m() / 0.014 - 1.0).abs() < 0.1, "{}", torso.mean_edge_m());
+        let triangles = (0..torso.triangles.len()).filter_map(|t| torso.corners(t));
+        let edges_m: Vec<f64> =
+            triangles.flat_map(|c| [(0, 1), (1, 2), (2, 0)].map(|(i, j)| c[i].0.distance(c[j].0))).collect();
+        let mean_m = edges_m.iter().sum::<f64>() / edges_m.len() as f64;
+        assert!((mean_m / 0.014 - 1.0).abs() < 0.1, "{mean_m}");
     }
 }

@@ -37,16 +37,4 @@ impl Surface {
         let Some(&first) = self.vertices.first() else { return (DVec3::ZERO, DVec3::ZERO) };
         self.vertices.iter().fold((first, first), |(low, high), &v| (low.min(v), high.max(v)))
     }
-
-    /// Mean length of the triangles' edges, m.
-    pub fn mean_edge_m(&self) -> f64 {
-        let (mut sum, mut count) = (0.0, 0usize);
-        for corners in (0..self.triangles.len()).filter_map(|t| self.corners(t)) {
-            for i in 0..3 {
-                sum += corners[i].0.distance(corners[(i + 1) % 3].0);
-                count += 1;
-            }
-        }
-        if count == 0 { 0.0 } else { sum / count as f64 }
-    }
 }

@@ -20,12 +20,15 @@ pub struct Welded {
     pub unused_vertices: usize,
     /// Triangles without area: two corners welded into one, or all three on a line.
     pub degenerate_triangles: usize,
-    /// Of every triangle that is left: which it was.
+    /// Index before welding of every triangle that is left.
     pub triangle_of: Vec<u32>,
 }
 
 /// Makes vertices within a tolerance one: each goes where the first of them is, so nothing moves farther than the tolerance.
 /// Files without indices (STL) and seams of textures come apart at edges otherwise: rays leak there, normals break.
+///
+/// # Errors
+/// [`MeshError`] for a mesh that [`Mesh::check`] refuses, and for a tolerance that is not positive and finite.
 pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     mesh.check()?;
     // Written so that NaN is refused.
@@ -127,7 +130,7 @@ mod tests {
 mod hard_cases {
     use super::*;
 
-    /// sbr.md section 2: n = 0/0 is dropped with a count; a needle is thin, not degenerate.
+    /// A triangle whose normal is 0/0 is dropped with a count; a needle is thin, not degenerate.
     #[test]
     fn triangles_without_area_are_dropped_and_needles_are_kept() {
         let vertices = vec![DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::new(0.5, 1e-7, 0.0), DVec3::X + 1e-9];

@@ -1,4 +1,4 @@
-//! Which facets paths from an antenna meet, found by rays; and the images of the antenna that they make.
+//! Sequences of facets that paths from an antenna meet, found by rays; and the images of the antenna that they make.
 //!
 //! Rays go out in the directions of a subdivided icosahedron. Where the corners of one of its triangles report different facets,
 //! the triangle is divided into four, again and again: rays gather where facets end and small ones hide. All of it depends on
@@ -28,7 +28,7 @@ const ASKEW: DVec3 = DVec3::new(1.0, 0.754_877_666_2, 0.569_840_291_0);
 /// Cosine up to which planes are at right angles.
 const RIGHT_ANGLE: f64 = 1e-12;
 
-/// How rays are launched.
+/// Settings of the launch of rays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaunchOptions {
     /// Reflections that a path may have, at most [`MAX_ORDER`].
@@ -45,7 +45,7 @@ impl Default for LaunchOptions {
     }
 }
 
-/// What a search took and found.
+/// Cost and results of a search.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DiscoveryReport {
     /// Rays launched.
@@ -72,7 +72,7 @@ struct Chain {
 pub struct Image {
     /// Number of reflections.
     pub order: usize,
-    /// Where the antenna from which rays were launched has its image, m.
+    /// Place of the image of the antenna from which rays were launched, m.
     pub position: DVec3,
     /// Image of a vector of the antenna: product of the facets' reflections.
     pub mirror: DMat3,
@@ -135,7 +135,7 @@ impl ImagePaths {
         &self.environment
     }
 
-    /// What the search took and found.
+    /// Cost and results of the search.
     pub fn report(&self) -> DiscoveryReport {
         self.report
     }
@@ -366,7 +366,7 @@ impl<'a> Launch<'a> {
         found
     }
 
-    /// What rays met, and what that begins with.
+    /// Sequences that rays met, and those with which these begin.
     fn sequences(&self) -> BTreeSet<Vec<FacetId>> {
         let mut chains: Vec<Chain> = self.chains.iter().flatten().copied().collect();
         chains.sort_unstable();

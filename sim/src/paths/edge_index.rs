@@ -14,7 +14,7 @@ const DEEPEST: usize = 64;
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// Of edges, in the tree's order; of an inner box, its second half's box, the first follows it.
+    /// First edge, in the tree's order; of an inner box, the box of its second half, as the first half follows the box.
     first: u32,
     /// Number of edges; 0 for an inner box.
     count: u32,

@@ -151,7 +151,7 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// How two facets meet at an edge.
+/// Way in which two facets meet at an edge.
 #[derive(PartialEq)]
 enum Meeting {
     /// They end there back to back.

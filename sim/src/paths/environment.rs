@@ -214,7 +214,7 @@ impl Environment {
         self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
     }
 
-    /// What lies on the straight way between two points, each perhaps on a facet, whose planes are passed over.
+    /// Obstacles on the straight way between two points, each perhaps on a facet, whose planes are passed over.
     pub(super) fn passing(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> Passing {
         let ray = self.ray_between(ends, on);
         let mut passing = Passing { is_blocked: self.world.blocked(&ray), crossed: Vec::new() };

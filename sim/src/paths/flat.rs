@@ -28,7 +28,7 @@ pub struct Facet {
     pub corners: Vec<DVec3>,
     /// Outlines of holes, m, in any direction.
     pub holes: Vec<Vec<DVec3>>,
-    /// What it is made of. Nothing is there where it is [`Wall::Open`].
+    /// Material. Nothing is there where it is [`Wall::Open`].
     pub wall: Wall,
     /// For each side of the outline, from its corner to the next: whether it diffracts as a free edge or an outward corner does.
     /// Empty where that is to be found from the geometry, as it is for sides of holes.
@@ -43,7 +43,7 @@ pub enum EnvironmentError {
     NoPolygon {
         /// The facet.
         facet: usize,
-        /// Why.
+        /// Reason.
         why: &'static str,
     },
     /// The list of soft edges is not as long as the outline.

@@ -59,7 +59,7 @@ struct Leg {
     total_m: f64,
 }
 
-/// What is left of a field.
+/// Share of a field that is left.
 #[derive(Debug, Clone, Copy)]
 struct Kept {
     /// Part of the field.
@@ -68,11 +68,11 @@ struct Kept {
     is_whole: bool,
 }
 
-/// What is left of a field by a sequence of facets.
+/// Share of a field that a sequence of facets leaves.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
     sequence: &'a [FacetId],
-    /// What facets and edges leave of it.
+    /// Share that facets and edges leave of it.
     part: Complex64,
     is_whole: bool,
     /// Walls that it goes through, each with the number of the leg that crosses it.
@@ -80,13 +80,13 @@ struct Arrival<'a> {
 }
 
 impl Kept {
-    /// What two of them in turn leave.
+    /// Share that two of them in turn leave.
     fn and(self, other: Kept) -> Kept {
         Kept { field: self.field * other.field, is_whole: self.is_whole && other.is_whole }
     }
 }
 
-/// How a leg passes an edge.
+/// Passage of a leg by an edge.
 struct Passage {
     /// The edge's part of the field, but for its sign.
     part: Complex64,
@@ -313,7 +313,7 @@ impl ImagePaths {
         Some(Folded { points, count: count + 2 })
     }
 
-    /// What facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
+    /// Share that facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
     fn arrival<'a>(&self, sequence: &'a [FacetId], antenna: DVec3, point: DVec3) -> Option<Arrival<'a>> {
         let folded = self.folded(sequence, antenna, point)?;
         let points = folded.points();
@@ -347,7 +347,7 @@ impl ImagePaths {
         Some(Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed })
     }
 
-    /// What a facet reflects of what it would if its plane had no end.
+    /// Reflection of a facet relative to that of its endless plane.
     fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
         let flat = self.environment.flat(facet)?;
         let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
@@ -374,7 +374,7 @@ impl ImagePaths {
         is_left.then_some(Kept { field, is_whole: is_on })
     }
 
-    /// What is left on a leg past all facets but those on which it ends, and the walls that it goes through.
+    /// Share that is left on a leg past all facets but those on which it ends, and the walls that it goes through.
     fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2]) -> Option<(Kept, Vec<FacetId>)> {
         let environment = &*self.environment;
         if leg.length_m < BEFORE_M {
@@ -410,7 +410,7 @@ impl ImagePaths {
         is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
     }
 
-    /// What the facets at an edge are to a way in a direction.
+    /// Screen that the facets at an edge form for a way in a direction.
     fn screen(&self, edge: &SoftEdge, direction: DVec3, passing: &Passing) -> Screen {
         let opaque = Screen { behind: Complex64::ONE, beside: Complex64::ONE, is_in_the_way: passing.is_blocked };
         if !self.environment.lets_through() {
@@ -435,7 +435,7 @@ impl ImagePaths {
     }
 }
 
-/// What the facets at an edge are to a way.
+/// Screen that the facets at an edge form for a way.
 struct Screen {
     /// Factors of the edge's part of the field behind them and beside them.
     behind: Complex64,

@@ -1,4 +1,4 @@
-//! Which images may light what lies within a distance of a place, and how strongly: bounds that take no rays.
+//! Bounds, without rays, on the images that may light the space within a distance of a place, and on their strength.
 
 use glam::{DMat3, DVec3};
 
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use crate::field::pattern::Pattern;
 
-    /// Of images that are left out nothing arrives anywhere in the ball, and no image is louder than its bound.
+    /// Nothing arrives anywhere in the ball from images that are left out, and no image is louder than its bound.
     #[test]
     fn images_that_are_left_out_light_nothing() {
         let options = LaunchOptions { max_order: 2, refinements: 2, max_rays: 20_000 };

@@ -1,4 +1,4 @@
-//! What is around the antennas of a scene: a box, whose images are a lattice, or plane faces, whose images rays find.
+//! Surroundings of the antennas of a scene: a box, whose images are a lattice, or plane faces, whose images rays find.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ const WALL_NAMES: [&str; 6] = ["x_low", "x_high", "y_low", "y_high", "floor", "c
 /// Points nearer to a surface than this lie on it, m.
 const ON_SURFACE_M: f64 = 1e-6;
 
-/// What is around the antennas. Images have an [`ImageIndex`]: that of the lattice in a box; else `[number, 0, 0]`, and
+/// Surroundings of the antennas. Images have an [`ImageIndex`]: that of the lattice in a box; else `[number, 0, 0]`, and
 /// `[0, 0, 0]` is the antenna itself.
 // There is one of a prepared scene, and a box is asked millions of times a frame.
 #[allow(clippy::large_enum_variant)]

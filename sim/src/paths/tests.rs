@@ -14,7 +14,7 @@ use crate::field::image::{BoxRoom, Element, Wall, images};
 use crate::field::pattern::Pattern;
 use crate::shadow::half_plane;
 
-/// Of 60 GHz, 1/m.
+/// Wavenumber at 60 GHz, 1/m.
 const K: f64 = 1_257.507_013_171_009;
 
 fn isotropic(position: DVec3) -> Element {

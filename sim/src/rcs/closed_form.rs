@@ -1,4 +1,4 @@
-//! What is known of canonical targets without the solver: closed forms, exact series, and where neither exists a quadrature
+//! Cross-sections of canonical targets without the solver: closed forms, exact series, and where neither exists a quadrature
 //! over the exact shape.
 
 use std::f64::consts::PI;

@@ -34,7 +34,7 @@ pub enum Outline {
     Square,
 }
 
-/// What is looked at. Axes are the target's own: see each kind.
+/// Target. Axes are the target's own: see each kind.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Target {
     /// A flat rectangle that looks along +x, width along y, height along z; reflects on either side.
@@ -119,7 +119,7 @@ impl Target {
 /// Direction of the radar's electric field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polarisation {
-    /// As near to z as it can be.
+    /// Direction as near to z as it can be.
     Vertical,
     /// Across z.
     Horizontal,
@@ -138,7 +138,7 @@ pub struct Setup {
     pub elevation_rad: f64,
     /// Direction of the field.
     pub polarisation: Polarisation,
-    /// What the target is made of.
+    /// Material of the target.
     pub boundary: Boundary,
 }
 
@@ -207,7 +207,7 @@ impl Setup {
     }
 }
 
-/// How a cross-section is computed.
+/// Method by which a cross-section is computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// Stationary phase on the exact shape: round bodies.
@@ -275,7 +275,7 @@ fn few_flat_faces(surface: &Surface) -> bool {
 /// Faces between which every sequence is followed, at most.
 const MOST_FACES: usize = 64;
 
-/// What cannot be solved.
+/// Error in a problem that cannot be solved.
 #[derive(Debug, Error)]
 pub enum RcsError {
     /// A quantity is no number or out of range.
@@ -283,7 +283,7 @@ pub enum RcsError {
     OutOfRange {
         /// The quantity.
         what: &'static str,
-        /// What was given.
+        /// Value that was given.
         value: f64,
         /// Its unit.
         unit: &'static str,
@@ -297,9 +297,9 @@ pub enum RcsError {
         "a range of {range_m} m puts the radar into the target, which reaches {reach_m:.3} m from its reference point\n\nhint: choose a longer range, or none for the far field"
     )]
     Inside {
-        /// What was given.
+        /// Range that was given.
         range_m: f64,
-        /// What it must exceed.
+        /// Least range.
         reach_m: f64,
     },
     /// The method does not suit the target.
@@ -307,9 +307,9 @@ pub enum RcsError {
         "the method {method} cannot be asked of this target\n\nhint: it can be asked {suitable}, or leave the choice to the program"
     )]
     Unsuitable {
-        /// What was asked.
+        /// Method that was asked for.
         method: &'static str,
-        /// What could be.
+        /// Methods that are suitable.
         suitable: String,
     },
     /// A mesh would be too fine.
@@ -317,11 +317,11 @@ pub enum RcsError {
         "edges of {edge_m} m would make about {triangles:.1e} triangles\n\nhint: at most {most:.0e} are made; ask for longer edges"
     )]
     TooFine {
-        /// What was asked.
+        /// Edge length that was asked for.
         edge_m: f64,
-        /// What it would make.
+        /// Number of triangles that this takes.
         triangles: f64,
-        /// What is allowed.
+        /// Greatest number that is allowed.
         most: f64,
     },
     /// There is nothing to look at.

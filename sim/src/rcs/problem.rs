@@ -21,7 +21,7 @@ const MOST_TRIANGLES: f64 = 4e6;
 const STRAIGHT_RAD: f64 = 1e-9;
 /// Bounces between plane faces, at most.
 const MOST_BOUNCES: usize = 3;
-/// Where far is, in sizes of an exact shape.
+/// Distance that is far, in sizes of an exact shape.
 const FAR: f64 = 1e7;
 /// Most times that facets are halved for the sake of a tolerance.
 const ROUNDS: usize = 7;
@@ -52,7 +52,7 @@ enum Shape {
     Mesh(Box<Mesh>),
 }
 
-/// What a solution is and what it took.
+/// Solution and its cost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
     /// Cross-section, m^2.
@@ -76,6 +76,10 @@ fn check_length(what: &'static str, value: f64) -> Result<(), RcsError> {
 impl Problem {
     /// Makes a target ready. Without an edge length meshes are as coarse as the shape allows, and facets follow the shape by
     /// their normals.
+    ///
+    /// # Errors
+    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target, the method does not suit the target, or
+    /// the mesh would be empty or too fine.
     pub fn new(target: &Target, setup: &Setup, method: Method, mesh_edge_m: Option<f64>) -> Result<Self, RcsError> {
         check("the frequency", setup.frequency_hz, "Hz", 1e8, 1e12)?;
         check("the azimuth", setup.azimuth_rad, "rad", -10.0, 10.0)?;
@@ -118,6 +122,9 @@ impl Problem {
     }
 
     /// Solves to a tolerance, on the calling thread.
+    ///
+    /// # Errors
+    /// [`RcsError::OutOfRange`] for a tolerance that is not 0.0001 to 20 dB.
     pub fn solve(&self, tolerance_db: f64) -> Result<Outcome, RcsError> {
         check("the tolerance", tolerance_db, "dB", 1e-4, 20.0)?;
         Ok(match &self.shape {

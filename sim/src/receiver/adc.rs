@@ -1,4 +1,4 @@
-//! What the receiver adds to every chirp whatever is in front of it, and the converter.
+//! Additions of the receiver to every chirp whatever is in front of it, and the converter.
 
 use radome_dsp::{MAX_CODE, Waveform};
 

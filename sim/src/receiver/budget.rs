@@ -20,7 +20,7 @@ pub struct Filters {
 }
 
 impl Filters {
-    /// As the waveform sets them, with the receiver's deviations.
+    /// Budget as the waveform sets it, with the receiver's deviations.
     pub fn new(receiver: &Receiver, waveform: &Waveform) -> Self {
         Filters {
             high_pass_hz: waveform.request.high_pass_cutoff_hz * receiver.high_pass_cutoff_scale,

@@ -29,9 +29,9 @@ use leakage::{Shape, fit_shape};
 
 /// Frames without which nothing is fitted.
 pub const LEAST_FRAMES: usize = 16;
-/// Of a recording's noise so many periodograms a channel are kept, evenly spread.
+/// Greatest number of periodograms that are kept of a recording's noise by channel, evenly spread.
 const MOST_PERIODOGRAMS: usize = 20_000;
-/// And of its frames' mean chirps so many.
+/// Greatest number of frames whose mean chirps are kept.
 const MOST_CHIRPS: usize = 4096;
 /// From the median of a normal distribution's deviations to its standard deviation.
 const MAD: f64 = 1.4826;
@@ -67,7 +67,7 @@ pub enum CalibrationError {
     },
 }
 
-/// What is kept of one channel.
+/// Data that are kept of one channel.
 struct Channel {
     /// `[kept][bin]`, LSB^2 a sample.
     periodograms: Vec<Vec<f32>>,
@@ -77,7 +77,7 @@ struct Channel {
     levels: Vec<Vec<Level>>,
 }
 
-/// What is kept of every frame's mean chirp.
+/// Data that are kept of every frame's mean chirp.
 #[derive(Debug, Clone, Copy)]
 struct Level {
     /// Its mean, LSB.
@@ -116,7 +116,7 @@ pub struct ChannelFit {
     pub density_lsb2: Vec<f64>,
     /// Median of the frames' mean chirps, LSB.
     pub chirp_lsb: Vec<f64>,
-    /// What the fit of that leaves, LSB rms.
+    /// Error of the fit of that, LSB rms.
     pub residual_lsb: f64,
 }
 
@@ -133,6 +133,9 @@ pub struct Fit {
 
 impl Calibration {
     /// Nothing yet, for recordings of a waveform of about so many frames in all.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Shape`] if a frame has too few chirps or samples.
     pub fn new(waveform: &Waveform, frames: usize) -> Result<Self, CalibrationError> {
         let shape = waveform.shape();
         if shape.chirps < 3 || shape.samples < 16 {
@@ -150,12 +153,15 @@ impl Calibration {
         })
     }
 
-    /// What comes next is another recording: nothing is said of changes from the last frame to its first.
+    /// Begins another recording: nothing is said of changes from the last frame to its first.
     pub fn begin_recording(&mut self) {
         self.channels.iter_mut().for_each(|channel| channel.levels.push(Vec::new()));
     }
 
     /// Takes in a frame.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Frame`] if the frame has another shape than the waveform says.
     pub fn push(&mut self, frame: &Frame) -> Result<(), CalibrationError> {
         let shape = self.waveform.shape();
         if frame.shape != shape || frame.codes.len() != shape.codes() {
@@ -195,6 +201,9 @@ impl Calibration {
     }
 
     /// The receiver that made these frames: `base` with what they show.
+    ///
+    /// # Errors
+    /// [`CalibrationError::TooShort`] if there are too few frames, and [`CalibrationError::Silent`] if a channel has no noise.
     pub fn fit(&self, base: &Receiver, name: &str, measured_from: &str) -> Result<Fit, CalibrationError> {
         if self.seen < LEAST_FRAMES {
             return Err(CalibrationError::TooShort { got: self.seen });
@@ -368,7 +377,7 @@ mod tests {
         calibration.fit(&Receiver::typical(), "fitted", "a test")
     }
 
-    /// What is put in comes out: noise by bin, offsets, mean chirps, jitter.
+    /// The calibration gives back what was put in: noise by bin, offsets, mean chirps, jitter.
     #[test]
     fn a_known_receiver_is_found_again() {
         let mut receiver = Receiver::typical();

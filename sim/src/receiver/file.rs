@@ -16,7 +16,7 @@ pub struct Receiver {
     pub format: u32,
     /// Short name, for messages and provenance.
     pub name: String,
-    /// What the numbers were taken from: a datasheet, or the recording that they were fitted to.
+    /// Source of the numbers: a datasheet, or the recording that they were fitted to.
     #[serde(default)]
     pub measured_from: String,
     /// Conducted transmit power at power level 31, dBm. Default 4 (datasheet V2.4.9 table 55: 1..8).
@@ -34,7 +34,7 @@ pub struct Receiver {
     /// Input range of the ADC over its 4096 codes, V. Default 1.31 (0.145..1.455 V).
     #[serde(default = "default_adc_full_scale_v")]
     pub adc_full_scale_v: f64,
-    /// What a calibration adds to every echo's level, dB. Default 0. Noise and leakage do not change with it.
+    /// Correction that a calibration adds to every echo's level, dB. Default 0. Noise and leakage do not change with it.
     #[serde(default)]
     pub gain_correction_db: f64,
     /// Factor from nominal to true high-pass cutoff. Default 1 (the datasheet allows 0.6..1.4).
@@ -52,7 +52,7 @@ pub struct Receiver {
     /// Phase noise of the transmitter. None if absent: most of it cancels, being in the echo as in what it is mixed with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phase_noise: Option<PhaseNoise>,
-    /// How far static echoes are from constant.
+    /// Variation of static echoes over time.
     #[serde(default)]
     pub clutter: ClutterDrift,
     /// Slow changes of the offset.
@@ -186,7 +186,7 @@ pub struct Transient {
     pub time_constant_s: f64,
 }
 
-/// How far static echoes are from constant (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
+/// Variation of static echoes over time (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
 /// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad). Keys whose default is 0 and that act within a frame change
 /// all echoes alike, those of people too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

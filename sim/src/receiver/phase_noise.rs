@@ -22,7 +22,7 @@ pub struct PhaseRates {
 }
 
 impl PhaseRates {
-    /// Of an oscillator, up to half a sample rate: `S_phi' = 2 L (2 pi f)^2`, the same at all offsets.
+    /// Phase noise of an oscillator, up to half a sample rate: `S_phi' = 2 L (2 pi f)^2`, the same at all offsets.
     pub fn new(noise: &PhaseNoise, sample_rate_hz: f64) -> Self {
         let level = 10f64.powf(0.1 * noise.level_dbc_per_hz);
         PhaseRates { sigma_rad_per_s: std::f64::consts::TAU * noise.offset_hz * (level * sample_rate_hz).sqrt() }

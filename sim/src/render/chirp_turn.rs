@@ -18,7 +18,7 @@ use crate::sway::Sway;
 pub struct ChirpTurn {
     /// Factor on all of them.
     pub factor: Complex64,
-    /// How much later they are sampled, s.
+    /// Delay of their sampling, s.
     pub late_s: f64,
 }
 

@@ -91,7 +91,7 @@ impl Renderer {
         of_block
     }
 
-    /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
+    /// Echoes of people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
     pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
         let shape = self.waveform().shape();
         let start_s = self.start_s(index);

@@ -1,4 +1,4 @@
-//! What stands still: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
+//! Static echoes: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
 
 use glam::DVec3;
 use num_complex::{Complex, Complex64};
@@ -48,7 +48,7 @@ impl Renderer {
         }
         let without_people = self.clutter_weights(index, &[start_s], &[Vec::new()]);
         let without_people = without_people.first().map(Vec::as_slice).unwrap_or_default();
-        let (at_ends, active_s) = (columns(&traced.snapshots), self.active_s());
+        let (at_ends, active_s) = (traced.columns(), self.active_s());
         let paths = self.stage.static_paths.iter().zip(without_people).enumerate();
         let (changing, steady): (Vec<_>, Vec<_>) =
             paths.partition(|(_, (path, _))| may_shade(&path.polyline, &at_ends));
@@ -181,12 +181,7 @@ fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
     })
 }
 
-/// People as columns in other paths' way, at each of several times.
-pub(super) fn columns(snapshots: &[Vec<Snapshot>]) -> Vec<Vec<Column>> {
-    snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
-}
-
-/// The same at a place, 0 to 1, between times that are evenly spread.
+/// People as columns in other paths' way at a place, 0 to 1, between times that are evenly spread.
 fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
     let place = at.clamp(0.0, 1.0) * at_times.len().saturating_sub(1) as f64;
     let whole = place as usize;

@@ -8,7 +8,7 @@ use rand::Rng;
 
 use crate::actor::motion::Motion;
 use crate::actor::program::Program;
-use crate::diffuse;
+use crate::echo::diffuse;
 use crate::echo::skin::SkinnedPerson;
 use crate::field::curved_triangle::Integrator;
 use crate::random::{Purpose, generator};
@@ -18,7 +18,6 @@ use crate::receiver::noise::{NoiseShaper, channel_density_lsb2};
 use crate::receiver::phase_noise::PhaseRates;
 use crate::receiver::spurs::Spurs;
 use crate::scene::Scene;
-use crate::simulator::{FrameReport, SimulateOptions};
 use crate::stage::Stage;
 use crate::sway::SwayingReflectors;
 use crate::synthesis::Synthesiser;
@@ -30,13 +29,37 @@ mod chirps;
 mod clutter;
 mod paths;
 mod receiver;
+mod report;
 mod skins;
 mod truth;
 
-/// How far below the noise of a cell a path is left out, dB: those of 10 dB below it add half a decibel to a cell that
-/// stands just above it.
+pub use report::{FrameReport, PersonState};
+
+/// Distance below the noise of a cell at which a path is left out, dB: those of 10 dB below it add half a decibel to a cell
+/// that stands just above it.
 fn margin_db(tolerance_db: f64) -> f64 {
     10.0 - 20.0 * (tolerance_db / 0.5).log10()
+}
+
+/// Choices beside the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SimulateOptions {
+    /// All random draws depend on it.
+    pub seed: u64,
+    /// Greatest number of people (slots of visits, people at a desk, actors); the scene's own number if `None`, and
+    /// 0 for an empty room.
+    pub people: Option<usize>,
+    /// End after this many frames; endless if `None`.
+    pub frames: Option<u64>,
+    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
+    /// and how finely the rest is integrated follows from it.
+    pub tolerance_db: f64,
+}
+
+impl Default for SimulateOptions {
+    fn default() -> Self {
+        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 0.5 }
+    }
 }
 
 /// Everything about a scene and a seed that frames share.
@@ -141,7 +164,7 @@ impl Renderer {
         report
     }
 
-    /// How everybody moves who is there in a frame.
+    /// Motions of all people who are there in a frame.
     fn motions(&self, start_s: f64) -> Vec<Arc<Motion>> {
         self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, motion)| motion).collect()
     }

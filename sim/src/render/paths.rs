@@ -2,14 +2,12 @@
 
 use std::sync::Arc;
 
-use super::Renderer;
-use super::clutter::columns;
+use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
-use crate::diffuse;
-use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
 use crate::scene::file::BodyFile;
-use crate::simulator::FrameReport;
+use crate::shadow::Column;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
 use crate::tracks::Tracks;
 
@@ -18,15 +16,15 @@ use crate::tracks::Tracks;
 pub(super) const FIRST_HALVINGS: u32 = 1;
 /// Most of that.
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
-/// What may be missed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector magnitude):
-/// weak paths have cells of their own in a map, where nothing stronger hides their errors.
+/// Error that is allowed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector
+/// magnitude): weak paths have cells of their own in a map, where nothing stronger hides their errors.
 const KEY_TOLERANCE: f64 = 0.01;
 
 /// Everybody's paths in a frame.
 pub(super) struct Traced {
     /// `[end of a stretch][person]`.
     pub(super) snapshots: Vec<Vec<Snapshot>>,
-    /// How often the frame is halved into those stretches.
+    /// Number of times that the frame is halved into those stretches.
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,
@@ -48,6 +46,11 @@ impl Traced {
             skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
             report: self.report,
         }
+    }
+
+    /// People as columns in other paths' way, at the ends of stretches.
+    pub(super) fn columns(&self) -> Vec<Vec<Column>> {
+        self.snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
     }
 }
 
@@ -132,7 +135,7 @@ impl Renderer {
 
     /// Adds the echoes of swaying reflectors to the paths of a frame.
     pub(super) fn add_sway(&self, start_s: f64, traced: &mut Traced) {
-        let columns = columns(&traced.snapshots);
+        let columns = traced.columns();
         self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.tracks);
     }
 

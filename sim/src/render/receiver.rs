@@ -1,4 +1,4 @@
-//! What the receivers make of a frame's grids: samples, leakage, noise, spurious tones, codes.
+//! Output of the receivers for a frame's grids: samples, leakage, noise, spurious tones, codes.
 
 use radome_dsp::Frame;
 use rand_distr::{Distribution, StandardNormal};
@@ -25,7 +25,7 @@ struct Scratch {
     chirp: Vec<f32>,
 }
 
-/// What phase noise multiplies in a frame: everybody's paths by delay, and the phase's rates.
+/// Inputs of phase noise in a frame: everybody's paths by delay, and the phase's rates.
 pub(super) struct NoisyPhase<'a> {
     pub(super) traced: Traced,
     pub(super) rates: &'a PhaseRates,
@@ -43,7 +43,7 @@ pub(super) struct OfFrame<'a> {
     pub(super) turns: &'a [ChirpTurn],
 }
 
-/// What one receiver adds to the echoes of a frame, chirp after chirp.
+/// Additions of one receiver to the echoes of a frame, chirp after chirp.
 struct Channel<'a> {
     noise: Xoshiro256PlusPlus,
     phase_noise: Xoshiro256PlusPlus,
@@ -91,7 +91,7 @@ impl Renderer {
         clipped
     }
 
-    /// What a receiver adds to the echoes of a frame.
+    /// Additions of a receiver to the echoes of a frame.
     fn channel(&self, rx: usize, index: u64) -> Channel<'_> {
         let seed = self.options.seed;
         // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
@@ -107,7 +107,7 @@ impl Renderer {
         }
     }
 
-    /// What stands beside the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
+    /// Factor on the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
     fn by_delay(&self, phase: &NoisyPhase, clutter: &Clutter, turns: &[ChirpTurn]) -> Vec<f32> {
         let shape = self.waveform().shape();
         let grids = self.static_grids(clutter, true);

@@ -4,21 +4,21 @@ use std::sync::{Arc, PoisonError};
 
 use rayon::prelude::*;
 
-use super::Renderer;
 use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
+use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
-use crate::actor::skin::{EDGE_M, WalkingMesh};
+use crate::actor::skin::EDGE_M;
+use crate::actor::walking_mesh::WalkingMesh;
 use crate::echo::demand::{Demand, Missed};
 use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::keys::Instants;
 use crate::scene::file::BodyFile;
-use crate::simulator::FrameReport;
 use crate::stage::threshold_lsb;
 use crate::synthesis::ChirpGrids;
 
-/// What may be missed between keys of all of a skin's echoes, relative to them, for half a decibel.
+/// Error that is allowed between keys of all of a skin's echoes, relative to them, for half a decibel.
 const SKIN_KEY_TOLERANCE: f64 = 0.03;
 /// Skins of this many people are kept: those in the room, and who comes next.
 const MOST_SKINS: usize = 8;
@@ -44,7 +44,7 @@ impl Renderer {
         Some(skin)
     }
 
-    /// What is asked of skins.
+    /// Error budget of skins.
     fn demand(&self) -> Demand {
         let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
         Demand { tolerance_db: self.options.tolerance_db, noise_lsb }

@@ -1,15 +1,13 @@
-//! Who is in the room in a frame.
+//! People in the room in a frame.
 
 use std::sync::Arc;
 
 use radome_dsp::{Occupancy, Truth};
 
-use super::Renderer;
-use crate::actor::body::{CHEST, SEGMENTS};
+use super::{PersonState, Renderer};
+use crate::actor::body::{CHEST, SEGMENTS, half_extent};
 use crate::actor::motion::Motion;
-use crate::actor::program::half_extent;
 use crate::field::highlight::Ellipsoid;
-use crate::simulator::PersonState;
 
 /// Truth is looked up at this many times of a frame: its quarters.
 const TRUTH_TIMES: usize = 5;
@@ -28,7 +26,7 @@ impl Renderer {
         start_s + self.active_s() * time as f64 / (TRUTH_TIMES - 1) as f64
     }
 
-    /// What is true of a frame, given the bodies of people by the number of the time.
+    /// Ground truth of a frame, given the bodies of people by the number of the time.
     pub(super) fn truth_of(
         &self,
         motions: &[Arc<Motion>],

@@ -1,4 +1,4 @@
-//! What a scene file may say beyond its types.
+//! Limits of a scene file beyond its types.
 
 use std::path::Path;
 
@@ -6,8 +6,7 @@ use super::file::{
     ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile, SurfaceFile, SwayFile, VibrationFile,
     WanderFile,
 };
-use super::material::Material;
-use super::room::OPEN;
+use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
 
@@ -245,7 +244,7 @@ fn check_sway(sway: &SwayFile, size: [f64; 3]) -> Result<(), Fault> {
     Ok(())
 }
 
-/// What goes with an actor's file, and what only with one.
+/// Checks options that exclude an actor's file, and those that need one.
 fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
     let Some(file) = &actor.file else {
         let given = [

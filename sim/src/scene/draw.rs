@@ -18,7 +18,7 @@ use toml::{Table, Value};
 
 use crate::random::{Purpose, generator};
 
-/// What a key's value is drawn from: exactly one of the two.
+/// Distribution of a key's value: exactly one of the two.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomFile {
@@ -38,7 +38,7 @@ pub(super) struct DrawFault {
     pub(super) expected: &'static str,
 }
 
-/// Where in its range every value is taken.
+/// Choice of the place in its range at which every value is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Draw {
     /// By chance.
@@ -49,7 +49,7 @@ pub(super) enum Draw {
     Greatest,
 }
 
-/// What must be the same for all seeds, since frames of all of them go together.
+/// Keys that must be the same for all seeds, since frames of all of them go together.
 const FIXED: [&str; 4] = ["format", "name", "waveform", "random"];
 
 /// A scene's table with every key of `random` drawn.
@@ -82,7 +82,7 @@ pub(super) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
     Ok(scene)
 }
 
-/// Where a dotted path leads; its last key may be new.
+/// Value to which a dotted path leads; its last key may be new.
 fn place<'a>(scene: &'a mut Table, path: &str) -> Option<&'a mut Value> {
     let mut keys: Vec<&str> = path.split('.').collect();
     let last = keys.pop()?;
@@ -166,35 +166,18 @@ mod tests {
 
     use super::super::{Scene, SceneError};
 
-    const SCENE: &str = r#"
+    const SCENE: &str = concat!(
+        r#"
 format = 1
 name = "hall"
 
 [room]
 size_m = [4.0, 4.0, 2.5]
-x_low = { material = "concrete" }
-x_high = { material = "concrete" }
-y_low = { material = "concrete" }
-y_high = { material = "concrete" }
-floor = { material = "concrete" }
-ceiling = { material = "concrete" }
-
+"#,
+        include_str!("test_room.toml"),
+        r#"
 [radar]
 position_m = [0.1, 1.5, 1.2]
-
-[waveform]
-start_frequency_hz = 60.5e9
-end_frequency_hz = 61.5e9
-samples_per_chirp = 128
-chirps_per_frame = 64
-sample_rate_hz = 2e6
-chirp_interval_s = 391.55e-6
-frame_interval_s = 0.1
-rx_antennas = [1]
-tx_power_level = 31
-if_gain_db = 48.0
-high_pass_cutoff_hz = 80e3
-anti_alias_cutoff_hz = 500e3
 
 [[furniture]]
 name = "shelf"
@@ -204,7 +187,8 @@ size_m = [0.8, 0.3, 1.5]
 [people]
 [[people.actor]]
 step = [{ walk_to_m = [2.0, 2.0] }]
-"#;
+"#
+    );
 
     fn scene(random: &str) -> Result<Scene, SceneError> {
         Scene::parse(&format!("{SCENE}\n[random]\n{random}"), Path::new("hall.toml"))

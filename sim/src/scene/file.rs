@@ -42,9 +42,9 @@ pub struct SceneFile {
     /// Materials beside those of the table, by name.
     #[serde(default)]
     pub materials: BTreeMap<String, OwnMaterial>,
-    /// Where the radar is.
+    /// Place of the radar.
     pub radar: RadarFile,
-    /// What it transmits and samples.
+    /// Waveform that it transmits and samples.
     pub waveform: WaveformRequest,
     /// Static reflectors.
     #[serde(default)]
@@ -58,7 +58,7 @@ pub struct SceneFile {
     /// Doors, each in one of the four upright walls.
     #[serde(default)]
     pub door: Vec<DoorFile>,
-    /// Who comes, and what they do.
+    /// People who come, and what they do.
     pub people: PeopleFile,
     /// Keys, by their dotted paths, whose values are drawn for each seed.
     #[serde(default)]
@@ -80,9 +80,9 @@ pub struct RoomFile {
     /// make becomes the origin of the scene. A surface that the meshes do not have is `{ material = "open" }`.
     #[serde(default)]
     pub mesh: Vec<RoomMeshFile>,
-    /// How paths are found: "images" takes the box around the room, whose images are a lattice, and furniture as points; "rays"
-    /// takes all faces of walls and furniture, which mirror, hide and diffract. Default "rays" with `plan`, and with `mesh`
-    /// unless that is a box and nothing else; "images" without.
+    /// Way of finding paths: "images" takes the box around the room, whose images are a lattice, and furniture as points;
+    /// "rays" takes all faces of walls and furniture, which mirror, hide and diffract. Default "rays" with `plan`, and with
+    /// `mesh` unless that is a box and nothing else; "images" without.
     #[serde(default)]
     pub solver: Option<SolverFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 6. In rooms of more than 200 faces that rays are
@@ -163,20 +163,20 @@ pub struct SwayFile {
     pub reflectors: usize,
     /// Probability that the group is there. Drawn for each seed. Default 1.
     pub probability: f64,
-    /// Where each of them is drawn. Default "clutter".
+    /// Rule by which each of them is placed. Default "clutter".
     pub at: SwayPlaceFile,
-    /// Where all of them are instead, m. Drawn by `at` if absent.
+    /// Place of all of them instead, m. Drawn by `at` if absent.
     pub position_m: Option<[f64; 3]>,
     /// Radar cross-section of each, dBsm: the middle of what is drawn. Default -45. At 3 m, -40 dBsm stands some 7 dB over noise
     /// in a map of 64 chirps of 128 samples at 48 dB of IF gain.
     pub cross_section_dbsm: f64,
-    /// How far a reflector's cross-section is from that at most, dB either way. Drawn for each. Default 10.
+    /// Greatest difference of a reflector's cross-section from that, dB either way. Drawn for each. Default 10.
     pub spread_db: f64,
     /// Displacement along the line of sight, rms, m. Drawn for each, evenly in its logarithm. Default [0.0005, 0.01].
     pub amplitude_m: [f64; 2],
     /// Frequency of the motion, Hz. Drawn for each, evenly in its logarithm. Default [0.2, 2].
     pub frequency_hz: [f64; 2],
-    /// How far the motion's frequencies spread about that: standard deviation of their natural logarithm. Default 0.3; 0 for a
+    /// Spread of the motion's frequencies about that: standard deviation of their natural logarithm. Default 0.3; 0 for a
     /// single sinusoid, as of what turns or is driven by the mains.
     pub bandwidth: f64,
 }
@@ -220,10 +220,10 @@ pub enum SwayPlaceFile {
 pub struct RoomMeshFile {
     /// STL, OBJ or glTF file (`.stl`, `.obj`, `.gltf`, `.glb`), relative to the scene file.
     pub file: String,
-    /// What one of its numbers is: "m", "cm", "mm" or "in". Needed of STL and OBJ, which do not say; glTF is in metres.
+    /// Unit of its numbers: "m", "cm", "mm" or "in". Needed of STL and OBJ, which do not say; glTF is in metres.
     #[serde(default)]
     pub unit: Option<LengthUnit>,
-    /// Which of its axes points up: "z" or "y". Needed of STL and OBJ; glTF has y up.
+    /// Axis that points up: "z" or "y". Needed of STL and OBJ; glTF has y up.
     #[serde(default)]
     pub up: Option<UpAxis>,
     /// Material of its parts, but for those of `materials`.
@@ -237,7 +237,7 @@ pub struct RoomMeshFile {
     pub thickness_m: f64,
 }
 
-/// Where the radar is and where it looks.
+/// Place of the radar and direction in which it looks.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RadarFile {
@@ -262,7 +262,7 @@ pub struct VibrationFile {
     pub amplitude_m: f64,
     /// Frequency, Hz. Default 10.
     pub frequency_hz: f64,
-    /// How far the frequencies spread about that: standard deviation of their natural logarithm; 0 for a single sinusoid.
+    /// Spread of the frequencies about that: standard deviation of their natural logarithm; 0 for a single sinusoid.
     /// Default 0.3.
     pub bandwidth: f64,
 }
@@ -285,7 +285,7 @@ pub struct FurnitureFile {
     pub position_m: [f64; 3],
     /// Size along x, y, z, m.
     pub size_m: [f64; 3],
-    /// What it is made of: a material of the table or of the scene's own. It colours the box in pictures, and says how much
+    /// Material: one of the table or of the scene's own. It colours the box in pictures, and says how much
     /// it reflects where `cross_section_dbsm` does not. Neither, if absent.
     #[serde(default)]
     pub material: Option<String>,
@@ -312,15 +312,15 @@ impl FurnitureFile {
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SeatFile {
-    /// Where the hips come to rest, m.
+    /// Place at which the hips come to rest, m.
     pub position_m: [f64; 2],
-    /// Where one looks, from +x towards +y, degrees.
+    /// Direction of the gaze, from +x towards +y, degrees.
     pub heading_deg: f64,
     /// Height of the seat, m. Default 0.45.
     #[serde(default = "seat_height")]
     pub height_m: f64,
-    /// How far before it one stands to sit down, m: hips go back by so much, feet stay. Default 0: hips sink where one stands,
-    /// and feet slide ahead.
+    /// Distance before it at which one stands to sit down, m: hips go back by so much, feet stay. Default 0: hips sink where
+    /// one stands, and feet slide ahead.
     #[serde(default)]
     pub back_m: f64,
 }
@@ -329,9 +329,9 @@ pub struct SeatFile {
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BedFile {
-    /// Where the hips come to rest, m.
+    /// Place at which the hips come to rest, m.
     pub position_m: [f64; 2],
-    /// Where feet point, from +x towards +y, degrees.
+    /// Direction of the feet, from +x towards +y, degrees.
     pub heading_deg: f64,
     /// Height of the mattress, m. Default 0.5.
     #[serde(default = "half")]

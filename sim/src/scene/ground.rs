@@ -1,4 +1,4 @@
-//! What of a floor plan is in people's way: all that lies outside of its walls, and its partitions but for their doorways.
+//! Obstacles of a floor plan: all that lies outside of its walls, and its partitions but for their doorways.
 
 use glam::DVec2;
 
@@ -7,7 +7,7 @@ use super::file::{OpeningFile, PartitionFile, PlanFile};
 /// A box on the ground plan: low and high corner, m.
 pub(crate) type GroundBox = [[f64; 2]; 2];
 
-/// What runs askew is taken in boxes of this size, m.
+/// Size of the boxes into which walls askew are cut, m.
 const STEP_M: f64 = 0.25;
 /// People pass openings that begin below this and end above that, m.
 const SILL_M: f64 = 0.05;
@@ -17,7 +17,7 @@ const OPEN_DEG: f64 = 45.0;
 /// Lines nearer to each other than this are one, m.
 const SAME_M: f64 = 1e-6;
 
-/// What of a plan people walk around. Door leaves are not among it.
+/// Obstacles of a plan. Door leaves are not among them.
 pub(crate) fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
     let corners: Vec<DVec2> = plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect();
     let mut boxes = outside(&corners);

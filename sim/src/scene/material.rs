@@ -3,6 +3,9 @@
 use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+/// The material of a surface that is none.
+pub(super) const OPEN: &str = "open";
+
 /// A building material with constants of the recommendation's table 3, or a metal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -43,7 +46,7 @@ pub struct OwnMaterial {
     /// Coefficients `[a, b, c, d]` of the recommendation.
     #[serde(default)]
     pub p2040: Option<[f64; 4]>,
-    /// Where that holds, GHz. Everywhere if absent.
+    /// Frequencies at which that holds, GHz. Everywhere if absent.
     #[serde(default)]
     pub band_ghz: Option<[f64; 2]>,
 }
@@ -87,7 +90,7 @@ impl Material {
         Material::deserialize(name).ok()
     }
 
-    /// Where the table's constants hold, GHz.
+    /// Frequencies at which the table's constants hold, GHz.
     pub fn band_ghz(self) -> [f64; 2] {
         match self {
             Material::Concrete | Material::Plasterboard | Material::CeilingBoard | Material::Chipboard => [1.0, 100.0],

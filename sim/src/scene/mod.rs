@@ -7,6 +7,7 @@ pub mod surfaces;
 
 mod actors;
 mod check;
+mod draft;
 mod draw;
 mod plan;
 mod room;
@@ -40,7 +41,7 @@ pub enum SceneError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason of the system.
         source: std::io::Error,
     },
     /// A file is no TOML, or has a wrong key or type.
@@ -50,7 +51,7 @@ pub enum SceneError {
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What the parser found and expected.
+        /// Text that the parser found, and what it expected.
         message: String,
     },
     /// A value makes no sense.
@@ -62,9 +63,9 @@ pub enum SceneError {
         line: usize,
         /// Key.
         key: String,
-        /// What was given.
+        /// Value that was given.
         value: String,
-        /// What would do.
+        /// Values that would do.
         expected: String,
     },
     /// A key of `[random]` cannot be drawn.
@@ -76,9 +77,9 @@ pub enum SceneError {
         line: usize,
         /// Key.
         key: String,
-        /// What was found.
+        /// Content that was found.
         found: String,
-        /// What would do.
+        /// Content that would do.
         expected: String,
     },
     /// Values within the ranges of `[random]` make no scene.
@@ -86,9 +87,9 @@ pub enum SceneError {
     Drawn {
         /// The file.
         path: PathBuf,
-        /// Which values.
+        /// Values that were drawn.
         which: String,
-        /// Why, in lines of the scene with those values.
+        /// Reason, in lines of the scene with those values.
         reason: String,
     },
     /// A file that the scene names, an actor's or a room's, cannot be used.
@@ -100,7 +101,7 @@ pub enum SceneError {
         line: usize,
         /// The file.
         file: PathBuf,
-        /// Where in it, what is wrong, and what to do.
+        /// Place in it, what is wrong, and what to do.
         source: Box<FileFault>,
     },
     /// The chip cannot produce the waveform.
@@ -110,12 +111,12 @@ pub enum SceneError {
         path: PathBuf,
         /// Line of the waveform's table.
         line: usize,
-        /// Why.
+        /// Reason.
         source: WaveformError,
     },
 }
 
-/// Where the transmit and receive antennas sit on the package, in the radar's frame (x boresight, y left, z up), m.
+/// Places of the transmit and receive antennas on the package, in the radar's frame (x boresight, y left, z up), m.
 /// The receivers form an L with RX3 in the corner, 2.5 mm apart: RX1 & RX3 give azimuth, RX2 & RX3 elevation.
 /// The distance from TX to the corner is an estimate.
 pub const ANTENNA_OFFSETS_M: AntennaOffsets = AntennaOffsets {
@@ -141,7 +142,7 @@ pub struct Scene {
     receiver: Receiver,
     /// A receiver that was given instead of the file's.
     given: Option<Receiver>,
-    /// What people are made of, if somebody said so instead of the file.
+    /// Model of people's bodies, if it was chosen instead of the file's.
     body: Option<BodyFile>,
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
@@ -163,6 +164,9 @@ impl Scene {
     }
 
     /// A scene from a file with other values of some keys of its `[waveform]`. Lines in errors are then those of the changed text.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`].
     pub fn load_with_waveform(path: &Path, keys: &toml::Table) -> Result<Self, SceneError> {
         let text = read(path)?;
         if keys.is_empty() {
@@ -176,6 +180,9 @@ impl Scene {
     }
 
     /// Empty space before a radar of a waveform: what a receiver shows by itself.
+    ///
+    /// # Errors
+    /// [`SceneError`] if no scene can have the waveform.
     pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
         let request = toml::to_string(&waveform.request).unwrap_or_default();
         let open = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"]
@@ -189,6 +196,9 @@ impl Scene {
     }
 
     /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
+    ///
+    /// # Errors
+    /// Those of [`Scene::load`], but for the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
@@ -201,6 +211,9 @@ impl Scene {
     }
 
     /// The scene that a seed makes of this one: the same where the file has no `[random]` table.
+    ///
+    /// # Errors
+    /// [`SceneError`] if the values that are drawn make no scene, or the receiver's file cannot be read any more.
     pub fn drawn(&self, seed: u64) -> Result<Self, SceneError> {
         self.drawn_at(Draw::Seed(seed))
     }
@@ -323,7 +336,7 @@ impl Scene {
         &self.steps
     }
 
-    /// What the room's meshes or the faces of its plan look like; nothing where the room is a box.
+    /// Outlines of the room's meshes or of the faces of its plan; none where the room is a box.
     pub fn outlines(&self) -> &[Outline] {
         &self.outlines
     }
@@ -333,7 +346,7 @@ impl Scene {
         &self.file.name
     }
 
-    /// Where it was read.
+    /// Path from which it was read.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -414,6 +427,9 @@ impl Scene {
 }
 
 /// Reads and checks a receiver file.
+///
+/// # Errors
+/// [`SceneError`] if the file cannot be read, is malformed, or has a value that is out of range.
 pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
     let text = read(path)?;
     let receiver: Receiver = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;

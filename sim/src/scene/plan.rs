@@ -4,9 +4,8 @@ use glam::{DVec2, DVec3};
 
 use super::Outline;
 use super::check::{Fault, check_material, fault, within};
+use super::draft::{Draft, ROOM, solid};
 use super::file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
-use super::surfaces::Draft;
-use super::surfaces::sources::{ROOM, solid};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 
 /// Places so near are one, m.
@@ -18,7 +17,7 @@ const RADAR_OFF_M: f64 = 0.01;
 /// Corners, openings and partitions of a plan at most.
 const MOST: f64 = 200.0;
 
-/// Where there is a plan: checks it, and puts the size of the box around it and its walls in their place.
+/// Checks the plan, if there is one, and puts the size of the box around it and its walls in their place.
 pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     if file.room.size_m != [0.0; 3] {
@@ -39,7 +38,7 @@ pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Where there is a plan: whether radar, furniture, seats, beds and doors have their places in it.
+/// Checks that radar, furniture, seats, beds and doors have their places in the plan, if there is one.
 pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     let Some(floor) = floor(plan) else { return Ok(()) };
@@ -273,7 +272,7 @@ impl Upright {
         PlanarPolygon::from_corners(&corners, &[])
     }
 
-    /// What openings leave of it, which faces to the left.
+    /// Polygons that openings leave of it, which face to the left.
     fn pierced(&self, openings: &[&OpeningFile]) -> Vec<PlanarPolygon> {
         let lines = |most: f64, of: &dyn Fn(&[f64; 4]) -> [f64; 2]| {
             let cuts = openings.iter().flat_map(|opening| of(&rectangle(opening)));

@@ -1,4 +1,4 @@
-//! What a room is made of, and rooms from meshes.
+//! Materials of a room, and rooms from meshes.
 //!
 //! Of meshes, the six largest planes along the axes that look at each other make the box around the room; each wall has the
 //! material of the mesh that most of it belongs to. What stands inside the box is furniture, each piece that hangs together: people
@@ -16,7 +16,7 @@ use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 
 use super::check::{Fault, fault, surfaces};
 use super::file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
-use super::material::Material;
+use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
@@ -27,8 +27,6 @@ use crate::geometry::{Mesh, edges, lint, planes, weld};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
 pub(super) const WELD_M: f64 = 1e-4;
-/// The material of a surface that is none.
-pub(super) const OPEN: &str = "open";
 /// Planes so near are one wall, m.
 const SAME_WALL_M: f64 = 0.01;
 /// A wall looks along an axis within this, as the cosine of 2 degrees.
@@ -58,7 +56,7 @@ fn is_news(material: &str, wall: &str) -> bool {
     SAID.lock().unwrap_or_else(PoisonError::into_inner).insert([material.to_owned(), wall.to_owned()])
 }
 
-/// What the six surfaces do to waves. Warns of materials whose constants are for another band.
+/// Reflection and transmission of the six surfaces. Warns of materials whose constants are for another band.
 pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], Fault> {
     let mut walls = [Wall::Open; 6];
     for ((key, surface), wall) in surfaces(&file.room).into_iter().zip(&mut walls) {
@@ -80,7 +78,7 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
     Ok(walls)
 }
 
-/// What a slab of a material of the table or of the scene's own does to waves; `None` for another name.
+/// Reflection and transmission of a slab of a material of the table or of the scene's own; `None` for another name.
 pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
     let thickness_m = surface.thickness_m;
     let Some(material) = Material::named(&surface.material) else {
@@ -94,7 +92,7 @@ pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -
     })
 }
 
-/// What a wall of a material reflects of a wave's power at normal incidence; nothing where there is none.
+/// Share of a wave's power that a wall of a material reflects at normal incidence; 0 where there is no wall.
 fn reflected(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
     match slab(file, surface, frequency_hz) {
         Some(Wall::Slab { permittivity, thickness_m }) => {
@@ -124,7 +122,7 @@ pub(super) fn fill_cross_sections(file: &mut SceneFile, frequency_hz: f64) {
     }
 }
 
-/// What a mesh of a room looks like as lines, in the scene.
+/// Lines of a mesh of a room, in the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// Its material.
@@ -145,7 +143,7 @@ fn outline(piece: &Piece, corner: DVec3) -> Outline {
 /// A part of a mesh file with its material.
 #[derive(Debug)]
 pub(super) struct Piece {
-    /// What the file calls it.
+    /// Name in the file.
     pub name: String,
     pub surface: SurfaceFile,
     pub mesh: Mesh,
@@ -170,7 +168,7 @@ struct Face {
     of: BTreeMap<usize, f64>,
 }
 
-/// Where there are meshes: reads them, and puts the room's size, surfaces and furniture in their place. Returns what they look
+/// Reads the meshes, if there are any, and puts the room's size, surfaces and furniture in their place. Returns what they look
 /// like, and them.
 pub(super) fn read_meshes(
     file: &mut SceneFile,
@@ -352,7 +350,7 @@ fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> 
     faces.iter().filter(at).filter(is_wall).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
 }
 
-/// What stands within the walls.
+/// Furniture within the walls.
 fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, frequency_hz: f64) -> Vec<FurnitureFile> {
     let mut all: Vec<(f64, FurnitureFile)> = Vec::new();
     for piece in pieces {

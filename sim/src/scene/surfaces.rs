@@ -13,6 +13,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 
+use super::draft::Draft;
 use super::file::FurnitureFile;
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
@@ -27,7 +28,7 @@ const STRAIGHT_RAD: f64 = 0.01;
 /// On which sides of a face there is air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sides {
-    /// Where its normal points to: nothing mirrors on the other side.
+    /// On the side to which its normal points: nothing mirrors on the other side.
     One,
     /// On either side.
     Two,
@@ -38,15 +39,15 @@ pub enum Sides {
 pub struct Face {
     /// Its place, m.
     pub polygon: PlanarPolygon,
-    /// What it is made of.
+    /// Material.
     pub wall: Wall,
     /// Name of the wall, the piece of furniture or the part of the file, for messages.
     pub name: String,
-    /// Where there is air.
+    /// Sides on which there is air.
     pub sides: Sides,
 }
 
-/// What meets a face where it ends.
+/// Other faces at the place where a face ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EdgeKind {
     /// Other faces, with at most 180 degrees of air between: it does not diffract.
@@ -77,7 +78,7 @@ pub struct FaceEdge {
     pub inwards: DVec3,
     /// Unit normal of the face: of a wedge, on the side of its air.
     pub air: DVec3,
-    /// What else is there.
+    /// Other faces there.
     pub kind: EdgeKind,
 }
 
@@ -109,7 +110,7 @@ impl FaceEdge {
 pub struct SmallPart {
     /// The triangles, m.
     pub mesh: Mesh,
-    /// What they are made of.
+    /// Material.
     pub wall: Wall,
     /// Name of the part of the file.
     pub name: String,
@@ -126,7 +127,7 @@ pub struct Coincident {
     pub area_m2: f64,
 }
 
-/// What a triangle of [`Surfaces::triangles`] is of.
+/// Origin of a triangle of [`Surfaces::triangles`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
     /// A face, by its index.
@@ -146,16 +147,6 @@ pub struct Surfaces {
     pub small: Vec<SmallPart>,
     /// Faces that were left out because another one covers them.
     pub coincident: Vec<Coincident>,
-}
-
-/// A face before it is known where there is air.
-#[derive(Debug, Clone)]
-pub(super) struct Draft {
-    pub polygon: PlanarPolygon,
-    pub wall: Wall,
-    pub name: String,
-    /// Faces of one group may close a volume together.
-    pub group: usize,
 }
 
 impl Surfaces {
@@ -194,7 +185,7 @@ impl Surfaces {
         made
     }
 
-    /// What a touch of the drafts is to the faces; `number` says which became which.
+    /// Edge of the faces for a touch of the drafts; `number` says which became which.
     fn edge(&self, touch: &Touch, number: &[Option<usize>]) -> Option<FaceEdge> {
         let index = number.get(touch.face).copied().flatten()?;
         let face = self.faces.get(index)?;
@@ -269,7 +260,8 @@ impl Surfaces {
     }
 }
 
-/// What meets an edge at which other sheets begin at these angles, ascending; and whether that is where the face's normal points to.
+/// Kind of an edge at which other sheets begin at these angles, ascending; and whether those are on the side of the face's
+/// normal.
 fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> (EdgeKind, bool) {
     let (Some(&(first, front)), Some(&(last, back))) = (sheets.first(), sheets.last()) else {
         return (EdgeKind::Free, true);

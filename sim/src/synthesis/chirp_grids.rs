@@ -35,7 +35,8 @@ pub struct ChirpGrids {
     by_delay: Option<Box<ChirpGrids>>,
 }
 
-/// How echoes are laid down: taps at the places between cells that are kept, and their derivatives by the tone's place, in cells.
+/// Kernel with which echoes are laid down: taps at the places between cells that are kept, and their derivatives by the tone's
+/// place, in cells.
 #[derive(Debug, Clone)]
 struct EchoKernel {
     taps: Vec<[f32; LANES]>,
@@ -76,7 +77,7 @@ pub struct Echo<'a> {
     pub chirp: &'a Chirp,
     /// Wavelength at which the field was computed, m.
     pub wavelength_m: f64,
-    /// What each receiver makes of it.
+    /// Ways by which each receiver hears it.
     pub ways: &'a [EchoWay],
     /// Blocks of chirps.
     pub chirps: &'a [EchoChirps],
@@ -155,7 +156,7 @@ fn echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec
 /// An echo in a block of chirps with its phase, before any receiver's factor. Real and imaginary parts.
 struct Turned {
     field: [Row; 2],
-    /// What detours make of the field, but for their factor.
+    /// Field of detours, but for their factor.
     detoured: [Row; 2],
     /// Field times how far it comes from beside the place of its tone, cells.
     beside: [Row; 2],
@@ -222,7 +223,7 @@ struct Run {
     /// First cell under the kernel, and which of the places between cells theirs is.
     first: u32,
     place: usize,
-    /// That place, cells from where the chirps' places are counted from.
+    /// Distance of that place from where the chirps' places are counted from, cells.
     from_middle: f32,
 }
 
@@ -254,7 +255,8 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
     (runs, width)
 }
 
-/// What a receiver hears in a block of chirps: the field, and the field times how far it comes from beside the tone's place, cells.
+/// Echo at a receiver in a block of chirps: the field, and the field times how far it comes from beside the tone's place,
+/// cells.
 struct Heard {
     field: [Row; 2],
     beside: [Row; 2],
@@ -353,7 +355,7 @@ mod tests {
     struct Source {
         /// By powers of time.
         length_m: [f64; 3],
-        /// How much longer the path is, m, field, and what it is later by the antennas themselves, rad.
+        /// Excess length of the path, m, field, and phase by which it is later by the antennas themselves, rad.
         places: [(f64, Complex64, f64); 2],
         /// Factor of each receiver, and what it is later on the way there and on the reverse, m.
         receivers: [(f64, [f64; 2]); 2],

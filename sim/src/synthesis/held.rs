@@ -174,7 +174,7 @@ pub(super) fn fitted_taps(correction: &[f32], cells: usize) -> Vec<[f32; TAPS]> 
     (0..PLACES).map(at).collect()
 }
 
-/// What a level's instance of [`held_body`] needs beside echoes and grids.
+/// Inputs of a level's instance of [`held_body`] beside echoes and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; TAPS]],
     cells: f64,
@@ -365,7 +365,7 @@ mod tests {
     use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 
     const SAMPLES: usize = 256;
-    /// Of a stretch.
+    /// Number of chirps of a stretch.
     const COUNT: usize = 64;
     const STRETCH_S: f64 = 0.032;
     const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };

@@ -102,7 +102,7 @@ impl Places {
     }
 }
 
-/// What a level's instance of [`paths_body`] or [`tracks_body`] needs beside paths and grids.
+/// Inputs of a level's instance of [`paths_body`] or [`tracks_body`] beside paths and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; LANES]; DEGREE],
     cells: f64,
@@ -241,7 +241,7 @@ fn under(position: f64) -> (f32, u32) {
     ((2.0 * (ceiling - position) - 1.0) as f32, (ceiling + SHIFT).to_bits() as u32)
 }
 
-/// What each tap weighs in every chirp. Written out tap by tap: a loop would be compiled across taps, with gathers and
+/// Weight of each tap in every chirp. Written out tap by tap: a loop would be compiled across taps, with gathers and
 /// scatters.
 #[inline(always)]
 fn weights(taps: &[[f32; LANES]; DEGREE], u: &Row) -> [Row; WIDTH] {

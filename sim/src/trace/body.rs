@@ -10,7 +10,7 @@ use obvhs::triangle::Triangle;
 use obvhs::{BvhBuildParams, splits};
 use thiserror::Error;
 
-use super::packet::Bundle;
+use super::bundle::Bundle;
 use super::probe::{NONE, Probe};
 use super::ray::Crossings;
 use super::triangle::{Corners, Meeting};
@@ -63,7 +63,7 @@ pub enum BodyError {
     },
 }
 
-/// How much time a structure is worth.
+/// Time that a structure is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Build {
     /// Built once and never moved: large triangles are split among boxes, all nodes are placed again.
@@ -97,12 +97,18 @@ pub(super) struct Nearest {
 
 impl Body {
     /// A structure over a mesh each of whose triangles is a surface of its own.
+    ///
+    /// # Errors
+    /// [`BodyError::Mesh`] for a mesh that [`Mesh::check`] refuses, and [`BodyError::TooDeep`].
     pub fn new(mesh: Mesh, build: Build) -> Result<Self, BodyError> {
         let groups = (0..mesh.triangles.len() as u32).collect();
         Self::with_groups(mesh, groups, build)
     }
 
     /// A structure over a mesh with one coplanar group a triangle ([`crate::geometry`] finds them).
+    ///
+    /// # Errors
+    /// Those of [`Body::new`], and [`BodyError::Groups`] if there is not one group a triangle.
     pub fn with_groups(mesh: Mesh, groups: Vec<u32>, build: Build) -> Result<Self, BodyError> {
         Self::in_world(mesh, groups, build, 0.0)
     }
@@ -146,6 +152,10 @@ impl Body {
 
     /// Moves the vertices and fits the boxes to them again. A structure built as [`Build::Static`] is built again, since its
     /// boxes hold parts of triangles.
+    ///
+    /// # Errors
+    /// [`BodyError::OtherMesh`] for another number of vertices, [`BodyError::Mesh`] for a vertex without a place, and
+    /// [`BodyError::TooDeep`] where the structure is built again.
     pub fn refit(&mut self, vertices: &[DVec3]) -> Result<(), BodyError> {
         if vertices.len() != self.mesh.vertices.len() {
             return Err(BodyError::OtherMesh { expected: self.mesh.vertices.len(), given: vertices.len() });
@@ -301,7 +311,7 @@ impl Body {
         all
     }
 
-    /// How often a line goes in and out.
+    /// Number of times that a line goes in and out.
     pub(super) fn crossings(&self, probe: &Probe) -> Crossings {
         let mut crossings = Crossings::default();
         if self.build == Build::Static {
@@ -340,7 +350,7 @@ pub(super) fn roaming_m(scale_m: f64) -> f64 {
     8.0 + 2.0 * scale_m
 }
 
-/// What boxes are enlarged by, m: twice what f32 loses in the ray-box test over the longest way.
+/// Length by which boxes are enlarged, m: twice what f32 loses in the ray-box test over the longest way.
 fn pad_m(scale_m: f64) -> f32 {
     (8.0 * f64::from(f32::EPSILON) * (roaming_m(scale_m) + scale_m)) as f32
 }

@@ -12,6 +12,7 @@
 //! processor: nearest first, then the lowest (body, triangle).
 
 mod body;
+mod bundle;
 mod clearance;
 mod packet;
 mod probe;

@@ -21,15 +21,15 @@ pub(super) struct Probe {
     pub direction: Vec3A,
     pub nearest: f32,
     pub farthest: f32,
-    /// Where the probe begins along the ray, m.
+    /// Place along the ray at which the probe begins, m.
     pub start: f64,
     /// (body, group) of surfaces that are not met.
     except: [(u32, u32); 2],
-    /// How far behind the origin the boxes' ray begins, m.
+    /// Distance behind the origin at which the boxes' ray begins, m.
     pub back: f32,
     /// Origin and direction of the ray itself.
     exact: (DVec3, DVec3),
-    /// It begins on a surface.
+    /// True if it begins on a surface.
     leaves: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What is asked and what is answered.
+//! Rays, and the answers to them.
 
 use glam::DVec3;
 
@@ -14,9 +14,9 @@ pub struct Surface {
 /// A straight way through the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Where it begins, m.
+    /// Place at which it begins, m.
     pub origin: DVec3,
-    /// Where it goes; a unit vector.
+    /// Direction; a unit vector.
     pub direction: DVec3,
     /// Nothing farther than this is met, m.
     pub length_m: f64,
@@ -28,7 +28,7 @@ pub struct Ray {
     pub side: DVec3,
 }
 
-/// What a ray meets.
+/// Place at which a ray meets a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// Index of the body.
@@ -43,7 +43,7 @@ pub struct Hit {
     pub front: bool,
 }
 
-/// How often a ray goes into and out of a body.
+/// Number of times that a ray goes into and out of a body.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Crossings {
     /// Triangles met from outside.
@@ -87,8 +87,8 @@ impl Ray {
         self.origin + self.direction * distance_m
     }
 
-    /// What f32 cannot tell from the origin, m. A ray from a free place meets nothing nearer; one that leaves a surface meets
-    /// only what faces it there.
+    /// Distance from the origin that f32 cannot resolve, m. A ray from a free place meets nothing nearer; one that leaves a
+    /// surface meets only what faces it there.
     pub fn nearest_m(&self) -> f64 {
         4e-6 * (1.0 + self.origin.abs().max_element())
     }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::ray::Ray;
 use crate::geometry::Mesh;
 
-/// What a ray meets of a mesh.
+/// Place at which a ray meets a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Met {
     /// Index of the triangle.
@@ -16,7 +16,7 @@ pub struct Met {
     pub barycentric: [f64; 3],
 }
 
-/// Where a ray meets the plane of a triangle: distance, m, and weights of the corners. `None` where it runs along it.
+/// Meeting of a ray with the plane of a triangle: distance, m, and weights of the corners. `None` where it runs along it.
 pub fn plane(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3])> {
     let normal = (b - a).cross(c - a);
     let distance = (a - ray.origin).dot(normal) / ray.direction.dot(normal);

@@ -6,7 +6,7 @@ use glam::swizzles::Vec3Swizzles;
 /// Corners by coordinate: `[x, y, z]`, each holding that coordinate of the three corners.
 pub(super) type Corners = [Vec3A; 3];
 
-/// Where a ray meets a triangle.
+/// Place at which a ray meets a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
     pub distance: f32,
@@ -26,7 +26,7 @@ pub(super) struct Shear {
 }
 
 impl Shear {
-    /// Of a ray along z.
+    /// Shear of a ray along z.
     pub const NONE: Shear = Shear {
         axes: [0, 1, 2],
         origin: [Vec3A::ZERO; 3],
@@ -71,7 +71,7 @@ impl Shear {
         [x, y, z]
     }
 
-    /// Where the triangle is met, at most at `farthest` and behind the origin at most by what f32 cannot tell from it.
+    /// Meeting with the triangle, at most at `farthest` and behind the origin at most by what f32 cannot tell from it.
     #[inline(always)]
     pub fn meet(&self, corners: &Corners, farthest: f32) -> Option<Meeting> {
         let [x, y, z] = self.see(corners);

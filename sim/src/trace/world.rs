@@ -3,8 +3,9 @@
 use glam::DVec3;
 
 use super::body::{Body, BodyError, Nearest, roaming_m};
+use super::bundle::LANES;
 use super::clearance::{Clearance, clearance};
-use super::packet::{Found, LANES, Packet};
+use super::packet::{Found, Packet};
 use super::probe::Probe;
 use super::ray::{Crossings, Hit, Ray, Surface};
 
@@ -20,6 +21,9 @@ pub struct World {
 
 impl World {
     /// A world of bodies. Those much smaller than it have their boxes enlarged for it.
+    ///
+    /// # Errors
+    /// [`BodyError`] if a structure cannot be built again with larger boxes.
     pub fn new(mut bodies: Vec<Body>) -> Result<Self, BodyError> {
         let scale_m = bodies.iter().map(Body::scale_m).fold(0.0, f64::max);
         enlarge(&mut bodies, scale_m)?;
@@ -27,6 +31,9 @@ impl World {
     }
 
     /// Moves the vertices of a body; see [`Body::refit`].
+    ///
+    /// # Errors
+    /// [`BodyError::NoSuchBody`], and those of [`Body::refit`].
     pub fn refit(&mut self, body: u32, vertices: &[DVec3]) -> Result<(), BodyError> {
         let bodies = self.bodies.len();
         let moved = self.bodies.get_mut(body as usize).ok_or(BodyError::NoSuchBody { body, bodies })?;
@@ -80,7 +87,7 @@ impl World {
         blocked_body(self, ray)
     }
 
-    /// How a ray with an end passes a body, as a continuous quantity. `None` where the body's outline is farther than
+    /// Passage of a ray with an end by a body, as a continuous quantity. `None` where the body's outline is farther than
     /// `reach_m` from a clear way; where the way is blocked and no way past is within reach, the clearance is `-reach_m`.
     /// Three times the radius of the first Fresnel zone is reach enough: a knife edge there changes the field by 4 percent.
     pub fn clearance(&self, body: u32, ray: &Ray, reach_m: f64) -> Option<Clearance> {
@@ -95,7 +102,8 @@ impl World {
         all.iter().map(|n| hit(body, n, probe.start)).collect()
     }
 
-    /// How often a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends outside.
+    /// Number of times that a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends
+    /// outside.
     pub fn crossings(&self, body: u32, ray: &Ray) -> Crossings {
         let probe = self.probe(ray);
         self.bodies.get(body as usize).map(|b| b.crossings(&probe)).unwrap_or_default()
@@ -108,8 +116,8 @@ impl World {
         Some((a * wa + b * wb + c * wc) / (wa + wb + wc))
     }
 
-    /// Where a ray meets the plane of a hit's triangle in f64: distance, m, and weights of the corners. `None` where it runs
-    /// along the plane.
+    /// Meeting of a ray with the plane of a hit's triangle in f64: distance, m, and weights of the corners. `None` where it
+    /// runs along the plane.
     pub fn exact(&self, ray: &Ray, hit: &Hit) -> Option<(f64, [f64; 3])> {
         let corners = self.bodies.get(hit.body as usize)?.mesh().corners(hit.triangle as usize)?;
         super::reference::plane(ray, corners)

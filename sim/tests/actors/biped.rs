@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 /// Keys of the cycle; the last is the first again.
 pub const KEYS: usize = 24;
-/// How long the cycle lasts, s.
+/// Length of the cycle, s.
 pub const CYCLE_S: f64 = 1.0;
 /// Joints with their parents and where they are, m, y up, facing +z (so that left is +x).
 pub const JOINTS: [(&str, Option<usize>, [f64; 3]); 7] = [

@@ -1,4 +1,4 @@
-//! What several tests need.
+//! Helpers of several tests.
 #![allow(dead_code, clippy::print_stderr)]
 
 use std::f64::consts::TAU;

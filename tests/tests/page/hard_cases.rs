@@ -53,7 +53,7 @@ fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
     panic!("neither said nor closed");
 }
 
-/// What the page's program says about itself, asked with further headers.
+/// Health that the page's program reports, asked with further headers.
 fn health(address: &str, headers: &str) -> Value {
     let request = format!("GET /health.json HTTP/1.1\r\nHost: {address}\r\n{headers}\r\n");
     let text = answer(address, &request);

@@ -13,7 +13,8 @@ use crate::{files, output};
 
 /// Relative difference up to which a chirp that is computed again is the same: other machines round differently.
 const SAME: f64 = 1e-6;
-/// And up to which it is close enough to compare with, which is then said: on a walker's map -54 dB are about 0.05 dB.
+/// Relative difference up to which such a chirp is close enough to compare with; this is then reported: on a walker's map -54
+/// dB are about 0.05 dB.
 const CLOSE: f64 = 2e-3;
 
 /// Inputs that a frame is computed from.

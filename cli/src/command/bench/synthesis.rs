@@ -32,7 +32,7 @@ struct Row {
     paths: usize,
     /// All 128 chirps of a receiver, transforms included.
     microseconds: f64,
-    /// Of that, without the transforms, by path.
+    /// Time without the transforms, by path.
     microseconds_a_path: f64,
     /// Rms of the difference to the exact sum over its rms.
     relative_error: f64,

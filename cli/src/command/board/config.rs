@@ -40,7 +40,7 @@ impl NamedRegister {
         NamedRegister { address: register.address, value: register.value, name, fields }
     }
 
-    /// As `ADDRESS:VALUE NAME FIELD=VALUE ...`, address and value in hexadecimal.
+    /// Formats the register as `ADDRESS:VALUE NAME FIELD=VALUE ...`, address and value in hexadecimal.
     fn line(&self) -> String {
         let fields: String = self.fields.iter().map(|(name, value)| format!(" {name}={value}")).collect();
         format!("{:02X}:{:06X} {:9}{fields}", self.address, self.value, self.name)

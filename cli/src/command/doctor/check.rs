@@ -12,7 +12,7 @@ pub enum Outcome {
     Ok,
     /// Something will be missing or slow.
     Warn,
-    /// It will not work.
+    /// The program will not work.
     Fail,
 }
 

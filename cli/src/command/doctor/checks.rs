@@ -41,7 +41,7 @@ pub fn clock() -> Check {
     }
 }
 
-/// Whether every user may open boards.
+/// Checks whether every user may open boards.
 pub fn udev_rules() -> Check {
     let installed = ["/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]
         .iter()
@@ -54,7 +54,7 @@ pub fn udev_rules() -> Check {
     }
 }
 
-/// Whether the live page could be served where it is by default.
+/// Checks whether the live page could be served where it is by default.
 pub fn page_port() -> Check {
     let address = SocketAddr::from(([127, 0, 0, 1], 8060));
     match TcpListener::bind(address) {
@@ -89,7 +89,7 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
     Check::ok("onnxruntime", found)
 }
 
-/// Whether somebody listens where the broker should be; `None` where no broker is named.
+/// Checks whether the broker answers at its address; `None` where no broker is named.
 pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
     let broker = match arguments.broker() {
         Ok(broker) => broker?,
@@ -156,7 +156,7 @@ pub struct Examined {
 const FRAMES: usize = 20;
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Whether a source opens, gives frames, and can be judged.
+/// Checks whether a source opens, gives frames, and can be judged.
 pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
     let options = SourceOptions {
         waveform: model.as_ref().and_then(|model| model.waveform().cloned()),

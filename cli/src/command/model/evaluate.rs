@@ -46,7 +46,8 @@ pub struct Arguments {
     /// Split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
-    /// Of recordings, also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's, dB
+    /// Measures recordings also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's,
+    /// dB
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
     thermal_snr_db: Vec<f64>,
     /// Also with parts of the maps replaced by noise of the same level, and with echoes moved and weakened: shows what the model

@@ -28,7 +28,7 @@ const FRAMES: u64 = 100;
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Offsets between the receivers of this board, as --reflector wrote them
+    /// Angle offsets between this board's receivers, from a file that --reflector wrote
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
     /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: tell what the receivers are unlike in

@@ -19,7 +19,7 @@ pub struct Arguments {
     /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long)]
     labels: Option<PathBuf>,
-    /// So many people are there wherever no label says otherwise
+    /// Number of people wherever no label says otherwise
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
     /// Positions of people at times when they were not seen: TOML, [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]

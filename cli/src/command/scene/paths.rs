@@ -19,7 +19,7 @@ use crate::{files, output};
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
-    /// When, from the first frame on, s
+    /// Time from the first frame on, s
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     time: f64,
     /// Only paths by way of the person of this slot

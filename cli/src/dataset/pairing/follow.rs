@@ -53,7 +53,7 @@ const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
 /// Tolerance of the range of a ghost by a piece of wall, m, about the way by its middle.
 const MULTIPATH_M: f64 = 0.25;
-/// It is stronger for a while than on average, dB: one part in fifty of what fades by Rayleigh's law lies above this.
+/// Level above the average that a fading echo reaches for a while, dB: 2 % of a Rayleigh-fading echo lies above.
 const FADING_DB: f64 = 6.0;
 /// From one point of the walls that is tried to the next, m.
 const WALL_STEP_M: f64 = 0.25;

@@ -74,7 +74,7 @@ pub struct Latest {
 }
 
 impl Latest {
-    /// Of a run that has said nothing yet; a board that is silent for `silence` counts as gone.
+    /// Health of a run that has reported nothing yet; a board that is silent for `silence` counts as gone.
     pub fn new(started: Instant, silence: Duration) -> Arc<Self> {
         let newest = Mutex::new(Newest { said: None, judged: None, health: Health::new(started) });
         Arc::new(Latest { newest, changes: watch::Sender::new(0), silence, counters: Counters::default() })

@@ -46,7 +46,7 @@ pub struct Mqtt {
 enum Heard {
     /// The broker listens.
     Connected,
-    /// It no longer does.
+    /// The broker no longer listens.
     Lost,
     /// The hub has started.
     HubOnline,
@@ -195,7 +195,7 @@ struct Teller<'a> {
     client: AsyncClient,
     /// Availability that the broker was last told on this connection.
     told_online: Option<bool>,
-    /// When the hub was last told who we are.
+    /// Time at which the hub was last told who we are.
     announced: Option<Instant>,
     wants_hello: bool,
 }

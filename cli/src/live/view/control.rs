@@ -32,7 +32,7 @@ pub enum Command {
     Seek { time_s: f64 },
     /// To a frame by its number.
     SeekFrame { sequence: u64 },
-    /// So many frames on, or back.
+    /// Steps so many frames on, or back.
     Step { frames: i64 },
     /// From the newest frame on it is so.
     Label { occupancy: Occupancy, who: Option<String> },
@@ -48,7 +48,7 @@ pub enum Command {
     Delete { id: u64 },
     /// The last change of a label is taken back.
     Undo,
-    /// And made again.
+    /// Makes the edit that was undone again.
     Redo,
 }
 

@@ -60,7 +60,7 @@ pub enum Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
-    /// It is not.
+    /// Static echoes stay.
     None,
     /// The mean over a frame's chirps.
     #[default]
@@ -608,21 +608,7 @@ mod tests {
         let (map, health) = (processor.empty_map(), Health::new(Instant::now()));
         let frame = Arc::new(Frame::zeroed(feed.waveform.shape()));
         for sequence in sequences {
-            let answer = Answer {
-                sequence,
-                time_s: sequence as f64 * 0.1,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
-                warming_up: None,
-                no_signal: false,
-                truth: None,
-                transition: None,
-                saturated_samples: 0,
-                latency_ms: 0.0,
-            };
+            let answer = Answer { sequence, time_s: sequence as f64 * 0.1, ..Answer::default() };
             feed.publish(&Moment { answer: &answer, frame: &frame, map: &map, health: &health });
         }
     }

@@ -194,7 +194,7 @@ impl Book {
         Ok(())
     }
 
-    /// As they would be if the label that goes on ended here.
+    /// Labels as they would be if the label that goes on ended here.
     fn labels(&self, now_s: f64) -> Vec<LabelSpan> {
         let mut ended = Book {
             spans: self.spans.clone(),
@@ -244,10 +244,10 @@ struct Told<'a> {
     place: Option<String>,
     /// Whether what is shown is there.
     saved: bool,
-    /// Why not.
+    /// Reason why the edit was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
-    /// Offer to adapt the model by the labels; absent as long as there are none.
+    /// Proposal to adapt the model by the labels; absent as long as there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     adaptation: Option<Offer>,
 }

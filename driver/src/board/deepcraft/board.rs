@@ -5,9 +5,8 @@ use std::time::Duration;
 
 use radome_dsp::Waveform;
 
-use super::error::DeepcraftError;
 use super::link::Link;
-use crate::board::{BoardError, BoardIdentity};
+use crate::board::{BoardError, BoardIdentity, DeepcraftError};
 use crate::chip::{CHIP_ID_BGT60TR13C, RegisterList, chip_name};
 use crate::protocol::deepcraft::{
     Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,

@@ -7,8 +7,7 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use serialport::{SerialPort, TTYPort};
 
-use super::error::DeepcraftError;
-use crate::board::BoardError;
+use crate::board::{BoardError, DeepcraftError};
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,

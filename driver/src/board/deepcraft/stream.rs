@@ -6,10 +6,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::board::{DeepcraftBoard, Setting};
-use super::error::DeepcraftError;
 use super::resequencer::Resequencer;
-use crate::board::BoardError;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
+use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
     CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, RING_CODES,
@@ -52,7 +51,6 @@ pub struct DeepcraftStream {
     last_byte: Instant,
     /// Time at which the last chunk came, or the stream began.
     last_chunk: Instant,
-    losses: Losses,
 }
 
 impl DeepcraftBoard {
@@ -96,7 +94,6 @@ impl DeepcraftStream {
             recovery: Recovery::default(),
             last_byte: now,
             last_chunk: now,
-            losses: Losses::default(),
             board: Some(board),
         };
         stream.begin()?;
@@ -131,11 +128,6 @@ impl DeepcraftStream {
         self
     }
 
-    /// Number of frames lost so far for this reason.
-    pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.losses.frames(reason)
-    }
-
     /// Register list that was sent to the board; empty for a preset of the firmware.
     pub fn registers(&self) -> &RegisterList {
         &self.setting.registers
@@ -153,12 +145,9 @@ impl DeepcraftStream {
             self.keep_alive()?;
             self.take_dropped_count();
             if let Some(event) = self.pop(frame) {
-                match &event {
-                    SourceEvent::Gap(gap) => self.losses.count(gap),
-                    _ => {
-                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                        frame.host_time_ns = now.as_nanos() as u64;
-                    }
+                if event == SourceEvent::Frame {
+                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                    frame.host_time_ns = now.as_nanos() as u64;
                 }
                 return Ok(Some(event));
             }
@@ -307,13 +296,8 @@ impl Reconnectable for DeepcraftStream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        // A former attempt may have opened the port and failed later.
-        self.board = None;
         let board = DeepcraftBoard::open(&self.path)?;
-        if board.identity.uuid != self.uuid {
-            let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
-            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-        }
+        check_same(&self.path, &self.uuid, &board.identity)?;
         self.board = Some(board);
         self.begin_anew()?;
         self.resequencer.restart(GapReason::Disconnected);

@@ -4,12 +4,12 @@ use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::TTYPort;
 
 use super::resequencer::Resequencer;
 use crate::board::BoardError;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, next_event};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::transport::serial::{open_port, read_more};
 use crate::transport::trace;
@@ -37,7 +37,6 @@ pub struct Esp32Stream {
     deadline: Duration,
     waveform: Waveform,
     recovery: Recovery,
-    losses: Losses,
 }
 
 impl Esp32Stream {
@@ -76,7 +75,6 @@ impl Esp32Stream {
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             recovery: Recovery::default(),
-            losses: Losses::default(),
         })
     }
 
@@ -85,11 +83,6 @@ impl Esp32Stream {
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.recovery.policy = Some(policy);
         self
-    }
-
-    /// Number of frames lost so far for this reason.
-    pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.losses.frames(reason)
     }
 }
 
@@ -122,11 +115,7 @@ impl FrameSource for Esp32Stream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let event = next_event(self, frame)?;
-        if let SourceEvent::Gap(gap) = &event {
-            self.losses.count(gap);
-        }
-        Ok(event)
+        Ok(next_event(self, frame)?)
     }
 }
 

@@ -43,7 +43,7 @@ pub(super) struct Assembler {
     frame_interval_us: f64,
     /// Number of the next packet since the start: the counter, unwrapped.
     next_packet: u64,
-    /// Offset in the stream up to which bytes have been received or given up.
+    /// Stream offset up to which bytes have been received or given up.
     received: u64,
     /// Contiguous bytes of the stream from `buffer_start` on.
     buffer: Vec<u8>,
@@ -442,22 +442,29 @@ mod tests {
         /// An hour after it was switched on.
         const HOUR_US: u64 = 3_600_000_000;
 
+        fn lost(first_sequence: u64, frames: u64, reason: GapReason) -> Result<(u64, u64), Gap> {
+            Err(Gap { first_sequence, frames, reason })
+        }
+
+        /// Frame at its time since the first.
+        fn frame(sequence: u64) -> Result<(u64, u64), Gap> {
+            Ok((sequence, sequence * FRAME_NS))
+        }
+
         /// A frame that came whole while its slice's stamp was lost stood for the board's clock: the time of every
         /// later frame was an hour off, and so were the frames counted at the next overflow.
         #[test]
         fn a_first_frame_without_time_does_not_set_the_clock() {
             let mut assembler = two_frames_a_slice();
             assert_eq!(packets(&mut assembler, 0, &[0], HOUR_US), []);
-            let gap = Gap { first_sequence: 0, frames: 2, reason: GapReason::PacketLost };
             let found = packets(&mut assembler, 1, &[0, 1], HOUR_US + 2 * FRAME_US);
-            assert_eq!(found, [Err(gap), Ok((2, 2 * FRAME_NS)), Ok((3, 3 * FRAME_NS))]);
+            assert_eq!(found, [lost(0, 2, GapReason::PacketLost), frame(2), frame(3)]);
             assembler.restart(GapReason::FifoOverflow);
-            let gap = Gap { first_sequence: 4, frames: 6, reason: GapReason::FifoOverflow };
             let found = packets(&mut assembler, 0, &[0, 1], HOUR_US + 10 * FRAME_US);
-            assert_eq!(found, [Err(gap), Ok((10, 10 * FRAME_NS)), Ok((11, 11 * FRAME_NS))]);
+            assert_eq!(found, [lost(4, 6, GapReason::FifoOverflow), frame(10), frame(11)]);
         }
 
-        /// And after an overflow it counted as the very next one.
+        /// After an overflow, a frame counted as the very next one.
         #[test]
         fn a_frame_without_time_after_a_restart_does_not_count_what_was_lost() {
             let mut assembler = two_frames_a_slice();
@@ -465,9 +472,8 @@ mod tests {
             assembler.restart(GapReason::FifoOverflow);
             assert_eq!(packets(&mut assembler, 0, &[0], HOUR_US + 10 * FRAME_US), []);
             // Frames 10 and 11 are lost with the packet.
-            let gap = Gap { first_sequence: 2, frames: 10, reason: GapReason::FifoOverflow };
             let found = packets(&mut assembler, 1, &[0, 1], HOUR_US + 12 * FRAME_US);
-            assert_eq!(found, [Err(gap), Ok((12, 12 * FRAME_NS)), Ok((13, 13 * FRAME_NS))]);
+            assert_eq!(found, [lost(2, 10, GapReason::FifoOverflow), frame(12), frame(13)]);
         }
 
         /// Behind a gap it is later than the last frame by the gap.
@@ -477,9 +483,8 @@ mod tests {
             packets(&mut assembler, 0, &[0, 1], HOUR_US);
             assert_eq!(packets(&mut assembler, 3, &[0], 0), []);
             let found = packets(&mut assembler, 4, &[0, 1], HOUR_US + 8 * FRAME_US);
-            let gap = |first_sequence, frames| Err(Gap { first_sequence, frames, reason: GapReason::PacketLost });
-            let expected = [gap(2, 4), Ok((6, 6 * FRAME_NS)), gap(7, 1), Ok((8, 8 * FRAME_NS)), Ok((9, 9 * FRAME_NS))];
-            assert_eq!(found, expected);
+            let gap = |first_sequence, frames| lost(first_sequence, frames, GapReason::PacketLost);
+            assert_eq!(found, [gap(2, 4), frame(6), gap(7, 1), frame(8), frame(9)]);
         }
 
         /// Found by the campaign: twice without power, and each time measuring at once. The second time the clock stood

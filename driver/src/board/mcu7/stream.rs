@@ -9,7 +9,7 @@ use super::assembler::{Assembler, Outcome};
 use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
-use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
 use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
 use crate::transport::Address;
@@ -33,7 +33,6 @@ pub struct Mcu7Stream {
     recovery: Recovery,
     /// Time at which the last frame was handed out, or the stream began.
     last_frame: Instant,
-    losses: Losses,
 }
 
 impl Mcu7Board {
@@ -75,7 +74,6 @@ impl Mcu7Stream {
             uuid: board.identity().uuid.clone(),
             recovery: Recovery::default(),
             last_frame: Instant::now(),
-            losses: Losses::default(),
             board: Some(board),
             waveform: realised,
             registers,
@@ -112,11 +110,6 @@ impl Mcu7Stream {
         self
     }
 
-    /// Number of frames lost so far for this reason.
-    pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.losses.frames(reason)
-    }
-
     /// Register list that was written to the chip.
     pub fn registers(&self) -> &RegisterList {
         &self.registers
@@ -132,14 +125,10 @@ impl Mcu7Stream {
         let mut tried = false;
         'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
-                match &event {
-                    SourceEvent::Frame => {
-                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                        frame.host_time_ns = now.as_nanos() as u64;
-                        self.last_frame = Instant::now();
-                    }
-                    SourceEvent::Gap(gap) => self.losses.count(gap),
-                    SourceEvent::End => {}
+                if event == SourceEvent::Frame {
+                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                    frame.host_time_ns = now.as_nanos() as u64;
+                    self.last_frame = Instant::now();
                 }
                 return Ok(Some(event));
             }
@@ -231,13 +220,8 @@ impl Reconnectable for Mcu7Stream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        // A former attempt may have opened the port and failed later.
-        self.board = None;
         let board = Mcu7Board::open_at(&self.address)?;
-        if board.identity().uuid != self.uuid {
-            let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
-            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-        }
+        check_same(&self.path, &self.uuid, board.identity())?;
         self.board = Some(board);
         self.program()?;
         self.assembler.reconnected();

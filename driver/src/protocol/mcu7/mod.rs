@@ -18,7 +18,7 @@ mod version;
 pub use crate::chip::SpiWord;
 pub use component::{COMPONENT_AVIAN, COMPONENT_RADAR, FIFO_ADDRESS, IMPLEMENTATION_AVIAN};
 pub use framing::{Framing, MAX_MESSAGE};
-pub use packet::{DataError, MAX_PACKET_PAYLOAD, Packet, PacketFlags};
+pub use packet::{DataError, Packet, PacketFlags};
 pub use parser::{BoardEvent, BoardParser, HostEvent, HostParser};
 pub use request::{Command, DataFormat, DecodeError, REQUEST_HEADER_LENGTH, Request, RequestKind};
 pub(crate) use response::text;

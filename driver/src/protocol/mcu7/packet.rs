@@ -3,9 +3,6 @@
 use super::framing::{Framing, PACKET_HEADER_LENGTH};
 use crate::protocol::crc::crc16;
 
-/// Longest payload of a data packet on the serial port.
-pub const MAX_PACKET_PAYLOAD: usize = Framing::Serial.max_packet_payload();
-
 /// Flags of a data packet, without the 0xD0 that marks it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PacketFlags {

@@ -170,7 +170,7 @@ pub enum HostEvent {
     Refused {
         /// First byte of the refused bytes.
         kind_code: u8,
-        /// Why.
+        /// Reason, as the firmware codes it.
         status: Status,
     },
 }

@@ -65,7 +65,7 @@ impl SliceLayout {
         (self.data_bytes() + TIMESTAMP_LENGTH).div_ceil(self.framing.max_packet_payload())
     }
 
-    /// Offset of the data of one of its packets, bytes from the start of the slice.
+    /// Start of the data of one of its packets, bytes from the start of the slice.
     pub fn offset(self, packet: usize) -> usize {
         (packet * self.framing.max_packet_payload()).min(self.data_bytes())
     }

@@ -4,11 +4,11 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use radome_dsp::{Frame, Gap};
+use radome_dsp::Frame;
 use serde_json::json;
 
 use super::{FIRST_UNIX_NS, SUPPORTED_VERSION, nominal_time_ns};
-use crate::recording::mcap::{FrameResult, LabelSpan, RecordingHeader};
+use crate::recording::mcap::RecordingHeader;
 use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
 use crate::recording::{RecordingError, Tally, WriteReport, disk, utc};
@@ -33,7 +33,7 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
 /// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures.
 /// It numbers frames without their gaps and holds neither labels nor truth.
 #[derive(Debug)]
-pub struct InfineonWriter {
+pub(in crate::recording) struct InfineonWriter {
     partial: Partial,
     folder: PathBuf,
     data: PathBuf,
@@ -44,7 +44,8 @@ pub struct InfineonWriter {
     times_ns: Vec<(u64, u64)>,
     /// Frame and temperature in thousandths of a degree Celsius, where it changed.
     temperatures: Vec<(usize, i32)>,
-    tally: Tally,
+    /// Counts of the frames, and of the items that the format cannot hold.
+    pub tally: Tally,
 }
 
 impl InfineonWriter {
@@ -93,21 +94,6 @@ impl InfineonWriter {
         }
         self.times_ns.push((frame.time_ns, frame.host_time_ns));
         Ok(())
-    }
-
-    /// Counts a gap, which the format cannot hold.
-    pub fn gap(&mut self, gap: &Gap) {
-        self.tally.gap(gap);
-    }
-
-    /// Counts a label, which the format cannot hold.
-    pub fn label(&mut self, _: &LabelSpan) {
-        self.tally.labels += 1;
-    }
-
-    /// Counts a result, which the format cannot hold.
-    pub fn result(&mut self, _: &FrameResult) {
-        self.tally.results += 1;
     }
 
     /// Completes the folder and gives it its name.

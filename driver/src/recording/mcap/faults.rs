@@ -49,7 +49,7 @@ fn options() -> RecorderOptions {
     RecorderOptions { existing: Existing::Refuse, sync: Some(sync) }
 }
 
-/// As at the pace of a board, for which a disk is fast: all that is written is synced before the next frame comes.
+/// Waits until all that is written is synced, as at the pace of a board, for which a disk is fast.
 fn wait_for_sync(watched: &Watched) {
     let start = Instant::now();
     loop {
@@ -97,7 +97,7 @@ fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<Recording
     (taken, finished.and_then(|summary| label_error.map_or(Ok(summary), Err)))
 }
 
-/// How many frames a recording has; all from the first on, and as they were given. Nothing is wrong with it as far as
+/// Counts a recording's frames; all are there from the first on, and as they were given. Nothing is wrong with it as far as
 /// it goes.
 fn readable(path: &Path) -> u64 {
     let mut reader = McapReader::open(path).unwrap_or_else(|e| panic!("{e}"));

@@ -172,7 +172,7 @@ impl Recorder {
     }
 
     /// Starts a recording in an empty file, which may have another name than `path` yet.
-    pub(in crate::recording) fn start(
+    pub(super) fn start(
         file: File,
         path: &Path,
         header: &RecordingHeader,

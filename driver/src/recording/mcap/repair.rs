@@ -9,8 +9,8 @@ use radome_dsp::{Frame, Gap, GapReason};
 use super::lengths::parse_record;
 use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
-use super::{LabelSpan, RecordingHeader, decode_frame, staged, take_labels};
-use crate::recording::{Existing, Format, RecordingError, RecordingWriter};
+use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
+use crate::recording::{Existing, RecordingError};
 
 /// Part of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,7 +78,7 @@ pub fn repair_with(input: &Path, output: &Path, existing: Existing) -> Result<Re
     }
     let mut records = Records::open(input)?;
     let header = read_header_alone(&mut records)?;
-    let writer = RecordingWriter::create_with(output, Format::Mcap, &header, existing)?;
+    let writer = McapWriter::create(output, &header, existing)?;
     let frame = Frame::zeroed(header.waveform.shape());
     let report = RepairReport::default();
     let mut repair =
@@ -99,7 +99,7 @@ struct Unread {
 }
 
 struct Repair {
-    writer: RecordingWriter,
+    writer: McapWriter,
     header: RecordingHeader,
     frame: Frame,
     report: RepairReport,
@@ -167,7 +167,7 @@ impl Repair {
             self.labels = staged;
         }
         self.report.labels = self.labels.len() as u64;
-        self.labels.iter().try_for_each(|label| self.writer.label(label))
+        self.labels.iter().try_for_each(|label| self.writer.recorder.label(label))
     }
 
     fn damaged(&mut self, damage: Damage) {
@@ -183,7 +183,7 @@ impl Repair {
             Topic::Frame => match decode_frame(data, self.header.waveform.shape(), &mut self.frame) {
                 Ok(()) => {
                     self.found(Some(self.frame.sequence))?;
-                    self.writer.frame(&self.frame)?;
+                    self.writer.recorder.frame(&self.frame)?;
                     self.expected = self.frame.sequence.checked_add(1);
                     self.report.frames += 1;
                 }
@@ -192,7 +192,7 @@ impl Repair {
             Topic::Gap => match serde_json::from_slice::<Gap>(data) {
                 Ok(gap) => {
                     self.found(Some(gap.first_sequence))?;
-                    self.writer.gap(&gap)?;
+                    self.writer.recorder.gap(&gap)?;
                     self.expected = gap.first_sequence.checked_add(gap.frames);
                     self.report.gaps += 1;
                 }
@@ -208,7 +208,7 @@ impl Repair {
                     self.report.damage.push(malformed("a result, but the header names no judge".into()));
                 }
                 Ok(result) => {
-                    self.writer.result(&result)?;
+                    self.writer.recorder.result(&result)?;
                     self.report.results += 1;
                 }
                 Err(reason) => self.report.damage.push(malformed(reason)),
@@ -233,7 +233,7 @@ impl Repair {
             return Ok(());
         }
         let gap = Gap { first_sequence, frames, reason: GapReason::Recorded };
-        self.writer.gap(&gap)?;
+        self.writer.recorder.gap(&gap)?;
         self.report.lost.push(gap);
         Ok(())
     }

@@ -161,7 +161,7 @@ pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
 ///
 /// # Errors
 /// [`RecordingError::Io`].
-pub(in crate::recording) fn remove_staged_labels(recording: &Path) -> Result<(), RecordingError> {
+pub(super) fn remove_staged_labels(recording: &Path) -> Result<(), RecordingError> {
     remove(recording).map_err(RecordingError::cannot_write(recording))
 }
 

@@ -50,6 +50,8 @@ pub(crate) struct HostSockets {
 }
 
 impl HostSockets {
+    /// # Errors
+    /// The folder has no sockets, or nobody listens to them.
     pub fn connect(folder: &Path) -> io::Result<Self> {
         let to = |name| -> io::Result<OwnedFd> {
             let socket = socket(SocketFlags::empty())?;
@@ -61,6 +63,9 @@ impl HostSockets {
     }
 
     /// Makes a control transfer; returns the data of an IN transfer.
+    ///
+    /// # Errors
+    /// [`TransferError`] if the device refuses the transfer, is silent or is gone.
     pub fn transfer(&mut self, setup: &Setup, data: &[u8]) -> Result<&[u8], TransferError> {
         let lost = TransferError::Lost;
         let request = [setup, data].concat();
@@ -113,6 +118,9 @@ pub(crate) struct DeviceSockets {
 
 impl DeviceSockets {
     /// Creates the folder, in place of one that an emulated device has left.
+    ///
+    /// # Errors
+    /// The folder or a socket in it cannot be created.
     pub fn bind(folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let at = |name| -> io::Result<OwnedFd> {
@@ -142,6 +150,9 @@ impl DeviceSockets {
 
     /// Waits until there is a control transfer or a new host, or room for a bulk transfer if `write` is set, at most
     /// `timeout`.
+    ///
+    /// # Errors
+    /// Errors of the system.
     pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let [control, data] = &self.host;
         let vacant = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
@@ -157,6 +168,9 @@ impl DeviceSockets {
     }
 
     /// Reads a control transfer, setup packet and data; returns 0 if there is none.
+    ///
+    /// # Errors
+    /// Errors of the system.
     pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         for (listener, host) in self.listeners.iter().zip(&mut self.host) {
             if host.is_none() {
@@ -186,6 +200,9 @@ impl DeviceSockets {
     }
 
     /// Answers the control transfer: with the data of an IN transfer, with nothing for an OUT transfer, or by a stall.
+    ///
+    /// # Errors
+    /// Errors of the system.
     pub fn answer(&mut self, data: Option<&[u8]>) -> io::Result<()> {
         let message = match data {
             Some(data) => [&[DONE], data].concat(),
@@ -200,6 +217,9 @@ impl DeviceSockets {
     }
 
     /// Sends a bulk transfer; returns 0 if the host has not read the earlier ones.
+    ///
+    /// # Errors
+    /// Errors of the system.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Some(data) = &self.host[1] else { return Ok(0) };
         match send(data, bytes, SendFlags::NOSIGNAL) {

@@ -119,7 +119,7 @@ fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
     assert!(map.db[row..row + AXES.range_bins].iter().all(|cell| f64::from(*cell) == spec().floor_db));
 }
 
-/// Where only noise changes, and nothing is static, change has the level of noise.
+/// If only noise changes and nothing is static, the change has the level of noise.
 #[test]
 fn of_noise_alone_it_is_noise() {
     let w = realised(|_| ());

@@ -74,6 +74,9 @@ impl Writer<'_> {
     }
 
     /// Adds a trained array. Returns its name.
+    ///
+    /// # Errors
+    /// [`ExportError`] if the network has no array of this name, or its numbers cannot be read.
     pub fn parameter(&mut self, name: &str) -> Result<String, ExportError> {
         let tensor = self.network.parameters().get(name)?;
         let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;

@@ -5,9 +5,9 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::super::body::Build;
+use super::node::Node;
 use super::setting::Setting;
 use super::small::{Arm, Stroke, shift_weight};
-use super::table::Node;
 use super::walker::{Command, Limits, Pose, STEP_S, wrapped};
 use super::{chance, draw, heavy_tailed};
 use crate::random::{Purpose, generator};
@@ -67,7 +67,7 @@ pub(super) enum Then {
 /// Direction in which somebody looks who stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Facing {
-    /// As before.
+    /// Posture as before.
     Same,
     /// In a direction, rad.
     Heading(f64),

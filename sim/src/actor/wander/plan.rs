@@ -11,8 +11,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::braking::{Braking, choose};
 use super::errand::{Errand, Facing, Role, Walker};
+use super::node::Node;
 use super::setting::Setting;
-use super::table::Node;
 use super::walker::{Command, Pose, STEP_S};
 use super::{chance, draw, heavy_tailed};
 use crate::random::{Purpose, generator};

@@ -7,10 +7,11 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::super::body::Build;
-use super::super::track::smooth_step;
-use super::table::Knot;
+use super::super::motion::Small;
+use super::node::Knot;
 use super::walker::STEP_S;
 use super::{chance, draw};
+use crate::smooth::smooth_step;
 
 /// Waves of each part's sway, each with a frequency in a band of its own.
 const WAVES: usize = 4;
@@ -31,23 +32,6 @@ struct Wave {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sway {
     parts: [[Wave; WAVES]; PARTS],
-}
-
-/// Displacements by sway at a time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Swayed {
-    /// Hips forward, m.
-    pub forward_m: f64,
-    /// Hips to the left, m.
-    pub left_m: f64,
-    /// Trunk forward, rad.
-    pub lean_rad: f64,
-    /// Shoulders against hips, rad.
-    pub twist_rad: f64,
-    /// Shoulder flexion (left, right), rad.
-    pub shoulder_rad: [f64; 2],
-    /// Elbow flexion (left, right), rad.
-    pub elbow_rad: [f64; 2],
 }
 
 impl Sway {
@@ -76,14 +60,14 @@ impl Sway {
         Sway { parts }
     }
 
-    /// Displacements at a time.
-    pub fn at(&self, time_s: f64) -> Swayed {
+    /// Displacements by sway alone at a time.
+    pub fn at(&self, time_s: f64) -> Small {
         let sum = |waves: &[Wave; WAVES]| -> f64 {
             waves.iter().map(|w| w.amplitude * (w.rad_per_s * time_s + w.phase_rad).sin()).sum()
         };
         let [forward_m, left_m, lean_rad, twist_rad, left_shoulder, right_shoulder, left_elbow, right_elbow] =
             self.parts.each_ref().map(sum);
-        Swayed {
+        Small {
             forward_m,
             left_m,
             lean_rad,

@@ -1,4 +1,4 @@
-//! What can be told of wandering people whatever they do.
+//! Properties of wandering people whatever they do.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,35 +18,18 @@ const RADAR_M: [f64; 2] = [0.2, 2.0];
 const TABLE_M: [[f64; 2]; 2] = [[2.6, 2.6], [3.2, 3.2]];
 const KEEP_OFF_M: f64 = 0.35;
 
-const SCENE: &str = r#"
+const SCENE: &str = concat!(
+    r#"
 format = 1
 name = "room"
 
 [room]
 size_m = [5.0, 4.0, 2.5]
-x_low = { material = "concrete" }
-x_high = { material = "concrete" }
-y_low = { material = "concrete" }
-y_high = { material = "concrete" }
-floor = { material = "concrete" }
-ceiling = { material = "concrete" }
-
+"#,
+    include_str!("../../scene/test_room.toml"),
+    r#"
 [radar]
 position_m = [0.2, 2.0, 1.2]
-
-[waveform]
-start_frequency_hz = 60.5e9
-end_frequency_hz = 61.5e9
-samples_per_chirp = 128
-chirps_per_frame = 64
-sample_rate_hz = 2e6
-chirp_interval_s = 391.55e-6
-frame_interval_s = 0.1
-rx_antennas = [1]
-tx_power_level = 31
-if_gain_db = 48.0
-high_pass_cutoff_hz = 80e3
-anti_alias_cutoff_hz = 500e3
 
 [[furniture]]
 name = "table"
@@ -59,8 +42,8 @@ position_m = [1.4, 0.0]
 [[seat]]
 position_m = [3.6, 1.0]
 heading_deg = 90.0
-
-"#;
+"#
+);
 
 fn parsed(wander: &str) -> Result<Scene, String> {
     Scene::parse(&format!("{SCENE}\n{wander}"), Path::new("room.toml")).map_err(|error| error.to_string())
@@ -199,7 +182,7 @@ fn two_people_never_come_too_close_and_go_on() {
     }
 }
 
-/// Who walks together is together, who follows is not far behind, who meets stands face to face.
+/// People who walk together are together, followers are not far behind, and people who meet stand face to face.
 #[test]
 fn modes_are_what_they_say() {
     let share = |mode: &str, of: &dyn Fn(&Motion, &Motion, f64) -> bool| {
@@ -342,7 +325,7 @@ fn an_hour_is_short_work() {
     assert!(group.kept_blocks() <= 8, "{} blocks", group.kept_blocks());
 }
 
-/// As many as asked for, or as the seed draws; somebody beyond the wall counts for nobody.
+/// There are as many people as asked for, or as the seed draws; nobody beyond the wall counts.
 #[test]
 fn as_many_people_as_drawn() {
     let scene = scene("passer_by_probability = 1.0");

@@ -29,7 +29,7 @@ pub(crate) struct GltfFile {
     numbers: Cell<usize>,
 }
 
-/// What is wrong with a file, and where.
+/// Error in a file, and its place.
 pub(crate) struct GltfFault {
     pub place: String,
     pub problem: String,
@@ -58,6 +58,9 @@ impl Rows {
 
 impl GltfFile {
     /// A `.glb`, or a `.gltf` whose buffers lie inside it or in files beside it, in `folder`.
+    ///
+    /// # Errors
+    /// [`GltfFault`] if the file is malformed, or one of its buffers is absent, too short or too large.
     pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, GltfFault> {
         let (document, mut blob) = document(bytes)?;
         let mut buffers = Vec::new();
@@ -97,6 +100,9 @@ impl GltfFile {
     }
 
     /// An accessor's numbers; integers that stand for fractions become those.
+    ///
+    /// # Errors
+    /// [`GltfFault`] if the accessor has no buffer, or leads out of it.
     pub fn rows(&self, accessor: &gltf::Accessor, what: &str) -> Result<Rows, GltfFault> {
         let place = format!("accessor {} ({what})", accessor.index());
         if accessor.sparse().is_some() {
@@ -147,6 +153,9 @@ impl GltfFile {
     }
 
     /// The nodes with their parents, parents first.
+    ///
+    /// # Errors
+    /// [`GltfFault`] if the nodes are no tree.
     pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, GltfFault> {
         let count = self.document.nodes().count();
         let mut parent: Vec<Option<usize>> = vec![None; count];
@@ -180,6 +189,9 @@ impl GltfFile {
     }
 
     /// Places and triangles of a primitive; none of points and lines.
+    ///
+    /// # Errors
+    /// [`GltfFault`] if its places or indices cannot be read.
     pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
         if primitive.mode() != gltf::mesh::Mode::Triangles {
             return Ok(Mesh::default());

@@ -20,7 +20,7 @@ use crate::bounded_file::{MESH_LIMIT_BYTES, read};
 pub use obj::parse_obj;
 pub use stl::parse_stl;
 
-/// What one of a file's numbers means.
+/// Unit of a file's numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 pub enum LengthUnit {
     /// 1 m.
@@ -50,7 +50,7 @@ impl LengthUnit {
     }
 }
 
-/// Which of a file's axes points up.
+/// Axis of a file that points up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 pub enum UpAxis {
     /// z: CAD, and this house. Nothing is turned.
@@ -83,7 +83,7 @@ pub struct Part {
     pub mesh: Mesh,
 }
 
-/// What is wrong with a file's content.
+/// Error in a file's content.
 #[derive(Debug, Error, PartialEq)]
 pub enum ParseError {
     /// At a line of a text.
@@ -91,7 +91,7 @@ pub enum ParseError {
     Line {
         /// Counted from one.
         line: usize,
-        /// What is wrong.
+        /// Content that is wrong.
         problem: String,
     },
     /// At a byte of a binary file.
@@ -99,15 +99,15 @@ pub enum ParseError {
     Byte {
         /// Counted from zero.
         offset: usize,
-        /// What is wrong.
+        /// Content that is wrong.
         problem: String,
     },
     /// At a part of a structured file.
     #[error("{place}: {problem}")]
     Place {
-        /// Which part.
+        /// Part of the file.
         place: String,
-        /// What is wrong.
+        /// Content that is wrong.
         problem: String,
     },
     /// Something that is no mesh.
@@ -121,12 +121,12 @@ pub enum ParseError {
 /// A mesh file that cannot be had.
 #[derive(Debug, Error)]
 pub enum ImportError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read the mesh {path}: {source}")]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// Reason of the system.
         source: std::io::Error,
     },
     /// Its content is damaged.
@@ -134,7 +134,7 @@ pub enum ImportError {
     Content {
         /// The file.
         path: PathBuf,
-        /// Where and what.
+        /// Place and kind of the damage.
         source: ParseError,
     },
     /// No format of ours.
@@ -142,12 +142,15 @@ pub enum ImportError {
     Format {
         /// The file.
         path: PathBuf,
-        /// What its name ends in.
+        /// Ending of the name.
         extension: String,
     },
 }
 
 /// Reads a mesh file; its name's ending tells the format.
+///
+/// # Errors
+/// [`ImportError`] if the file cannot be read, its content is damaged or holds no triangle, or its name has another ending.
 pub fn import(path: &Path, unit: LengthUnit, up: UpAxis) -> Result<Vec<Part>, ImportError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     if !["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {

@@ -13,6 +13,9 @@ use super::{Mesh, ParseError, Part};
 const LARGEST_BYTES: usize = 64 << 20;
 
 /// Parses an OBJ file: a part for each object or group and each material in it; polygons become fans of triangles.
+///
+/// # Errors
+/// [`ParseError`] at the first line that is malformed, and for a file that is too long or has no triangle.
 pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     if bytes.len() > LARGEST_BYTES {
         let problem =

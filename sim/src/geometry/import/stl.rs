@@ -15,6 +15,9 @@ const TRIANGLE_BYTES: usize = 50;
 
 /// Parses an STL file. It is text when it begins with `solid` and is not just as long as a binary file with its count of
 /// triangles: binary files of some programs begin with `solid` too. Normals in the file are not used; corners go round them.
+///
+/// # Errors
+/// [`ParseError`] at the first line or byte that is malformed, and for a file without a triangle.
 pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     let claimed = bytes
         .get(80..HEADER_BYTES)

@@ -4,23 +4,23 @@
 
 /// Bins nearer than this hold leakage, m.
 pub const LEAST_RANGE_M: f64 = 0.5;
-/// What stands still must stand so far above noise and above what moves, as power.
+/// Least ratio of static echoes to noise and to moving echoes, as power.
 pub const LEAST_OVER_NOISE: f64 = 10.0;
 /// With fewer bins than these nothing is fitted: the gain would be off by 2 dB and more.
 pub const LEAST_BINS: usize = 9;
-/// What interference within a bin is worth, dB.
+/// Uncertainty by interference within a bin, dB.
 const BIN_SIGMA_DB: f64 = 6.0;
 
 /// A range bin of one receiver, as powers of one scale.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
-    /// Where, m.
+    /// Range, m.
     pub range_m: f64,
-    /// What stands still in the recording.
+    /// Static power in the recording.
     pub measured: f64,
-    /// What moves in it.
+    /// Moving power in the recording.
     pub moving: f64,
-    /// What stands still in the scene.
+    /// Static power in the scene.
     pub simulated: f64,
     /// Noise of both.
     pub noise: f64,
@@ -31,11 +31,11 @@ pub struct Bin {
 pub struct GainFit {
     /// Weighted median, dB; `None` where there are fewer than [`LEAST_BINS`] bins.
     pub gain_db: Option<f64>,
-    /// What it may be off by, dB.
+    /// Uncertainty of the gain, dB.
     pub error_db: Option<f64>,
     /// Bins that bore it.
     pub bins: usize,
-    /// Of so many beyond [`LEAST_RANGE_M`].
+    /// Bins that there are beyond [`LEAST_RANGE_M`].
     pub of: usize,
 }
 

@@ -19,7 +19,7 @@ pub(super) struct Shape {
     pub(super) constant_lsb: f64,
     pub(super) transient: Vec<Transient>,
     pub(super) leakage: Vec<Leakage>,
-    /// What is left, LSB rms.
+    /// Error of the fit, LSB rms.
     pub(super) residual_lsb: f64,
 }
 

@@ -26,7 +26,7 @@ pub struct PlanFile {
     pub corners_m: Vec<[f64; 2]>,
     /// Height of the ceiling over the floor, m: 0.5 to 100.
     pub height_m: f64,
-    /// What all walls are made of, but for those of `wall`.
+    /// Material of all walls but those of `wall`.
     pub walls: SurfaceFile,
     /// Walls that are made of something else.
     #[serde(default)]
@@ -43,7 +43,7 @@ pub struct PlanFile {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanWallFile {
-    /// Which wall.
+    /// Index of the wall.
     pub index: usize,
     /// Material: one of the table's or of the scene's own; "open" for no wall.
     pub material: String,
@@ -56,9 +56,9 @@ pub struct PlanWallFile {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PartitionFile {
-    /// Where it begins, m.
+    /// Place at which it begins, m.
     pub from_m: [f64; 2],
-    /// Where it ends, m.
+    /// Place at which it ends, m.
     pub to_m: [f64; 2],
     /// Height over the floor, m. Default that of the room.
     #[serde(default)]
@@ -77,12 +77,12 @@ pub struct PartitionFile {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OpeningFile {
-    /// Which wall it is in. Needed in `[[room.plan.opening]]`; none in a partition's own.
+    /// Index of its wall. Needed in `[[room.plan.opening]]`; none in a partition's own.
     #[serde(default)]
     pub wall: Option<usize>,
-    /// Where it begins along the wall, from the corner or place where that begins, m.
+    /// Beginning along the wall, from the corner or place where that begins, m.
     pub from_m: f64,
-    /// Where it ends, m.
+    /// End along the wall, m.
     pub to_m: f64,
     /// Height of its lower edge over the floor, m. Default 0.
     #[serde(default)]
@@ -106,8 +106,8 @@ pub struct OpeningFile {
 pub struct DoorLeafFile {
     /// End of the opening at which it hangs: "from" or "to".
     pub hinge: HingeFile,
-    /// How far it is open, degrees: 0 for shut; positive into the room (of a partition: to the left of the way along it),
-    /// negative the other way. -170 to 170.
+    /// Angle by which it is open, degrees: 0 for shut; positive into the room (of a partition: to the left of the way along
+    /// it), negative the other way. -170 to 170.
     #[serde(default)]
     pub open_deg: f64,
     /// Material: one of the table's or of the scene's own.
@@ -121,9 +121,9 @@ pub struct DoorLeafFile {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HingeFile {
-    /// Where the opening begins.
+    /// Beginning of the opening.
     From,
-    /// Where the opening ends.
+    /// End of the opening.
     To,
 }
 

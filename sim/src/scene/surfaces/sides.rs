@@ -1,4 +1,4 @@
-//! Which side of a face there is air on.
+//! Sides of faces on which there is air.
 
 use glam::DVec3;
 

@@ -1,16 +1,15 @@
-//! Where a scene's surfaces come from: its box, its floor plan or its files, and its furniture.
+//! Sources of a scene's surfaces: its box, its floor plan or its files, and its furniture.
 
 use glam::DVec3;
 
-use super::{Draft, LEAST_FACE_M2, SmallPart, Surfaces};
+use super::{LEAST_FACE_M2, SmallPart, Surfaces};
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon, oriented, planes};
+use crate::scene::draft::{Draft, ROOM, solid};
 use crate::scene::file::{SceneFile, SurfaceFile};
 use crate::scene::plan;
-use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M, slab};
+use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M};
 
-/// The group of faces that close the room.
-pub(in crate::scene) const ROOM: usize = 0;
 /// Furniture thinner than this is a sheet, m.
 const SHEET_M: f64 = 1e-6;
 
@@ -37,11 +36,6 @@ pub(in crate::scene) fn surfaces(
     let first = drafts.iter().map(|draft| draft.group + 1).max().unwrap_or(1);
     drafts.extend(furniture(file, meshes.own_furniture, first, frequency_hz));
     Surfaces::assemble(drafts, small, DVec3::from_array(file.radar.position_m))
-}
-
-/// What a surface does to waves; `None` where there is none.
-pub(in crate::scene) fn solid(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
-    slab(file, surface, frequency_hz).filter(|wall| *wall != Wall::Open)
 }
 
 /// The box `0..size` seen from within.

@@ -18,7 +18,7 @@ pub(super) struct Touch {
     pub ends: [DVec3; 2],
     /// Unit vector from the edge into the face.
     pub inwards: DVec3,
-    /// What else is there.
+    /// Other sheets there.
     pub sheets: Vec<Sheet>,
 }
 
@@ -29,7 +29,7 @@ pub(super) struct Sheet {
     pub face: Option<usize>,
     /// Unit vector from the edge into it.
     pub towards: DVec3,
-    /// Where its polygon ends here, too: whether its own edge runs the other way. `None` where it goes on beyond the edge.
+    /// True if its polygon ends here, too, and its own edge runs the other way. `None` where it goes on beyond the edge.
     pub ends_opposed: Option<bool>,
 }
 
@@ -96,7 +96,7 @@ pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
     all
 }
 
-/// Where along an edge a polygon of a plane through it begins, ends or has a corner, m.
+/// Adds the places along an edge at which a polygon of a plane through it begins, ends or has a corner, m.
 fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, cuts: &mut Vec<f64>) {
     let across = polygon.normal.cross(along);
     let place = |p: DVec3| ((p - from).dot(along), (p - from).dot(across));
@@ -115,7 +115,7 @@ fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, c
     }
 }
 
-/// What a polygon of a plane through an edge has at a point of it.
+/// Sheets that a polygon of a plane through an edge has at a point of it.
 fn sheets(of: &Placed, point: DVec3, along: DVec3) -> Vec<Sheet> {
     let (polygon, face) = (of.polygon, of.face);
     let clearance = polygon.clearance(point);

@@ -25,14 +25,14 @@ pub struct Copies {
 pub struct Simulated {
     /// By seed.
     pub samples: Vec<Sample>,
-    /// Of all of them.
+    /// Fit of each receiver over all copies.
     pub channels: Vec<ChannelFit>,
     /// Line of the moving person in each.
     pub lines: Vec<Option<MotionLine>>,
 }
 
 impl Copies {
-    /// Of the scene that was asked for, or of nothing.
+    /// Prepares copies of the scene that was asked for, or none.
     ///
     /// # Errors
     /// The scene cannot be read, or its waveform is not that of the recordings.

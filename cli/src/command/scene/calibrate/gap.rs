@@ -52,7 +52,7 @@ pub struct Channel {
     pub noise_by_bin_db: Vec<f64>,
     /// Difference between the mean chirps' lowest range bins, relative to the recording's.
     pub leakage_error: f64,
-    /// Of the maps.
+    /// Figures of the maps.
     #[serde(flatten)]
     pub figures: Figures,
     /// Interval that holds 95 of 100 draws.
@@ -208,7 +208,7 @@ fn of_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> M
     all
 }
 
-/// As many as there are, each as likely every time.
+/// Draws as many samples as there are, with replacement.
 fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapStatistics {
     of_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
 }

@@ -10,9 +10,9 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
-use super::{LEAST_LEG_M, WallPoint};
+use super::{Snapshot, inside_room};
 use crate::actor::body::CHEST;
-use crate::echo::{Snapshot, inside_room};
+use crate::diffuse::{LEAST_LEG_M, WallPoint};
 use crate::field::image::Element;
 use crate::field::{fresnel, highlight::Ellipsoid};
 use crate::scene::material::SKIN_PERMITTIVITY;
@@ -178,7 +178,7 @@ struct Segment {
     gains: Vec<f64>,
 }
 
-/// How a way to another receiver differs from that to the first.
+/// Difference of a way to another receiver from that to the first.
 struct Beside {
     length_m: f64,
     ratio: f64,

@@ -1,0 +1,41 @@
+//! Writer of a native recording that appears under its name when it is complete.
+
+use std::path::Path;
+
+use super::staged::remove_staged_labels;
+use super::{Recorder, RecordingHeader};
+use crate::recording::partial::Partial;
+use crate::recording::{Existing, RecordingError, WriteReport};
+
+/// Writer of a native recording that appears under its name when [`McapWriter::finish`] has completed it, and not at all
+/// otherwise. A file that [`Recorder::create`] starts has its name as soon as its header is on the disk.
+pub(in crate::recording) struct McapWriter {
+    pub recorder: Recorder,
+    partial: Partial,
+}
+
+impl McapWriter {
+    /// Starts a recording.
+    ///
+    /// # Errors
+    /// Those of [`Recorder::with_options`].
+    pub fn create(path: &Path, header: &RecordingHeader, existing: Existing) -> Result<Self, RecordingError> {
+        let partial = Partial::file(path, existing)?;
+        let recorder = Recorder::start(partial.open()?, path, header, None)?;
+        Ok(McapWriter { recorder, partial })
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken the name meanwhile.
+    pub fn finish(self) -> Result<WriteReport, RecordingError> {
+        let path = self.partial.target().to_owned();
+        let summary = self.recorder.finish()?;
+        self.partial.finish()?;
+        // Labels of a recording that had this name before.
+        remove_staged_labels(&path)?;
+        let (frames, gaps, frames_lost, bytes) = (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
+        Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
+    }
+}
