@@ -11,19 +11,9 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
 
-/// The recording of a breathing person; `None`, and a word about it, where the shared data are absent.
+/// The recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {
-    let root = std::env::var_os("RADOME_SHARED")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
-    let path = root.join("data/recordings/breathing-person-20260106");
-    if !path.exists() {
-        #[allow(clippy::print_stderr)]
-        {
-            eprintln!("skipped: {} is absent; set RADOME_SHARED to the folder that holds data/", path.display());
-        }
-        return None;
-    }
-    Some(path)
+    radome_skip::shared("data/recordings/breathing-person-20260106")
 }
 
 fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {

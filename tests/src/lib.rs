@@ -6,6 +6,7 @@ pub mod running;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+pub use radome_skip::{shared, skip};
 use serde_json::Value;
 
 /// Root of the source tree.
@@ -16,19 +17,6 @@ pub fn root() -> PathBuf {
 /// A file under `fixtures/`.
 pub fn fixture(name: &str) -> PathBuf {
     root().join("fixtures").join(name)
-}
-
-/// A file of the data that lies beside the project: in the folder that `RADOME_SHARED` names, or in `../shared`.
-/// `None`, with a word on stderr, where it is absent: such a test then has nothing to check.
-#[allow(clippy::print_stderr)]
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    let path = folder.join(name);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent; RADOME_SHARED names the folder that holds data/", path.display());
-        return None;
-    }
-    Some(path)
 }
 
 /// The built program.
@@ -42,8 +30,7 @@ pub fn radome() -> Command {
     let mut command = Command::new(program);
     command.current_dir(root());
     // Scenes and specs that tests write elsewhere name fixtures and shared data.
-    let shared = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), shared]) {
+    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), radome_skip::shared_folder()]) {
         command.env("RADOME_PATH", folders);
     }
     command
