@@ -199,7 +199,7 @@ fn drawn_noise_has_the_density_it_was_asked_for() {
     let shaper = NoiseShaper::new(&density, 64);
     let mut rng = random::generator(9, random::Purpose::Noise, [0, 0]);
     let mut scratch = NoiseScratch::default();
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(64);
+    let fft = radome_dsp::spectrum::real_fft(64);
     let mut power = vec![0.0; 33];
     let chirps = 6000;
     for _ in 0..chirps {
@@ -231,7 +231,7 @@ fn far_walls_fold_as_the_chip_folds_them() {
     let (_, cycles, _) = stage.static_paths[0].tones[0];
     assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
     let frame = simulator(&scene, 0, Some(0)).render(0);
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(256);
+    let fft = radome_dsp::spectrum::real_fft(256);
     let mut x: Vec<f64> = frame
         .chirp(0, 0)
         .iter()

@@ -110,7 +110,7 @@ impl Walk {
 
 /// Power of a map, `[doppler][range]`, of one receiver's samples: Hann on both axes.
 fn map(samples: &[f64]) -> Vec<f64> {
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(SAMPLES);
+    let fft = radome_dsp::spectrum::real_fft(SAMPLES);
     let hann = |i: usize, n: usize| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos();
     let profile = |chirp: &[f64]| {
         let mut x: Vec<f64> = chirp.iter().enumerate().map(|(i, v)| v * hann(i, SAMPLES)).collect();

@@ -88,7 +88,7 @@ fn hann(i: usize, n: usize) -> f64 {
 /// `[doppler][range]` in dB, zero Doppler in the middle, receding above it.
 pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     let (m, n) = (frame.shape.chirps, frame.shape.samples);
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let fft = radome_dsp::spectrum::real_fft(n);
     let profiles: Vec<Vec<Complex64>> = (0..m)
         .map(|chirp| {
             let codes = frame.chirp(rx, chirp).iter().enumerate();
