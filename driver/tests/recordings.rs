@@ -1,15 +1,14 @@
 //! Recordings: the vendor's real one, the native format, and what happens to broken ones.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{Pattern, waveform};
 use radome_driver::{
     EmulatedSource, EmulatorOptions, InfineonReader, LabelSpan, McapReader, Pace, RealTime, Recorder, RecordingError,
     RecordingHeader, recording,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
+
+use crate::common::{Pattern, waveform};
 
 /// The recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {

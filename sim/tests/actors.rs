@@ -1,8 +1,6 @@
 //! People and rooms from files: actors walk upright, ahead and without sliding, and what is wrong with a file is said.
 
-#[path = "actors/biped.rs"]
 mod biped;
-mod common;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,6 +13,8 @@ use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
 use radome_sim::fault::FileFault;
 use radome_sim::geometry::import::UpAxis;
 use radome_skip::shared;
+
+use crate::common;
 
 fn options() -> ActorOptions {
     ActorOptions { height_m: Some(1.75), ..ActorOptions::default() }

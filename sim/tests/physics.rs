@@ -1,10 +1,7 @@
 //! What frames must show whatever the code does: signs, levels, laws.
 
-mod common;
-
 use std::f64::consts::TAU;
 
-use common::{hall, map_db, parse, peak, simulator, statistics};
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
 use radome_sim::receiver::adc::quantise;
@@ -14,6 +11,8 @@ use radome_sim::scene::material::Material;
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
+
+use crate::common::{self, hall, map_db, parse, peak, simulator, statistics};
 
 const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 

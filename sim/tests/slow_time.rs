@@ -1,12 +1,9 @@
 //! Slow time: what maps lose when echoes are traced at a few keys of a frame rather than at every chirp.
 #![allow(clippy::print_stderr)]
 
-mod common;
-
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use common::{hall, parse, scene, simulator};
 use num_complex::{Complex, Complex64};
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::actor::body::SEGMENTS;
@@ -17,6 +14,8 @@ use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{Tone, exact_chirp};
 use radome_sim::{Scene, Simulator};
+
+use crate::common::{hall, parse, scene, simulator};
 
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
