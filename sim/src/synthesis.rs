@@ -12,7 +12,8 @@ use std::sync::Arc;
 
 use num_complex::Complex;
 use radome_dsp::KernelLevel;
-use realfft::{ComplexToReal, RealFftPlanner};
+use radome_dsp::spectrum::inverse_real_fft_f32;
+use realfft::ComplexToReal;
 
 mod chirp_grids;
 mod held;
@@ -152,7 +153,7 @@ impl Synthesiser {
                 (1.0 / transform) as f32
             })
             .collect();
-        let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(cells);
+        let inverse = inverse_real_fft_f32(cells);
         Synthesiser {
             samples,
             cells,

@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent, Waveform};
+pub use radome_skip::{shared, skip};
 use serde_json::Value;
 
 /// Root of the source tree.
@@ -18,19 +19,6 @@ pub fn root() -> PathBuf {
 /// A file under `fixtures/`.
 pub fn fixture(name: &str) -> PathBuf {
     root().join("fixtures").join(name)
-}
-
-/// A file of the data that lies beside the project: in the folder that `RADOME_SHARED` names, or in `../shared`.
-/// `None`, with a word on stderr, where it is absent: such a test then has nothing to check.
-#[allow(clippy::print_stderr)]
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    let path = folder.join(name);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent; RADOME_SHARED names the folder that holds data/", path.display());
-        return None;
-    }
-    Some(path)
 }
 
 /// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
@@ -76,8 +64,7 @@ pub fn radome() -> Command {
     let mut command = Command::new(program);
     command.current_dir(root());
     // Scenes and specs that tests write elsewhere name fixtures and shared data.
-    let shared = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), shared]) {
+    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), radome_skip::shared_folder()]) {
         command.env("RADOME_PATH", folders);
     }
     command

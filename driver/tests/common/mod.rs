@@ -1,6 +1,6 @@
-//! A source of known frames, and where shared data lies. Each test binary uses a part.
+//! A source of known frames. Each test binary uses a part.
 
-#![allow(dead_code, clippy::print_stderr)]
+#![allow(dead_code)]
 
 use radome_driver::Mcu7Board;
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
@@ -70,21 +70,6 @@ pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s
         ..WaveformRequest::paper()
     })
     .expect("valid")
-}
-
-/// A file or folder below the shared data, which `RADOME_SHARED` or `../../shared` beside the workspace names. Says so
-/// and gives `None` where it is absent: the test is then skipped.
-pub fn shared(path: &str) -> Option<std::path::PathBuf> {
-    let root = std::env::var_os("RADOME_SHARED").map_or_else(
-        || std::path::PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
-        std::path::PathBuf::from,
-    );
-    let path = root.join(path);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent; set RADOME_SHARED to the folder that holds data/", path.display());
-        return None;
-    }
-    Some(path)
 }
 
 /// Waveform of the captured sessions.
