@@ -8,7 +8,8 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{Pattern, start_and_stop, waveform};
+use crate::common::{Pattern, waveform};
+use crate::emulated_board::start_and_stop;
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     let faults = faults.to_vec();

@@ -8,7 +8,21 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth, Waveform};
 
-use crate::common::{Pattern, start_and_stop, waveform};
+use crate::common::{Pattern, waveform};
+
+/// Starts and stops a board three times: no frame of an earlier run comes in a later one.
+pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
+    let mut frame = Frame::zeroed(waveform.shape());
+    for _ in 0..3 {
+        let mut stream = client.start(waveform).expect("starts");
+        for sequence in 0..5 {
+            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+            assert_eq!(frame.sequence, sequence);
+        }
+        client = stream.stop().expect("stops");
+    }
+    client
+}
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }

@@ -5,6 +5,8 @@ use radome_driver::chip::ChipConfiguration;
 use radome_driver::protocol::mcu7::*;
 use radome_driver::protocol::packed12;
 
+use crate::common::captured_waveform;
+
 /// Messages of `protocol4.txt`: whether the host sent it, and its bytes.
 fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
     let text = std::fs::read_to_string(radome_skip::shared("data/wire/protocol4.txt")?).expect("transcript is text");
@@ -21,7 +23,7 @@ fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
 
 /// Requests of the session of the transcript, in its order.
 fn session() -> Vec<Command> {
-    let waveform = common::captured_waveform();
+    let waveform = captured_waveform();
     let slice = SliceLayout::for_frame(waveform.shape().codes());
     let list = ChipConfiguration { waveform, slice_samples: slice.samples }.compile().expect("fits");
     let execute = |words, answer| Command::Execute { words, answer };

@@ -2,7 +2,6 @@
 
 #![allow(dead_code)]
 
-use radome_driver::Mcu7Board;
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 
 /// Frames in which every code follows from frame, receiver, chirp and sample.
@@ -118,18 +117,4 @@ pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&
         }
     }
     gaps
-}
-
-/// Starts and stops a board three times: no frame of an earlier run comes in a later one.
-pub fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
-    let mut frame = Frame::zeroed(waveform.shape());
-    for _ in 0..3 {
-        let mut stream = client.start(waveform).expect("starts");
-        for sequence in 0..5 {
-            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
-            assert_eq!(frame.sequence, sequence);
-        }
-        client = stream.stop().expect("stops");
-    }
-    client
 }

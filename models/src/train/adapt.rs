@@ -19,7 +19,7 @@
 //! unchanged. Frames are weighted by the probability of people by the model before, so that a model that is right about the empty
 //! room stays unchanged.
 //!
-//! [`minimise`] has the minimiser, [`tail`] the adapted layers and the samples.
+//! [`tail`] has the adapted layers and the samples.
 
 use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
@@ -31,7 +31,6 @@ use recording::{CLASSES, MOST_FRAMES};
 use tail::{Confusions, Tail, empty_strength, last_node, shows_people};
 
 mod error;
-mod minimise;
 mod recording;
 mod tail;
 

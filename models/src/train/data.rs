@@ -101,13 +101,12 @@ impl Data {
         // n / (k n_c) over the k classes shown, so that the mean weight of a map is one.
         let shown = partners.as_ref().map_or(counts.map(|c| c as f64), Partners::expected);
         let classes = shown.iter().filter(|n| **n > 0.0).count();
-        let class_weights = shown
-            .map(|n| match n {
-                n if n <= 0.0 => 0.0,
-                _ if !spec.class_weights => 1.0,
-                n => train.labels.len() as f32 / (classes as f64 * n) as f32,
-            })
-            .to_vec();
+        let of_class = |n| match n {
+            n if n <= 0.0 => 0.0,
+            _ if !spec.class_weights => 1.0,
+            n => train.labels.len() as f32 / (classes as f64 * n) as f32,
+        };
+        let class_weights = shown.iter().zip(spec.label_weights).map(|(&n, by)| of_class(n) * by as f32).collect();
 
         let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
         let mut standardisation = Standardisation::measure(spec.reference, bounded)?;

@@ -15,7 +15,9 @@
 //!    [`TrainSpec::start_epochs`]. Angles and head have their own step sizes; the step size warms up and then falls by a cosine to
 //!    a twentieth.
 //! 6. *Best epoch* by balanced accuracy on the validation split, by loss among equals.
-//! 7. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
+//! 7. *All maps at once.* A network of descriptors may go on to a minimum of the loss over all training maps ([`FullBatch`]), which hardly
+//!    depends on the seed.
+//! 8. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
 //!
 //! `docs/studies` has results over seeds and comparisons of heads under equal treatment. Networks without a narrow latent are
 //! trained by the same steps without 1 to 4, from one start.
@@ -26,8 +28,11 @@ mod augmentation;
 mod checkpoint;
 mod data;
 mod error;
+mod full_batch;
 mod head_start;
+mod minimise;
 mod outcome;
+mod parameter_vector;
 mod recipe;
 mod run;
 mod smoothing;
@@ -40,6 +45,7 @@ pub use crate::model::{Adapted, BeforeAfter, Scores};
 pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapter, Fit};
 pub use augmentation::{Augmentation, Superpose, Sway};
 pub use error::TrainError;
+pub use full_batch::FullBatch;
 pub use outcome::{EpochReport, TrainOutcome};
 pub use recipe::{train, train_with_checkpoint};
 pub use smoothing::{FilterSequence, SmoothingFit, fit_smoothing};

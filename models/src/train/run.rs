@@ -10,6 +10,7 @@ use super::adam::Adam;
 use super::checkpoint::{Best, RunState};
 use super::data::Data;
 use super::error::TrainError;
+use super::full_batch;
 use super::head_start;
 use super::outcome::EpochReport;
 use super::spec::{LatentStandardisation, TrainSpec};
@@ -296,6 +297,11 @@ impl<'a> Run<'a> {
             self.network.set_latent_constants(best.latent);
             epoch = best.epoch;
         }
+        if let Some(settings) = self.spec.full_batch
+            && !full_batch::fit(&self.network, self.data, settings, self.penalty())?
+        {
+            return Err(self.non_finite("loss of the training split".to_owned()));
+        }
         self.network.fold_features()?;
         Ok((self.network, epoch))
     }
@@ -368,12 +374,10 @@ impl<'a> Run<'a> {
         self.network.trained().iter().map(of).collect()
     }
 
-    /// Share of its values that each array loses in a step: weights of dense layers and kernels do, biases, constants of
-    /// normalisations and angles do not.
+    /// Share of its values that each array loses in a step.
     fn decays(&self, rates: &[f32]) -> Vec<f32> {
         let of = |(parameter, rate): (&crate::network::Parameter, &f32)| {
-            let decays = parameter.name.ends_with(".weight") && parameter.variable.rank() > 1;
-            if decays { rate * self.spec.weight_decay as f32 } else { 0.0 }
+            if full_batch::is_weight(parameter) { rate * self.spec.weight_decay as f32 } else { 0.0 }
         };
         self.network.trained().iter().zip(rates).map(of).collect()
     }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::augmentation::Augmentation;
 use super::error::TrainError;
+use super::full_batch::FullBatch;
 use crate::dataset::SplitSpec;
 use crate::kernel::KernelLevel;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -91,6 +92,11 @@ pub struct TrainSpec {
     pub transposed: bool,
     /// Whether classes are weighted by the inverse of their number.
     pub class_weights: bool,
+    /// Factors of the weights of empty, one and two: how much a frame of each matters beyond how many there are.
+    pub label_weights: [f64; 3],
+    /// Minimisation over all training maps after the epochs; none if absent. For networks of descriptors, without augmentation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub full_batch: Option<FullBatch>,
     /// Whether maps in which someone is entering or leaving are used.
     pub transitions: bool,
     /// Augmentation of training maps.
@@ -133,6 +139,8 @@ impl Default for TrainSpec {
             pooled: PAPER_POOLED,
             transposed: false,
             class_weights: true,
+            label_weights: [1.0; 3],
+            full_batch: None,
             transitions: true,
             augmentation: Augmentation::default(),
             kernel_level: None,
@@ -179,6 +187,20 @@ impl TrainSpec {
         }
         if self.linear_epochs() > self.epochs {
             return fail("linear_epochs", self.linear_epochs().to_string(), "0 up to epochs");
+        }
+        if !self.label_weights.iter().all(|weight| (1e-3..=1e3).contains(weight)) {
+            return fail("label_weights", format!("{:?}", self.label_weights), "0.001 to 1000 each");
+        }
+        if let Some(FullBatch { steps, weight_penalty }) = self.full_batch {
+            if !self.network.reads_descriptors() || self.augmentation != Augmentation::default() {
+                return fail("full_batch", format!("{steps} steps"), "a network of descriptors, and no augmentation");
+            }
+            if !(1..=MOST_EPOCHS).contains(&steps) {
+                return fail("full_batch.steps", steps.to_string(), "1 to 100000");
+            }
+            if !(weight_penalty.is_finite() && weight_penalty >= 0.0) {
+                return fail("full_batch.weight_penalty", weight_penalty.to_string(), "0 or more");
+            }
         }
         if !(0.0..=10.0).contains(&self.weight_decay) {
             return fail("weight_decay", self.weight_decay.to_string(), "0 to 10");

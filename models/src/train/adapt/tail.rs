@@ -4,14 +4,16 @@ use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
 
 use super::error::AdaptError;
-use super::minimise::minimise;
 use super::recording::{AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES};
 use crate::layer::{backward, softmax};
 use crate::metrics::{Metrics, most_probable};
 use crate::model::Scores;
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
+use crate::train::full_batch::cross_entropy;
 use crate::train::head_start::{is_trained, parameters_behind};
+use crate::train::minimise::minimise;
+use crate::train::parameter_vector::ParameterVector;
 
 /// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
 /// few biases; weights would overfit to the few people in it.
@@ -23,6 +25,9 @@ const EMPTY_SHARE: f64 = 1.0 / 12.0;
 const LONG_S: f64 = 10.0;
 /// Least deviation that a feature is divided by, as in training (`train/start.rs`).
 const LEAST_SIGMA: f64 = 0.1;
+/// Most steps of a fit, and the least gain of one as a share of the loss: smaller ones are below the rounding errors of f32 sums.
+const MOST_STEPS: usize = 100;
+const LEAST_GAIN: f64 = 1e-6;
 /// Frames of a forward pass without gradients.
 const BATCH: usize = 4096;
 
@@ -124,7 +129,7 @@ fn normalisation(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
 pub(super) struct Tail<'a> {
     network: &'a Network,
     given: Value,
-    parameters: Vec<&'a Parameter>,
+    parameters: ParameterVector<'a>,
     temperature: f64,
     /// Features of a frame.
     inputs: usize,
@@ -141,37 +146,24 @@ impl<'a> Tail<'a> {
     /// one.
     pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
         let parameters = parameters_behind(network, given);
-        let parameters: Vec<&Parameter> = parameters.into_iter().filter(|p| is_trained(network, p)).collect();
-        let offset = |name: String| {
-            let index = parameters.iter().position(|parameter| parameter.name == name)?;
-            Some(parameters[..index].iter().map(|parameter| parameter.variable.elem_count()).sum::<usize>())
-        };
+        let parameters = ParameterVector::new(parameters.into_iter().filter(|p| is_trained(network, p)).collect());
         let reads_given = |node: &&Node| node.inputs == [given] && matches!(node.layer, Layer::Linear { .. });
         let first = network.graph().nodes.iter().find(reads_given)?;
         let Layer::Linear { inputs, outputs } = first.layer else { return None };
-        let weight = offset(format!("{}.weight", first.name))?;
-        let bias = offset(format!("{}.bias", first.name))?;
-        let empty = offset(format!("{}.bias", last_node(network)?.name))?;
+        let weight = parameters.offset(&format!("{}.weight", first.name))?;
+        let bias = parameters.offset(&format!("{}.bias", first.name))?;
+        let empty = parameters.offset(&format!("{}.bias", last_node(network)?.name))?;
         Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, empty })
     }
 
     /// Present parameters.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, AdaptError> {
-        let mut numbers = Vec::new();
-        for parameter in &self.parameters {
-            numbers.extend(parameter.variable.flatten_all()?.to_vec1::<f32>()?.into_iter().map(f64::from));
-        }
-        Ok(numbers)
+        Ok(self.parameters.numbers()?)
     }
 
     /// Sets the parameters of the network.
     pub(super) fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
-        let mut rest = numbers.iter();
-        for Parameter { variable, .. } in self.parameters.iter() {
-            let values: Vec<f32> = rest.by_ref().take(variable.elem_count()).map(|&v| v as f32).collect();
-            variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
-        }
-        Ok(())
+        Ok(self.parameters.set(numbers)?)
     }
 
     /// Converts parameters for features `x` to those for features `(x - mean) / sigma`.
@@ -247,9 +239,9 @@ impl<'a> Tail<'a> {
             }
         }
         let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
-        let most: Vec<f64> = self.parameters.iter().flat_map(|p| vec![most(p); p.variable.elem_count()]).collect();
+        let most = self.parameters.by_parameter(most);
         let minimum = |start: Vec<f64>, strength: f64| {
-            minimise(start, |numbers| {
+            let found = minimise(start, MOST_STEPS, LEAST_GAIN, |numbers| {
                 let (mut value, mut gradient) = self.loss(numbers, &features, &samples)?;
                 for (index, g) in gradient.iter_mut().enumerate() {
                     let moved = numbers[index] - origin[index];
@@ -257,8 +249,9 @@ impl<'a> Tail<'a> {
                     value += 0.5 * strength * moved.powi(2);
                     *g = if is_empty_only && index != self.empty { 0.0 } else { (*g + strength * moved) / total };
                 }
-                Ok((value / total, gradient))
-            })
+                Ok::<_, AdaptError>((value / total, gradient))
+            })?;
+            found.ok_or(AdaptError::NonFinite)
         };
         if is_empty_only {
             let mut raised = before.to_vec();
@@ -280,24 +273,12 @@ impl<'a> Tail<'a> {
         let output = self.network.graph().output;
         let mode = Mode::Training { seed: 0, step: 0, penalty: 0.0 };
         let logits = self.network.run_from(self.given, features, &[output], mode)?.take(output)?;
-        let (mut loss, mut by_logit) = (0.0, Vec::with_capacity(CLASSES * samples.len()));
-        for (sample, row) in samples.iter().zip(logits.to_vec2::<f32>()?) {
-            for (class, p) in softmax(&row, self.temperature).into_iter().enumerate() {
-                let target = if class == sample.label { 1.0 } else { 0.0 };
-                loss -= target * sample.weight * p.max(f64::MIN_POSITIVE).ln();
-                by_logit.push((sample.weight * (p - target) / self.temperature) as f32);
-            }
-        }
+        let targets: Vec<(usize, f64)> = samples.iter().map(|sample| (sample.label, sample.weight)).collect();
+        let (loss, by_logit) = cross_entropy(&logits.to_vec2()?, &targets, self.temperature);
         // This sum is linear in the logits and has the same gradient at this point.
         let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
         let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
-        let mut gradient = Vec::with_capacity(numbers.len());
-        for Parameter { variable, .. } in self.parameters.iter().copied() {
-            match gradients.get(variable) {
-                Some(found) => gradient.extend(found.flatten_all()?.to_vec1::<f32>()?.into_iter().map(f64::from)),
-                None => gradient.extend(vec![0.0; variable.elem_count()]),
-            }
-        }
+        let gradient = self.parameters.gradient(&gradients)?;
         Ok((loss, gradient))
     }
 }

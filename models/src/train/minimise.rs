@@ -2,29 +2,31 @@
 
 use std::collections::VecDeque;
 
-use super::error::AdaptError;
-
-/// Most steps of the minimisation.
-const MOST_STEPS: usize = 100;
 /// Steps in the memory of L-BFGS.
 const MEMORY: usize = 10;
 
-/// Finds a minimum near `start` of a function with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
-/// algorithm 7.5) with steps that are halved until the function falls.
-pub(super) fn minimise(
+/// Finds a minimum near `start` of a function with its gradient, in so many steps at most: L-BFGS (Nocedal and Wright, Numerical
+/// Optimization, 2006, algorithm 7.5) with steps that are halved until the function falls. It ends early where a step gains less
+/// than the share `least_gain` of the value. `None` if the function is not finite at the start.
+///
+/// # Errors
+/// Those of the function.
+pub(super) fn minimise<E>(
     start: Vec<f64>,
-    mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), AdaptError>,
-) -> Result<Vec<f64>, AdaptError> {
+    most_steps: usize,
+    least_gain: f64,
+    mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), E>,
+) -> Result<Option<Vec<f64>>, E> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let sum = |a: &[f64], factor: f64, b: &[f64]| a.iter().zip(b).map(|(a, b)| a + factor * b).collect::<Vec<f64>>();
     let mut at = start;
     let (mut value, mut gradient) = function(&at)?;
     if !value.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
-        return Err(AdaptError::NonFinite);
+        return Ok(None);
     }
     // Steps and the changes of the gradient over them, the oldest first.
     let mut past: VecDeque<(Vec<f64>, Vec<f64>)> = VecDeque::new();
-    for _ in 0..MOST_STEPS {
+    for _ in 0..most_steps {
         let mut direction: Vec<f64> = gradient.iter().map(|g| -g).collect();
         let mut shares = Vec::with_capacity(past.len());
         for (step, change) in past.iter().rev() {
@@ -67,12 +69,11 @@ pub(super) fn minimise(
         }
         let gain = value - next_value;
         (at, value, gradient) = (next, next_value, next_gradient);
-        // Smaller gains are below the rounding errors of f32 sums.
-        if gain < 1e-6 * value.abs() {
+        if gain < least_gain * value.abs() {
             break;
         }
     }
-    Ok(at)
+    Ok(Some(at))
 }
 
 #[cfg(test)]
@@ -84,15 +85,15 @@ mod tests {
     fn a_narrow_valley_leads_to_its_minimum() {
         let valley = |x: &[f64]| {
             let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
-            Ok((a * a + 100.0 * b * b + 1.0, vec![-2.0 * a - 400.0 * x[0] * b, 200.0 * b]))
+            Ok::<_, String>((a * a + 100.0 * b * b + 1.0, vec![-2.0 * a - 400.0 * x[0] * b, 200.0 * b]))
         };
-        let found = minimise(vec![-1.2, 1.0], valley).expect("a minimum");
+        let found = minimise(vec![-1.2, 1.0], 100, 1e-6, valley).expect("no error").expect("a minimum");
         assert!(found.iter().all(|x| (x - 1.0).abs() < 0.02), "{found:?}");
     }
 
     #[test]
-    fn a_function_that_is_not_finite_at_the_start_is_refused() {
-        let error = minimise(vec![0.0], |_| Ok((f64::NAN, vec![0.0]))).expect_err("refused");
-        assert!(matches!(error, AdaptError::NonFinite), "{error}");
+    fn a_function_that_is_not_finite_at_the_start_has_no_minimum() {
+        let found = minimise(vec![0.0], 100, 1e-6, |_| Ok::<_, String>((f64::NAN, vec![0.0])));
+        assert_eq!(found, Ok(None));
     }
 }
