@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use anyhow::Context;
+use image::{Rgb, RgbImage};
 use radome_dsp::Rdm;
 
 use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
@@ -66,8 +68,25 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     canvas.save(path)
 }
 
+/// PNG of one channel of a map without axes: a pixel a cell, range to the right, velocity upwards (receding above), colour
+/// between two levels, dB.
+///
+/// # Errors
+/// The picture cannot be encoded.
+pub fn cells(map: &Rdm, rx: usize, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
+    let (doppler, range) = (map.shape.doppler, map.shape.range);
+    let image = RgbImage::from_fn(range as u32, doppler as u32, |x, y| {
+        let value = map.at(rx, doppler - 1 - y as usize, x as usize);
+        let ink = if value.is_finite() { viridis((value - low) / (high - low)) } else { NOT_A_NUMBER };
+        Rgb(ink.rgb)
+    });
+    let mut png = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut png, image::ImageFormat::Png).context("cannot encode a picture")?;
+    Ok(png.into_inner())
+}
+
 /// Levels of the first and the last colour, dB: 10 dB under the median, and the peak or 20 dB over the median.
-fn levels(map: &Rdm) -> (f32, f32) {
+pub fn levels(map: &Rdm) -> (f32, f32) {
     let mut finite: Vec<f32> = map.db.iter().copied().filter(|v| v.is_finite()).collect();
     finite.sort_by(f32::total_cmp);
     let median = finite.get(finite.len() / 2).copied().unwrap_or(-200.0);
