@@ -157,7 +157,7 @@ fn by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
         }
         let bytes = kind[1..].parse::<usize>().expect("bits") / 8;
         let (field, behind) = rest.split_at(bytes);
-        fields.push((name, field.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte))));
+        fields.push((name, field.iter().rev().fold(0u64, |sum, byte| sum << 8 | u64::from(*byte))));
         rest = behind;
     }
     let value = |name: &str| fields.iter().find(|(n, _)| *n == name).expect("a field").1;
