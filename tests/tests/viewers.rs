@@ -1,10 +1,14 @@
-//! `radome recording convert --to viewers`, read back with the `mcap` crate: schemas, numbers, images and times.
+//! `radome recording convert --to viewers`, read back with the `mcap` crate: schemas, numbers, images and times; and the layout
+//! for Foxglove.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, root};
+use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
 const HOST_NS: u64 = 1_767_683_775_000_000_000;
@@ -249,6 +253,71 @@ fn a_pixel_of_a_map_is_a_cell() {
     for cell in (1..first.len()).step_by(97) {
         let (darker, brighter) = if first[cell] < first[cell - 1] { (cell, cell - 1) } else { (cell - 1, cell) };
         assert!(green(darker) <= green(brighter), "cells {darker} and {brighter}");
+    }
+}
+
+/// The packages mcap, mcap-protobuf-support and, for Rerun's loader, rerun-sdk; they are in the Python that
+/// `RADOME_VIEWERS_PYTHON` names, or in python3.
+#[test]
+#[allow(clippy::print_stderr)]
+fn python_packages_read_the_file() {
+    let python = std::env::var_os("RADOME_VIEWERS_PYTHON").unwrap_or_else(|| "python3".into());
+    let has_packages = Command::new(&python).args(["-c", "import mcap_protobuf"]).output();
+    if !has_packages.is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: no mcap-protobuf-support; RADOME_VIEWERS_PYTHON names a Python that has it");
+        return;
+    }
+    let script = root().join("tests/viewers/check.py");
+    let output = Command::new(&python).arg(script).arg(radome().get_program()).output().expect("runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    eprint!("{}", String::from_utf8_lossy(&output.stdout));
+}
+
+/// All strings of a value.
+fn strings<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
+    match value {
+        Value::String(text) => found.push(text),
+        Value::Array(list) => list.iter().for_each(|value| strings(value, found)),
+        Value::Object(object) => object.values().for_each(|value| strings(value, found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn the_layout_for_foxglove_names_topics_and_fields_that_there_are() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bytes = std::fs::read(export(&fixture("formats/judged.mcap"), folder.path())).expect("reads");
+    let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+    let mut fields: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for channel in summary.channels.values() {
+        let schema = channel.schema.as_ref().expect("a schema");
+        let descriptors = FileDescriptorSet::decode(&*schema.data).expect("descriptors");
+        let message = &descriptors.file[1].message_type[0];
+        fields.insert(channel.topic.clone(), message.field.iter().map(|field| field.name().to_owned()).collect());
+    }
+
+    let text = std::fs::read(root().join("docs/viewers/foxglove-layout.json")).expect("reads");
+    let layout: Value = serde_json::from_slice(&text).expect("JSON");
+    let mut named = Vec::new();
+    strings(&layout["configById"], &mut named);
+    let mut topics = BTreeSet::new();
+    for name in named.into_iter().filter(|name| name.starts_with('/')) {
+        let (topic, field) = name.split_once('.').map_or((name, None), |(topic, field)| (topic, Some(field)));
+        let known = fields.get(topic).unwrap_or_else(|| panic!("there is no topic {topic}"));
+        assert!(field.is_none_or(|field| known.contains(field)), "{topic} has no field in {name}");
+        topics.insert(topic.to_owned());
+    }
+    assert_eq!(topics, fields.keys().cloned().collect::<BTreeSet<_>>());
+
+    let mut panels = Vec::new();
+    strings(&layout["layout"], &mut panels);
+    panels.retain(|panel| panel.contains('!'));
+    panels.sort_unstable();
+    let configured: Vec<&String> = layout["configById"].as_object().expect("panels").keys().collect();
+    assert_eq!(panels, configured);
+    let page = std::fs::read_to_string(root().join("docs/viewers.md")).expect("reads");
+    for topic in fields.keys() {
+        assert!(page.contains(&format!("| `{topic}` |")), "docs/viewers.md lacks {topic}");
     }
 }
 

@@ -117,8 +117,9 @@ def check_rerun(path):
     ).stdout
     for topic in TYPES:
         assert topic in printed, f"Rerun has no entity {topic}:\n{printed}"
-    assert "EncodedImage" in printed, f"Rerun takes no topic for an image:\n{printed}"
-    return f"Rerun {rerun.__version__} has every topic"
+    for component in ["EncodedImage:blob", "Image:buffer", "TextLog:text"]:
+        assert component in printed, f"Rerun draws no topic as {component}:\n{printed}"
+    return f"Rerun {rerun.__version__} draws maps, chirps and events"
 
 
 def main():
