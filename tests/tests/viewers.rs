@@ -313,7 +313,9 @@ fn the_layout_for_foxglove_names_topics_and_fields_that_there_are() {
     strings(&layout["layout"], &mut panels);
     panels.retain(|panel| panel.contains('!'));
     panels.sort_unstable();
-    let configured: Vec<&String> = layout["configById"].as_object().expect("panels").keys().collect();
+    let mut configured: Vec<&str> =
+        layout["configById"].as_object().expect("panels").keys().map(String::as_str).collect();
+    configured.sort_unstable();
     assert_eq!(panels, configured);
     let page = std::fs::read_to_string(root().join("docs/viewers.md")).expect("reads");
     for topic in fields.keys() {
