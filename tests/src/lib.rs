@@ -94,6 +94,23 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
     path
 }
 
+/// Help of a command such as `board list`, or of the program if `name` is empty.
+///
+/// # Panics
+/// If the program has no such command.
+pub fn help(name: &str) -> String {
+    let output = run(radome().args(name.split_whitespace()).arg("--help"));
+    assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// Long options that a help lists.
+pub fn long_options(help: &str) -> Vec<&str> {
+    let listed = help.lines().filter(|line| line.trim_start().starts_with('-'));
+    let named = listed.filter_map(|line| line.get(line.find("--")?..));
+    named.map(|text| text.split(|c: char| !(c.is_ascii_lowercase() || c == '-')).next().unwrap_or_default()).collect()
+}
+
 fn run(command: &mut Command) -> Output {
     command.output().unwrap_or_else(|e| panic!("cannot run {command:?}: {e}"))
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
-use radome_tests::{fixture, json_lines, json_lines_of, radome, root};
+use radome_tests::{fixture, help, json_lines, json_lines_of, radome, root};
 use serde_json::Value;
 
 /// Rows of a section: key and meaning.
@@ -95,8 +95,7 @@ fn text(path: &Path) -> &str {
 
 /// Commands below a group that take `--json`, by their help.
 fn add_commands(group: &str, found: &mut Vec<String>) {
-    let output = radome().args(group.split_whitespace()).arg("--help").output().expect("runs");
-    let help = String::from_utf8(output.stdout).expect("text");
+    let help = help(group);
     if help.contains("--json") {
         found.push(group.to_owned());
     }

@@ -25,7 +25,7 @@ use crate::labels;
 use crate::picture::plot;
 
 /// Name of the metadata with the waveform and the axes of the maps.
-const METADATA: &str = "radome viewers";
+const METADATA: &str = "radome.viewers";
 /// Frame of reference of images, as viewers name it.
 const FRAME_ID: &str = "radar";
 /// Fast compression: most bytes are raw codes, which shrink little.
