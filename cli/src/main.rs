@@ -17,6 +17,7 @@ mod panics;
 mod picture;
 mod shard;
 mod source;
+mod viewers;
 
 use std::process::ExitCode;
 

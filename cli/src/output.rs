@@ -1,9 +1,9 @@
 //! Answers on stdout, errors and progress on stderr.
 
-use std::io::{IsTerminal, Write};
+use std::io::{IsTerminal, Read, StdoutLock, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -24,16 +24,40 @@ pub fn text_line(line: &str) -> anyhow::Result<()> {
     text(&format!("{line}\n"))
 }
 
-/// Writes text, at once. All that goes to stdout goes through here.
+/// Writes text, at once.
 ///
 /// # Errors
 /// [`StdoutClosed`], or standard output cannot be written.
 pub fn text(text: &str) -> anyhow::Result<()> {
+    to_stdout(|stdout| stdout.write_all(text.as_bytes()))
+}
+
+/// Writes all bytes of a reader.
+///
+/// # Errors
+/// [`StdoutClosed`], the bytes cannot be read, or standard output cannot be written.
+pub fn bytes(reader: &mut impl Read) -> anyhow::Result<()> {
+    to_stdout(|stdout| std::io::copy(reader, stdout).map(drop))
+}
+
+/// Writes to stdout. All that goes there goes through here.
+fn to_stdout(write: impl FnOnce(&mut StdoutLock) -> std::io::Result<()>) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+    match write(&mut stdout).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Err(StdoutClosed.into()),
         written => written.context("cannot write to stdout"),
     }
+}
+
+/// Refuses to write binary data to a terminal.
+///
+/// # Errors
+/// Standard output is a terminal.
+pub fn check_no_terminal() -> anyhow::Result<()> {
+    if std::io::stdout().is_terminal() {
+        bail!("binary data are not written to a terminal\n\nhint: pipe them to a program, or name a file");
+    }
+    Ok(())
 }
 
 /// Nobody reads stdout any more. The one error that ends a command without a message and with status 0.

@@ -8,6 +8,11 @@ use radome_driver::recording::{Existing, utc};
 
 use crate::files;
 
+/// Whether `-o` names stdout: `-`. A file of this name is `./-`.
+pub fn is_stdout(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
 /// Stands for the time in the name of an output.
 const TIME: &str = "{time}";
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, radome, shared};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
@@ -51,4 +51,19 @@ fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
         }
     }
     assert!(worst < 0.01, "{worst} dB");
+}
+
+/// `-o -` writes the bytes of the file to stdout, and what is said to stderr.
+#[test]
+fn an_array_on_stdout_is_the_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (input, path) = (fixture("formats/recording.mcap"), folder.path().join("maps.npy"));
+    json_lines(radome().args(["recording", "maps", "--json", "-o"]).args([&path, &input]));
+    let output = radome().args(["recording", "maps", "-o", "-"]).arg(&input).output().expect("runs");
+    assert!(output.status.success() && String::from_utf8_lossy(&output.stderr).contains("8 maps"));
+    assert!(output.stdout == std::fs::read(&path).expect("reads"));
+    let array = npyz::NpyFile::new(output.stdout.as_slice()).expect("npy");
+    assert_eq!(array.shape(), [8, 2, 2, 4]);
+    let said = failure(radome().args(["recording", "maps", "--json", "-o", "-"]).arg(&input));
+    assert!(said.contains("--json") && said.contains("stdout"), "{said}");
 }

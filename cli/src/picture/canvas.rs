@@ -189,19 +189,23 @@ impl Canvas {
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> anyhow::Result<()> {
         files::write_atomically(path, |writer| {
-            write_png(writer, &self.pixels).with_context(|| format!("cannot write {}", path.display()))
+            let rgb: Vec<u8> = self.pixels.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect();
+            let size = [self.pixels.width(), self.pixels.height()];
+            write_png(writer, size, &rgb).with_context(|| format!("cannot write {}", path.display()))
         })
     }
 }
 
-/// Writes pixels as a PNG without transparency.
-fn write_png(writer: impl Write, pixels: &Pixmap) -> Result<(), png::EncodingError> {
-    let mut encoder = png::Encoder::new(writer, pixels.width(), pixels.height());
+/// Writes colours, row by row, as a PNG without transparency.
+///
+/// # Errors
+/// The writer fails, or there are not three bytes for each pixel.
+pub(super) fn write_png(writer: impl Write, [width, height]: [u32; 2], rgb: &[u8]) -> Result<(), png::EncodingError> {
+    let mut encoder = png::Encoder::new(writer, width, height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_compression(png::Compression::Fast);
     let mut image = encoder.write_header()?;
-    let rgb: Vec<u8> = pixels.pixels().iter().flat_map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect();
-    image.write_image_data(&rgb)?;
+    image.write_image_data(rgb)?;
     image.finish()
 }
 

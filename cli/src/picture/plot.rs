@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use anyhow::Context;
 use radome_dsp::Rdm;
 
-use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
+use super::canvas::{Canvas, Ink, Letters, Line, Pixel, write_png};
 use super::palette::INK;
 
 /// Room around a plot, pixels: for numbers to the left and below, and for the names of axes.
@@ -66,8 +67,25 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     canvas.save(path)
 }
 
+/// PNG of one channel of a map without axes: a pixel a cell, range to the right, velocity upwards (receding above), colour
+/// between two levels, dB.
+///
+/// # Errors
+/// The picture cannot be encoded.
+pub fn cells(map: &Rdm, rx: usize, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
+    let (doppler, range) = (map.shape.doppler, map.shape.range);
+    let colour = |(y, x): (usize, usize)| {
+        let value = map.at(rx, doppler - 1 - y, x);
+        if value.is_finite() { viridis((value - low) / (high - low)).rgb } else { NOT_A_NUMBER.rgb }
+    };
+    let rgb: Vec<u8> = (0..doppler).flat_map(|y| (0..range).map(move |x| (y, x))).flat_map(colour).collect();
+    let mut png = Vec::new();
+    write_png(&mut png, [range as u32, doppler as u32], &rgb).context("cannot encode a picture")?;
+    Ok(png)
+}
+
 /// Levels of the first and the last colour, dB: 10 dB under the median, and the peak or 20 dB over the median.
-fn levels(map: &Rdm) -> (f32, f32) {
+pub fn levels(map: &Rdm) -> (f32, f32) {
     let mut finite: Vec<f32> = map.db.iter().copied().filter(|v| v.is_finite()).collect();
     finite.sort_by(f32::total_cmp);
     let median = finite.get(finite.len() / 2).copied().unwrap_or(-200.0);

@@ -10,7 +10,9 @@
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
 //! chirps u16 | samples u16 | 0 u16 | sequence u64 | board time ns u64 | host time ns u64 | temperature i32
-//! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes.
+//! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes. The schema of the channel
+//! says the same as text, so that a file can be read without this program; recordings of earlier versions lack it.
+//! Messages in JSON have no schema, as MCAP allows.
 //!
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
 //! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]),
@@ -59,6 +61,25 @@ const GAPS: &str = "/radome/gaps";
 const LABELS: &str = "/radome/labels";
 const RESULTS: &str = "/radome/results";
 const FRAME_HEADER: usize = 40;
+
+/// Layout of a frame, the schema of its channel: type, name and meaning of each field. The lengths of an array are
+/// fields before it.
+const FRAME_LAYOUT: &str = "\
+little-endian, without padding
+u8 version: 1
+u8 flags: 1 truth is known, 2 temperature is known
+u8 class: true class, 0 empty, 1 one person, 2 two people or more
+u8 transition: 1 if a person enters or leaves
+u16 rx: receive channels
+u16 chirps
+u16 samples: samples of a chirp
+u16 reserved: 0
+u64 sequence: frames since the acquisition started, lost ones counted too
+u64 time: first chirp since the acquisition started, ns
+u64 host_time: reception, ns since 1970, 0 if unknown
+i32 temperature: 0.001 degrees Celsius
+u16[rx][chirps][samples] codes: 0 to 4095
+";
 
 /// Header of a recording.
 #[derive(Debug, Clone, PartialEq)]

@@ -15,6 +15,9 @@ use radome_driver::recording::mcap::{append_labels, repair};
 use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
+/// The judged recording as a version wrote it whose channel of frames had no description of their layout.
+const EARLIER: &str = "judged-without-layout.mcap";
+
 fn golden(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/formats").join(name)
 }
@@ -69,7 +72,8 @@ fn todays_writers_make_the_same_bytes() {
     let folder = tempfile::tempdir().expect("folder");
     make::make(folder.path());
     let made = files(folder.path());
-    let kept: Vec<_> = files(&golden("")).into_iter().filter(|name| name != Path::new("README.md")).collect();
+    let is_made = |name: &PathBuf| name != Path::new("README.md") && name != Path::new(EARLIER);
+    let kept: Vec<_> = files(&golden("")).into_iter().filter(is_made).collect();
     assert_eq!(made, kept);
     for name in made {
         let (new, old) = (std::fs::read(folder.path().join(&name)), std::fs::read(golden("").join(&name)));
@@ -106,7 +110,62 @@ fn the_native_recording_holds_what_it_held() {
 
 #[test]
 fn the_judged_recording_holds_what_it_held() {
-    let mut reader = Recording::open(&golden("judged.mcap")).expect("opens");
+    check_judged("judged.mcap");
+    // A recording without a judge has none, the vendor's cannot have any.
+    let mut without =
+        Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
+    assert!(without.next().is_none());
+    assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
+}
+
+#[test]
+fn a_recording_of_an_earlier_version_holds_what_it_held() {
+    check_judged(EARLIER);
+}
+
+/// The layout that the schema of frames states, read as text, gives the codes and times of every frame.
+#[test]
+fn frames_can_be_read_by_the_schema_alone() {
+    let bytes = golden_bytes("recording.mcap");
+    let mut found = Vec::new();
+    for message in mcap::MessageStream::new(&bytes).expect("opens") {
+        let message = message.expect("reads");
+        if message.channel.topic != "/radome/frames" {
+            continue;
+        }
+        let schema = message.channel.schema.as_ref().expect("a schema");
+        assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("radome.frame", "radome.layout"));
+        let layout = std::str::from_utf8(&schema.data).expect("text");
+        found.push(by_layout(layout, &message.data));
+    }
+    let expected: Vec<_> = frames().into_iter().map(|f| (f.sequence, f.time_ns, f.host_time_ns, f.codes)).collect();
+    assert_eq!(found, expected);
+}
+
+/// Reads a message by the lines of a layout: sequence, time, host time and codes.
+fn by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
+    let mut fields: Vec<(&str, u64)> = Vec::new();
+    let mut codes = Vec::new();
+    for line in layout.lines().skip(1) {
+        let (kind, name) = line.split(':').next().and_then(|text| text.split_once(' ')).expect("type and name");
+        let value = |fields: &[(&str, u64)], name: &str| fields.iter().find(|(n, _)| *n == name).expect("a field").1;
+        if let Some(lengths) = kind.strip_prefix("u16[") {
+            let lengths = lengths.trim_end_matches(']').split("][").map(|name| value(&fields, name) as usize);
+            assert_eq!(rest.len(), 2 * lengths.product::<usize>());
+            codes = rest.chunks(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+            continue;
+        }
+        let bytes = kind[1..].parse::<usize>().expect("bits") / 8;
+        let (field, behind) = rest.split_at(bytes);
+        fields.push((name, field.iter().rev().fold(0u64, |sum, byte| sum << 8 | u64::from(*byte))));
+        rest = behind;
+    }
+    let value = |name: &str| fields.iter().find(|(n, _)| *n == name).expect("a field").1;
+    (value("sequence"), value("time"), value("host_time"), codes)
+}
+
+fn check_judged(name: &str) {
+    let mut reader = Recording::open(&golden(name)).expect("opens");
     assert_eq!(reader.header(), RecordingHeader { judge: Some(judge()), ..header() });
     let found: Vec<_> = reader.results().expect("results").expect("some").map(|r| r.expect("reads")).collect();
     assert_eq!(found, results());
@@ -123,11 +182,6 @@ fn the_judged_recording_holds_what_it_held() {
     assert_eq!(reader.labels().expect("labels"), labels());
     let (all, gap, error) = read(&mut reader);
     assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
-    // A recording without a judge has none, the vendor's cannot have any.
-    let mut without =
-        Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
-    assert!(without.next().is_none());
-    assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
 }
 
 /// Readers of an unfinished recording find the results of every complete chunk; so does a repair.

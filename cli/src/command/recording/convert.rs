@@ -1,14 +1,15 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter};
+use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use crate::output;
 use crate::output_file::Overwrite;
+use crate::{files, labels, output, viewers};
 
 const REPAIR_HINT: &str = "\n\nhint: radome recording repair saves what can be read of it";
+const INTERRUPTED: &str = "interrupted: nothing has been written";
 
 /// `radome recording convert`
 #[derive(clap::Args)]
@@ -35,6 +36,20 @@ enum To {
     Mcap,
     /// The SDK application's text
     Text,
+    /// Images, plots and a log for Foxglove, Rerun and PlotJuggler: an MCAP file that is not a recording
+    Viewers,
+}
+
+impl To {
+    /// Format of a recording; `None` for viewers.
+    fn format(self) -> Option<Format> {
+        match self {
+            To::Infineon => Some(Format::Infineon),
+            To::Mcap => Some(Format::Mcap),
+            To::Text => Some(Format::Text),
+            To::Viewers => None,
+        }
+    }
 }
 
 /// Writes a recording in another format. The output is whole or absent; what its format cannot hold is said on stderr.
@@ -45,13 +60,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let Arguments { input, output: path, .. } = arguments;
     let format = match arguments.to {
-        Some(To::Infineon) => Format::Infineon,
-        Some(To::Mcap) => Format::Mcap,
-        Some(To::Text) => Format::Text,
+        Some(to) => to.format(),
         None => match Format::of_output(path) {
-            Some(format) => format,
+            Some(format) => Some(format),
             None => bail!(
-                "the name {} does not say which format to write\n\nhint: --to infineon, --to mcap or --to text",
+                "the name {} does not say which format to write\n\nhint: --to infineon, --to mcap, --to text or --to viewers",
                 path.display()
             ),
         },
@@ -60,7 +73,37 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bail!("{} is input and output at once\n\nhint: choose another name", path.display());
     }
     arguments.overwrite.check(path)?;
-    let mut source = match Recording::open(input) {
+    let mut source = open(input)?;
+    let report = match format {
+        Some(format) => convert(arguments, format, &mut source),
+        None => write_for_viewers(arguments, &mut source),
+    }?;
+    for what in &report.omitted {
+        eprintln!("not held by this format: {what}");
+    }
+    if arguments.json {
+        return output::json_line(&json!({
+            "file": path.display().to_string(),
+            "frames": report.frames,
+            "gaps": report.gaps,
+            "lost": report.frames_lost,
+            "written": report.bytes,
+            "not_held": report.omitted,
+        }));
+    }
+    output::text_line(&format!(
+        "{}: {} frames, {} gaps with {} frames lost, {} bytes",
+        path.display(),
+        report.frames,
+        report.gaps,
+        report.frames_lost,
+        report.bytes
+    ))
+}
+
+/// Opens the input and tells what is known to be missing.
+fn open(input: &Path) -> anyhow::Result<Recording> {
+    let source = match Recording::open(input) {
         Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {
             bail!("{error}{REPAIR_HINT}")
         }
@@ -74,12 +117,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if matches!(source, Recording::Infineon(_)) {
         eprintln!("not carried over: the descriptions in meta.json");
     }
-    let mut writer = RecordingWriter::create_with(path, format, &source.header(), arguments.overwrite.existing())?;
+    Ok(source)
+}
+
+/// Writes a recording of another format.
+fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> anyhow::Result<WriteReport> {
+    let existing = arguments.overwrite.existing();
+    let mut writer = RecordingWriter::create_with(&arguments.output, format, &source.header(), existing)?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "converting");
     let mut frame = Frame::zeroed(source.waveform().shape());
     loop {
         if output::interrupted() {
-            bail!("interrupted: nothing has been written");
+            bail!(INTERRUPTED);
         }
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => writer.frame(&frame)?,
@@ -103,27 +152,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let report = writer.finish()?;
     bar.finish_and_clear();
-    for what in &report.omitted {
-        eprintln!("not held by this format: {what}");
-    }
-    if arguments.json {
-        return output::json_line(&json!({
-            "file": path.display().to_string(),
-            "frames": report.frames,
-            "gaps": report.gaps,
-            "lost": report.frames_lost,
-            "written": report.bytes,
-            "not_held": report.omitted,
-        }));
-    }
-    output::text_line(&format!(
-        "{}: {} frames, {} gaps with {} frames lost, {} bytes",
-        path.display(),
-        report.frames,
-        report.gaps,
-        report.frames_lost,
-        report.bytes
-    ))
+    Ok(report)
+}
+
+/// Writes the file for viewers.
+fn write_for_viewers(arguments: &Arguments, source: &mut Recording) -> anyhow::Result<WriteReport> {
+    let spans = labels::of(&arguments.input)?;
+    let bar = output::progress(source.frame_count().unwrap_or(0), "for viewers");
+    let after_event = || {
+        if output::interrupted() {
+            bail!(INTERRUPTED);
+        }
+        bar.inc(1);
+        Ok(())
+    };
+    let mut report = WriteReport::default();
+    files::write_output(&arguments.output, arguments.overwrite.existing(), |file| {
+        report = viewers::export(source, spans, file, after_event)?;
+        Ok(())
+    })?;
+    bar.finish_and_clear();
+    Ok(report)
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {

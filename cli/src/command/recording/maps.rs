@@ -1,13 +1,13 @@
-use std::io::Write;
-use std::path::PathBuf;
+use std::io::{BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, SourceEvent};
 use serde_json::json;
 
 use crate::map_preset::MapPreset;
-use crate::output_file::Overwrite;
+use crate::output_file::{Overwrite, is_stdout};
 use crate::picture::plot;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
@@ -20,7 +20,7 @@ const SIMULATED_FRAMES: u64 = 100;
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Array to write, f32 dB `[frame][rx][doppler][range]`
+    /// Array to write, f32 dB `[frame][rx][doppler][range]`, as NPY; `-` is stdout
     #[arg(short, long)]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -58,12 +58,16 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if arguments.output.is_none() && arguments.png.is_none() {
-        anyhow::bail!(
-            "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
-        );
+        bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both");
     }
-    if let Some(path) = &arguments.output {
-        arguments.overwrite.check(path)?;
+    let to_stdout = arguments.output.as_deref().is_some_and(is_stdout);
+    match &arguments.output {
+        Some(_) if to_stdout && arguments.json => {
+            bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy");
+        }
+        Some(_) if to_stdout => output::check_no_terminal()?,
+        Some(path) => arguments.overwrite.check(path)?,
+        None => {}
     }
     let mut options = arguments.source.options()?;
     options.frames.get_or_insert(SIMULATED_FRAMES);
@@ -119,17 +123,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             each_map(&mut |_| Ok(()))?;
         }
         Some(path) => {
-            let empty = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
-            files::write_output(path, arguments.overwrite.existing(), |file| {
-                files::write_growing_array(file, &empty, |file| {
-                    each_map(&mut |map| {
-                        map.db
-                            .iter()
-                            .try_for_each(|value| file.write_all(&value.to_le_bytes()))
-                            .context("cannot write the array")
-                    })
-                })
-            })?;
+            let row_shape = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
+            write_array(path, arguments.overwrite, &row_shape, &mut each_map)?;
         }
     }
     bar.finish_and_clear();
@@ -148,13 +143,41 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "non_finite_cells": non_finite,
         }));
     }
-    output::text_line(&format!(
+    let said = format!(
         "{maps} maps of {}, {:.4} m by {:.4} m/s{}",
         map.shape,
         map.range_step_m,
         map.velocity_step_m_per_s,
         if saturated > 0 { format!(", {saturated} samples at the ends of the ADC") } else { String::new() }
-    ))
+    );
+    if to_stdout {
+        eprintln!("{said}");
+        return Ok(());
+    }
+    output::text_line(&said)
+}
+
+/// Calls a function with every map; returns how many there were.
+type EachMap<'a> = dyn FnMut(&mut dyn FnMut(&Rdm) -> anyhow::Result<()>) -> anyhow::Result<u64> + 'a;
+
+/// Writes the array to a file or to stdout. Its header holds the number of maps: what goes to stdout waits in a file without a name.
+fn write_array(path: &Path, overwrite: Overwrite, row_shape: &[u64], each_map: &mut EachMap) -> anyhow::Result<()> {
+    if !is_stdout(path) {
+        return files::write_output(path, overwrite.existing(), |file| write_maps(file, row_shape, each_map));
+    }
+    let file = tempfile::tempfile().context("cannot make a file for the array")?;
+    let mut file = BufWriter::new(file);
+    write_maps(&mut file, row_shape, each_map)?;
+    file.rewind().context("cannot write the array")?;
+    output::bytes(file.get_mut())
+}
+
+fn write_maps<W: Write + Seek>(file: &mut W, row_shape: &[u64], each_map: &mut EachMap) -> anyhow::Result<()> {
+    files::write_growing_array(file, row_shape, |file| {
+        each_map(&mut |map| {
+            map.db.iter().try_for_each(|value| file.write_all(&value.to_le_bytes())).context("cannot write the array")
+        })
+    })
 }
 
 fn map_shape(map: &Rdm) -> [u64; 3] {

@@ -60,12 +60,12 @@ pub(super) fn metadata_index_body(offset: u64, length: u64, name: &str) -> Vec<u
     out
 }
 
-/// Body of a schema record without a description: it names the encoding alone.
-pub(super) fn schema_body(id: u16, name: &str) -> Vec<u8> {
+/// Body of a schema record.
+pub(super) fn schema_body(id: u16, name: &str, encoding: &str, data: &str) -> Vec<u8> {
     let mut out = id.to_le_bytes().to_vec();
     string(&mut out, name);
-    string(&mut out, "");
-    string(&mut out, "");
+    string(&mut out, encoding);
+    string(&mut out, data);
     out
 }
 

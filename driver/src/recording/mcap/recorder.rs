@@ -16,8 +16,8 @@ use super::encode::{
 };
 use super::syncer::{Failure, SyncOptions, Syncer};
 use super::{
-    FORMAT_VERSION, FRAMES, FrameResult, GAPS, LABELS, LabelSpan, METADATA_NAME, RESULTS, RecordingHeader,
-    encode_frame, staged,
+    FORMAT_VERSION, FRAME_LAYOUT, FRAMES, FrameResult, GAPS, LABELS, LabelSpan, METADATA_NAME, RESULTS,
+    RecordingHeader, encode_frame, staged,
 };
 use crate::recording::lock::Locked;
 use crate::recording::partial::Partial;
@@ -36,6 +36,8 @@ const SUMMARY_BLOCK_BYTES: usize = 1 << 16;
 
 /// Name of the encoding of frames, and of its schema.
 const FRAME_ENCODING: &str = "radome.frame";
+/// Name of the language of [`FRAME_LAYOUT`].
+const LAYOUT_ENCODING: &str = "radome.layout";
 /// Number of that schema.
 const FRAME_SCHEMA: u16 = 1;
 /// Numbers of the channels.
@@ -125,7 +127,7 @@ pub struct Recorder {
 /// The schema and the channels of a recording, opcode and body.
 fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
     let mut definitions = vec![
-        (op::SCHEMA, schema_body(FRAME_SCHEMA, FRAME_ENCODING)),
+        (op::SCHEMA, schema_body(FRAME_SCHEMA, FRAME_ENCODING, LAYOUT_ENCODING, FRAME_LAYOUT)),
         (op::CHANNEL, channel_body(FRAME_CHANNEL, FRAME_SCHEMA, FRAMES, FRAME_ENCODING)),
         (op::CHANNEL, channel_body(GAP_CHANNEL, 0, GAPS, "json")),
         (op::CHANNEL, channel_body(LABEL_CHANNEL, 0, LABELS, "json")),

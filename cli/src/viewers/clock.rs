@@ -1,0 +1,68 @@
+//! Time of the messages of an export.
+
+use radome_dsp::Frame;
+
+/// Clock of an export: the frames' own clock, set to the host's time of the first frame. It never goes backwards.
+#[derive(Debug, Default)]
+pub struct Clock {
+    /// Time at which the frames' own clock shows 0, ns since 1970.
+    origin_ns: u64,
+    newest_frame_ns: Option<u64>,
+    last_ns: u64,
+}
+
+impl Clock {
+    /// Takes note of the next frame. Where the frames' own clock has gone backwards it has started again: it is set anew.
+    pub fn follow(&mut self, frame: &Frame) {
+        if self.newest_frame_ns.is_none_or(|newest_ns| frame.time_ns < newest_ns) {
+            self.origin_ns = frame.host_time_ns.max(self.last_ns).saturating_sub(frame.time_ns);
+        }
+        self.newest_frame_ns = Some(frame.time_ns);
+    }
+
+    /// Time of a message, ns since 1970, by the time of the frames' own clock, ns; no earlier than that of the message before.
+    pub fn at(&mut self, time_ns: u64) -> u64 {
+        self.last_ns = self.last_ns.max(self.origin_ns.saturating_add(time_ns));
+        self.last_ns
+    }
+
+    /// Time of the message before, ns since 1970.
+    pub fn last_ns(&self) -> u64 {
+        self.last_ns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::FrameShape;
+
+    use super::*;
+
+    fn frame(time_ns: u64, host_time_ns: u64) -> Frame {
+        Frame { time_ns, host_time_ns, ..Frame::zeroed(FrameShape { rx: 1, chirps: 1, samples: 1 }) }
+    }
+
+    #[test]
+    fn time_goes_on_from_the_first_frame_whatever_the_clocks_do() {
+        let mut clock = Clock::default();
+        let mut at = |time_ns, host_time_ns| {
+            clock.follow(&frame(time_ns, host_time_ns));
+            clock.at(time_ns)
+        };
+        assert_eq!(at(500, 10_500), 10_500);
+        // The host's clock is set back, the frames' own clock is not.
+        assert_eq!(at(600, 3), 10_600);
+        // The board starts again.
+        assert_eq!(at(0, 20_000), 20_000);
+        assert_eq!(at(100, 20_100), 20_100);
+        assert_eq!(at(0, 0), 20_100);
+        assert_eq!(at(7, 0), 20_107);
+    }
+
+    #[test]
+    fn a_simulation_keeps_its_own_time() {
+        let mut clock = Clock::default();
+        clock.follow(&frame(0, 0));
+        assert_eq!((clock.at(0), clock.at(300), clock.at(200), clock.last_ns()), (0, 300, 300, 300));
+    }
+}

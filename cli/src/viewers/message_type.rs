@@ -1,0 +1,111 @@
+//! Types of protobuf messages, described as protobuf describes them: MCAP carries the description as a channel's schema.
+
+use prost::Message;
+use prost_types::field_descriptor_proto::{Label, Type};
+use prost_types::{
+    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto, FileDescriptorProto,
+    FileDescriptorSet,
+};
+
+const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
+
+/// Type of a field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A number, text or bytes.
+    Plain(Type),
+    /// `google.protobuf.Timestamp`.
+    Timestamp,
+    /// The enumeration that the message defines.
+    Enumeration,
+}
+
+/// Type of a message.
+#[derive(Debug)]
+pub struct MessageType {
+    /// Package of the type.
+    pub package: &'static str,
+    /// Name in its package.
+    pub name: &'static str,
+    /// Name, number and type of each field.
+    pub fields: &'static [(&'static str, i32, Kind)],
+    /// Enumeration that the message defines: its name, and its values from 0 on.
+    pub enumeration: Option<(&'static str, &'static [&'static str])>,
+}
+
+impl MessageType {
+    /// Name with the package.
+    pub fn full_name(&self) -> String {
+        format!("{}.{}", self.package, self.name)
+    }
+
+    /// Encoded `FileDescriptorSet` of the type and of all types that it uses.
+    pub fn descriptor_set(&self) -> Vec<u8> {
+        let enumeration = self.enumeration.map(|(name, values)| EnumDescriptorProto {
+            name: Some(name.to_owned()),
+            value: (0..).zip(values).map(|(number, name)| enum_value(name, number)).collect(),
+            ..EnumDescriptorProto::default()
+        });
+        let message = DescriptorProto {
+            name: Some(self.name.to_owned()),
+            field: self.fields.iter().map(|(name, number, kind)| self.field(name, *number, *kind)).collect(),
+            enum_type: enumeration.into_iter().collect(),
+            ..DescriptorProto::default()
+        };
+        let file = FileDescriptorProto {
+            name: Some(format!("{}/{}.proto", self.package, self.name)),
+            package: Some(self.package.to_owned()),
+            dependency: vec![TIMESTAMP_FILE.to_owned()],
+            message_type: vec![message],
+            syntax: Some("proto3".to_owned()),
+            ..FileDescriptorProto::default()
+        };
+        FileDescriptorSet { file: vec![timestamp_file(), file] }.encode_to_vec()
+    }
+
+    fn field(&self, name: &str, number: i32, kind: Kind) -> FieldDescriptorProto {
+        match kind {
+            Kind::Plain(plain) => field(name, number, plain, None),
+            Kind::Timestamp => field(name, number, Type::Message, Some(".google.protobuf.Timestamp".to_owned())),
+            Kind::Enumeration => {
+                let enumeration = self.enumeration.map_or("", |(name, _)| name);
+                field(name, number, Type::Enum, Some(format!(".{}.{enumeration}", self.full_name())))
+            }
+        }
+    }
+}
+
+fn field(name: &str, number: i32, field_type: Type, type_name: Option<String>) -> FieldDescriptorProto {
+    FieldDescriptorProto {
+        name: Some(name.to_owned()),
+        number: Some(number),
+        label: Some(Label::Optional as i32),
+        r#type: Some(field_type as i32),
+        type_name,
+        ..FieldDescriptorProto::default()
+    }
+}
+
+fn enum_value(name: &str, number: i32) -> EnumValueDescriptorProto {
+    EnumValueDescriptorProto {
+        name: Some(name.to_owned()),
+        number: Some(number),
+        ..EnumValueDescriptorProto::default()
+    }
+}
+
+/// Description of `google.protobuf.Timestamp`.
+fn timestamp_file() -> FileDescriptorProto {
+    let message = DescriptorProto {
+        name: Some("Timestamp".to_owned()),
+        field: vec![field("seconds", 1, Type::Int64, None), field("nanos", 2, Type::Int32, None)],
+        ..DescriptorProto::default()
+    };
+    FileDescriptorProto {
+        name: Some(TIMESTAMP_FILE.to_owned()),
+        package: Some("google.protobuf".to_owned()),
+        message_type: vec![message],
+        syntax: Some("proto3".to_owned()),
+        ..FileDescriptorProto::default()
+    }
+}
