@@ -33,38 +33,6 @@ pub fn shared(name: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-/// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
-/// and of the time within it, s.
-///
-/// # Panics
-/// If a recording cannot be read or written.
-pub fn add_signal(from: &Path, to: &Path, keep_truth: bool, signal: impl Fn(&Waveform, f64, f64) -> f64) {
-    let mut source = Recording::open(from).expect("opens");
-    let waveform = source.waveform().clone();
-    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
-    let shape = waveform.shape();
-    let mut frame = Frame::zeroed(shape);
-    loop {
-        match source.next_frame(&mut frame).expect("reads") {
-            SourceEvent::End => break,
-            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
-            SourceEvent::Frame => {
-                for (i, code) in frame.codes.iter_mut().enumerate() {
-                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
-                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
-                    let value = f64::from(*code) + signal(&waveform, time_s, sample as f64 / waveform.sample_rate_hz);
-                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
-                }
-                if !keep_truth {
-                    frame.truth = None;
-                }
-                writer.frame(&frame).expect("writes");
-            }
-        }
-    }
-    writer.finish().expect("finishes");
-}
-
 /// The built program.
 ///
 /// # Panics
@@ -103,6 +71,38 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
         .lines()
         .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}")))
         .collect()
+}
+
+/// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
+/// and of the time within it, s.
+///
+/// # Panics
+/// If a recording cannot be read or written.
+pub fn add_signal(from: &Path, to: &Path, keep_truth: bool, signal: impl Fn(&Waveform, f64, f64) -> f64) {
+    let mut source = Recording::open(from).expect("opens");
+    let waveform = source.waveform().clone();
+    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
+    let shape = waveform.shape();
+    let mut frame = Frame::zeroed(shape);
+    loop {
+        match source.next_frame(&mut frame).expect("reads") {
+            SourceEvent::End => break,
+            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
+            SourceEvent::Frame => {
+                for (i, code) in frame.codes.iter_mut().enumerate() {
+                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
+                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
+                    let value = f64::from(*code) + signal(&waveform, time_s, sample as f64 / waveform.sample_rate_hz);
+                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
+                }
+                if !keep_truth {
+                    frame.truth = None;
+                }
+                writer.frame(&frame).expect("writes");
+            }
+        }
+    }
+    writer.finish().expect("finishes");
 }
 
 /// Runs and expects failure with exit status 1; returns what was said on stderr.

@@ -139,7 +139,7 @@ pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> 
     (0..PLACES).map(at).collect()
 }
 
-/// Inputs of a level's instance of [`held_body`] beside echoes and grids.
+/// What a level's instance of [`held_body`] needs beside echoes and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; LANES]],
     cells: f64,

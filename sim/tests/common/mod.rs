@@ -1,4 +1,4 @@
-//! Helpers of several tests.
+//! What several tests need.
 #![allow(dead_code, clippy::print_stderr)]
 
 use std::f64::consts::TAU;
