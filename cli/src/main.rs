@@ -21,6 +21,7 @@ mod source;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
 /// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
@@ -51,9 +52,9 @@ fn main() -> ExitCode {
 }
 
 fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
-    let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
-    let filter = tracing_subscriber::EnvFilter::try_from_env("RADOME_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
+    let level = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG][usize::from(verbose.min(2))];
+    let given: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
+    let filter = given.unwrap_or_else(|| Targets::new().with_default(level));
     let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time().with_filter(filter);
     tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

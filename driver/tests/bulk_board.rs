@@ -1,15 +1,14 @@
 //! The bulk variant of the board, its endpoints emulated: the same frames, the same faults, the same recovery.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Pattern, start_and_stop, waveform};
 use radome_driver::{
     Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, Reconnect,
     UsbAddress,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+
+use crate::common::{Pattern, start_and_stop, waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     let faults = faults.to_vec();

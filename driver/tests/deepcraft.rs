@@ -1,10 +1,10 @@
 //! The DEEPCRAFT protocol as bytes: against bytes written by hand, against protobuf, and against a bad line.
 
-mod common;
-
 use proptest::prelude::*;
 use prost::Message;
 use radome_driver::protocol::deepcraft::*;
+
+use crate::common::captured_waveform;
 
 const LAYOUT: ChunkLayout = ChunkLayout { device: 0, stream: 0, frame_codes: 40 };
 
@@ -26,7 +26,7 @@ fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
 /// Words of the captured blob, written out by hand.
 #[test]
 fn words_are_where_the_firmware_looks_for_them() {
-    let blob = Custom::compile(&common::captured_waveform()).expect("fits").encode();
+    let blob = Custom::compile(&captured_waveform()).expect("fits").encode();
     let word = |i: usize| u32::from_le_bytes(blob[4 * i..4 * i + 4].try_into().expect("four bytes"));
     assert_eq!([word(0), word(1)], [38, 16]);
     assert_eq!(u64::from(word(3)) << 32 | u64::from(word(2)), 58_000_000_000);

@@ -1,11 +1,8 @@
 //! Frames through the whole driver: source, emulated PSoC 6 kit, pseudo-terminal, client.
 
-mod common;
-
 use std::io::{Read, Write};
 use std::time::Duration;
 
-use common::{Pattern, read_frames, waveform};
 use prost::Message;
 use radome_driver::protocol::deepcraft::{
     Answer, CapabilitiesRequest, Command, MAX_RESPONSE, MessageParser, Preset, Request, Response, device_status,
@@ -15,6 +12,8 @@ use radome_driver::{
     Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+
+use crate::common::{Pattern, read_frames, waveform};
 
 /// Patient enough for any machine.
 const POLICY: Reconnect = Reconnect {

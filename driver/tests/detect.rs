@@ -1,10 +1,9 @@
 //! Detection of the board on a serial port by listening and asking.
 
-mod common;
-
-use common::{Pattern, waveform};
 use radome_driver::{BoardError, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+
+use crate::common::{Pattern, waveform};
 
 fn board(waveform: &Waveform, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
     let options =

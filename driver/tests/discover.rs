@@ -10,7 +10,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
-mod common;
+use crate::common;
 
 /// A machine's devices, as files in a folder.
 struct Machine {

@@ -1,15 +1,14 @@
 //! Frames through the whole driver: source, emulated board, pseudo-terminal, client.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Pattern, start_and_stop, waveform};
 use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{
     BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board, Pace,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth, Waveform};
+
+use crate::common::{Pattern, start_and_stop, waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }

@@ -1,12 +1,11 @@
 //! Frames through the lines of an ESP32, sample for sample, on a pseudo-terminal.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Pattern, waveform};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, Pace, Reconnect};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+use crate::common::{Pattern, waveform};
 
 fn board(source: Pattern) -> EmulatedBoard {
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Esp32, ..EmulatorOptions::default() };

@@ -1,17 +1,16 @@
 //! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an
 //! error that says why, never with an end, and never with a wait.
 
-mod common;
-
 use std::path::Path;
 use std::time::Duration;
 
-use common::{Pattern, waveform};
 use radome_driver::{
     BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Pace,
     Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+
+use crate::common::{Pattern, waveform};
 
 const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),

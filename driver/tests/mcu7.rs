@@ -1,7 +1,5 @@
 //! The codec against the transcript of an unmodified vendor client, and against arbitrary bytes.
 
-mod common;
-
 use proptest::prelude::*;
 use radome_driver::chip::ChipConfiguration;
 use radome_driver::protocol::mcu7::*;
@@ -9,7 +7,7 @@ use radome_driver::protocol::packed12;
 
 /// Messages of `protocol4.txt`: whether the host sent it, and its bytes.
 fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
-    let text = std::fs::read_to_string(common::shared("data/wire/protocol4.txt")?).expect("transcript is text");
+    let text = std::fs::read_to_string(radome_skip::shared("data/wire/protocol4.txt")?).expect("transcript is text");
     let unhex = |hex: &str| -> Vec<u8> {
         (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex")).collect()
     };

@@ -1,13 +1,10 @@
 //! Clients as particular as the vendor's: one that misses answers which come too soon, one that reads the temperature
 //! all the time, ones that are killed in the middle of everything, and one whose board is stopped.
 
-mod common;
-
 use std::io::{ErrorKind, Read, Write};
 use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Pattern, waveform};
 use radome_driver::chip::{ChipConfiguration, address, field};
 use radome_driver::protocol::mcu7::{
     BoardEvent, BoardParser, COMPONENT_AVIAN, Command, DataFormat, Protocol, SliceLayout, SpiWord, Status,
@@ -15,6 +12,8 @@ use radome_driver::protocol::mcu7::{
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
 use radome_dsp::Waveform;
 use serialport::TTYPort;
+
+use crate::common::{Pattern, waveform};
 
 /// Far more than any machine needs: only a hang takes so long.
 const PATIENCE: Duration = Duration::from_secs(60);

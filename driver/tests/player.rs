@@ -1,13 +1,12 @@
 //! A recording played like a tape, and labels set in one that is finished.
 
-mod common;
-
 use std::path::Path;
 
-use common::{Pattern, waveform};
 use radome_driver::recording::{Recording, mcap as native};
 use radome_driver::{LabelSpan, McapReader, Player, Recorder, RecordingError, RecordingHeader, Transport};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+use crate::common::{Pattern, waveform};
 
 /// 40 frames at 10 Hz, numbers 10 to 19 missing.
 fn record(path: &Path) {

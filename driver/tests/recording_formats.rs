@@ -1,15 +1,14 @@
 //! The vendor's formats, written and read back: what they can hold comes back exactly, what they cannot is named.
 
-mod common;
-
 use std::path::Path;
 
-use common::waveform;
 use proptest::prelude::*;
 use radome_driver::recording::infineon::InfineonReader;
 use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
+
+use crate::common::waveform;
 
 /// Fifty times as many where `RADOME_LONG` is set.
 fn cases(count: u32) -> ProptestConfig {

@@ -1,29 +1,18 @@
 //! Recordings: the vendor's real one, the native format, and what happens to broken ones.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 
-use common::{Pattern, waveform};
 use radome_driver::{
     EmulatedSource, EmulatorOptions, InfineonReader, LabelSpan, McapReader, Pace, RealTime, Recorder, RecordingError,
     RecordingHeader, recording,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
 
-/// The recording of a breathing person; `None`, and a word about it, where the shared data are absent.
+use crate::common::{Pattern, waveform};
+
+/// The recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {
-    let root = std::env::var_os("RADOME_SHARED")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
-    let path = root.join("data/recordings/breathing-person-20260106");
-    if !path.exists() {
-        #[allow(clippy::print_stderr)]
-        {
-            eprintln!("skipped: {} is absent; set RADOME_SHARED to the folder that holds data/", path.display());
-        }
-        return None;
-    }
-    Some(path)
+    radome_skip::shared("data/recordings/breathing-person-20260106")
 }
 
 fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {

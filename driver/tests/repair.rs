@@ -1,14 +1,13 @@
 //! Repairs and labels added afterwards: nothing that can be read is lost, and what is lost is told.
 
-mod common;
-
 use std::path::Path;
 
-use common::{Pattern, waveform};
 use proptest::prelude::*;
 use radome_driver::recording::mcap::{RepairReport, append_labels, repair};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent};
+
+use crate::common::{Pattern, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };

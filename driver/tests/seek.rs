@@ -1,14 +1,13 @@
 //! Seeking finds what reading from the start finds.
 
-mod common;
-
 use std::path::Path;
 
-use common::{Pattern, waveform};
 use proptest::prelude::*;
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+use crate::common::{Pattern, waveform};
 
 /// Fifty times as many where `RADOME_LONG` is set.
 fn cases(count: u32) -> ProptestConfig {

@@ -1,12 +1,11 @@
 //! Boards that vanish, stall and lose their place: the stream goes on, and what was lost is counted once.
 
-mod common;
-
 use std::time::Duration;
 
-use common::{Pattern, read_frames, waveform};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace, Reconnect};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
+
+use crate::common::{Pattern, read_frames, waveform};
 
 /// Patient enough for any machine.
 const POLICY: Reconnect = Reconnect {

@@ -1,11 +1,10 @@
 //! The chip's test pattern through registers, board, link and unpacking.
 
-mod common;
-
-use common::{Pattern, waveform};
 use radome_driver::chip::test_pattern::PatternCheck;
 use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+
+use crate::common::{Pattern, waveform};
 
 /// Result of the check over a number of frames, and the last of them.
 fn check(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (PatternCheck, Frame) {

@@ -1,7 +1,5 @@
 //! The emulated board and the client against the transcripts of unmodified vendor clients.
 
-mod common;
-
 use std::io::{ErrorKind, Read, Write};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +7,6 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
-use common::shared;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
 use radome_driver::protocol::mcu7::{Command, Protocol, Request, SpiWord};
@@ -24,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 type Message = (bool, Vec<u8>);
 
 fn transcript(protocol: Protocol) -> Option<Vec<Message>> {
-    let path = shared(&format!("data/wire/protocol{}.txt", protocol.major()))?;
+    let path = radome_skip::shared(&format!("data/wire/protocol{}.txt", protocol.major()))?;
     let text = std::fs::read_to_string(path).expect("transcript is text");
     let unhex = |hex: &str| -> Vec<u8> {
         (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex")).collect()

@@ -91,4 +91,14 @@ mod tests {
             assert_eq!(level.available(), level.min(detected));
         }
     }
+
+    /// Tests of kernels leave out levels that the processor lacks; here that counts, once for all of them.
+    #[test]
+    fn levels_that_are_not_tested_count_as_skipped() {
+        for (level, name) in KernelLevel::ALL.into_iter().zip(["portable", "avx2", "avx512"]) {
+            if !level.is_available() {
+                radome_skip::skip(name, &format!("no kernel is tested at the level {level}: the processor lacks it"));
+            }
+        }
+    }
 }

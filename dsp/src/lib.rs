@@ -32,6 +32,7 @@
 //! Each imports only those above it.
 //! - Basic types, re-exported here: [`Frame`], [`Waveform`], [`FrameSource`], [`Window`], [`KernelLevel`].
 //! - [`decibel`]: conversion of power to dB.
+//! - [`spectrum`]: plans of FFTs, for all crates.
 //! - [`rdm`]: range-Doppler maps.
 //! - [`detect`]: CFAR, detections with range, speed and direction, a classical counter of people.
 //! - [`statistics`]: distributions of cells, noise floor, static and moving power over seconds.
@@ -65,7 +66,7 @@ mod waveform;
 mod window;
 
 pub mod decibel;
-mod spectrum;
+pub mod spectrum;
 
 pub mod rdm;
 

@@ -14,6 +14,7 @@ use radome_models::onnx_runtime::{OnnxError, OnnxSession};
 use radome_models::quantum::{CircuitSpec, Encoding, Execution, Noise, Shots};
 use radome_models::train::Trainer;
 use radome_models::{Classifier, Model, ModelCard, ModelError, NetworkSpec, networks, stream};
+use radome_skip::skip;
 use rand::Rng;
 
 /// Logits at which a number counts as itself rather than as one.
@@ -71,12 +72,12 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
     build(&values)
 }
 
-/// A session, or `None` with a message without onnxruntime.
+/// A session, or `None` without onnxruntime: the test is then counted as skipped.
 fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
     match OnnxSession::new(Path::new("exported.onnx"), bytes, rows, columns) {
         Ok(session) => Some(session),
         Err(error @ OnnxError::NoLibrary { .. }) => {
-            eprintln!("skipped: {error}");
+            skip("onnxruntime", &error.to_string());
             None
         }
         Err(error) => panic!("{error}"),
@@ -158,7 +159,9 @@ fn shipped_models_classify_alike_as_onnx_files() {
         assert_eq!(ModelCard::load(&file).expect("a card"), model.card);
         let mut theirs = match Classifier::load(&file) {
             Ok(classifier) => classifier,
-            Err(error @ ModelError::Onnx(OnnxError::NoLibrary { .. })) => return eprintln!("skipped: {error}"),
+            Err(error @ ModelError::Onnx(OnnxError::NoLibrary { .. })) => {
+                return skip("onnxruntime", &error.to_string());
+            }
             Err(error) => panic!("{error}"),
         };
         let mut ours = Classifier::new(model);

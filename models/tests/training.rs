@@ -1,7 +1,5 @@
 //! Training on made-up maps, saving and loading of models.
 
-mod support;
-
 use std::path::Path;
 
 use radome_dsp::{MapFlags, Occupancy, Rdm};
@@ -14,7 +12,8 @@ use radome_models::train::{Augmentation, LatentStandardisation, Superpose, Sway}
 use radome_models::{
     Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train, train_with_checkpoint,
 };
-use support::{Maps, dataset, header};
+
+use crate::support::{Maps, dataset, header};
 
 /// Small maps with strong targets: learnt in a second.
 fn easy() -> Maps {

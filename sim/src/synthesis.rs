@@ -12,7 +12,8 @@ use std::sync::Arc;
 
 use num_complex::Complex;
 use radome_dsp::KernelLevel;
-use realfft::{ComplexToReal, RealFftPlanner};
+use radome_dsp::spectrum::inverse_real_fft_f32;
+use realfft::ComplexToReal;
 
 mod chirp_grids;
 mod held;
@@ -74,8 +75,10 @@ pub struct Synthesiser {
     cells: usize,
     /// `[power][tap]`, in the fraction of a cell mapped to -1..1.
     taps: [[f32; LANES]; DEGREE],
-    /// Taps for echoes that are held in their places.
+    /// Taps of the kernel at places between cells.
     taps_by_place: Vec<[f32; LANES]>,
+    /// Taps of echoes that are held in their places.
+    held_taps: Vec<[f32; 4]>,
     /// Compensates the kernel's own transform, for samples in order.
     correction: Vec<f32>,
     /// Instructions that [`Synthesiser::spread`] uses; the processor has them.
@@ -138,7 +141,7 @@ impl Synthesiser {
         // Transform of the kernel by the midpoint rule, which converges geometrically for this smooth function.
         const POINTS: usize = 600;
         let step = WIDTH as f64 / POINTS as f64;
-        let correction = (0..samples)
+        let correction: Vec<f32> = (0..samples)
             .map(|n| {
                 let t = (n as f64 - (samples / 2) as f64) / cells as f64;
                 let transform: f64 = (0..POINTS)
@@ -150,11 +153,12 @@ impl Synthesiser {
                 (1.0 / transform) as f32
             })
             .collect();
-        let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(cells);
+        let inverse = inverse_real_fft_f32(cells);
         Synthesiser {
             samples,
             cells,
             taps_by_place: held::taps_by_place(&taps),
+            held_taps: held::fitted_taps(&correction, cells),
             taps,
             correction,
             level: KernelLevel::detect(),

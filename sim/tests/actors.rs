@@ -1,10 +1,8 @@
 //! People and rooms from files: actors walk upright, ahead and without sliding, and what is wrong with a file is said.
 
-#[path = "actors/biped.rs"]
 mod biped;
-mod common;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -15,6 +13,9 @@ use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::fault::FileFault;
 use radome_sim::geometry::import::UpAxis;
+use radome_skip::shared;
+
+use crate::common;
 
 fn options() -> ActorOptions {
     ActorOptions { height_m: Some(1.75), ..ActorOptions::default() }
@@ -30,21 +31,6 @@ fn gltf_actor() -> Steps {
 
 fn bvh_clip() -> Steps {
     Steps::Clip(Arc::new(BodyClip::parse(&biped::bvh(), UpAxis::Y, None).expect("a good file")))
-}
-
-/// Data of others; `None` with a message where they are not at hand.
-fn shared(path: &str) -> Option<PathBuf> {
-    let shared = std::env::var_os("RADOME_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = shared.join(path);
-    if !path.exists() {
-        #[allow(clippy::print_stderr)]
-        {
-            eprintln!("skipped: {} is not there; set RADOME_SHARED", path.display());
-        }
-        return None;
-    }
-    Some(path)
 }
 
 /// Straight ahead at 30 degrees to the room, at 1.2 m/s from second 0 to 5.

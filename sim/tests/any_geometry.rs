@@ -1,15 +1,9 @@
 //! Rooms of any shape over the paths that rays find: against boxes, whose images are known, and against geometry by hand.
 
-mod common;
-#[allow(dead_code)]
-#[path = "surfaces/rooms.rs"]
-mod rooms;
-
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
 
-use common::scene;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
@@ -18,7 +12,9 @@ use radome_sim::path_list::{ListedPath, PathList, PathListOptions};
 use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundings};
 use radome_sim::stage::Stage;
 use radome_sim::{Scene, SimulateOptions, Simulator};
-use rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
+
+use crate::common::{self, scene};
+use crate::surfaces::rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 

@@ -1,12 +1,12 @@
 //! Segments that an image pair cannot make heard are left out before they are traced: none that can be heard is among them.
 
-mod common;
-
 use radome_sim::actor::body::SEGMENTS;
 use radome_sim::actor::motion::Motion;
 use radome_sim::actor::program::Program;
 use radome_sim::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths};
 use radome_sim::stage::Stage;
+
+use crate::common;
 
 const FRAME_S: f64 = 0.064;
 

@@ -2,11 +2,8 @@
 //! one image and heard by the other, chirp by chirp.
 #![allow(clippy::print_stderr)]
 
-mod common;
-
 use std::f64::consts::{PI, TAU};
 
-use common::{hall, parse};
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
@@ -22,6 +19,8 @@ use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use rayon::prelude::*;
+
+use crate::common::{hall, parse};
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 const FRAME_S: f64 = 0.064;

@@ -1,13 +1,10 @@
 //! Motion and clothes of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways
 //! around furniture, and rough clothes that keep their power.
 
-mod common;
-
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use std::sync::Arc;
 
-use common::{hall, map_db, parse, scene, simulator};
 use glam::DVec3;
 use radome_dsp::Frame;
 use radome_sim::actor::body::{CHEST, PELVIS};
@@ -19,6 +16,8 @@ use radome_sim::echo::{EchoReport, Paths, Snapshot};
 use radome_sim::scene::file::{BodyFile, SceneFile};
 use radome_sim::stage::Stage;
 use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::common::{self, hall, map_db, parse, scene, simulator};
 
 const HEIGHT_M: f64 = 1.75;
 const TURN_RAD_PER_S: f64 = 1.8;

@@ -1,10 +1,7 @@
 //! Physics that frames must show: signs, levels, laws.
 
-mod common;
-
 use std::f64::consts::TAU;
 
-use common::{hall, map_db, parse, peak, simulator, statistics};
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
 use radome_sim::receiver::adc::quantise;
@@ -14,6 +11,8 @@ use radome_sim::scene::material::Material;
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
+
+use crate::common::{self, hall, map_db, parse, peak, simulator, statistics};
 
 const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 
@@ -199,7 +198,7 @@ fn drawn_noise_has_the_density_it_was_asked_for() {
     let shaper = NoiseShaper::new(&density, 64);
     let mut rng = random::generator(9, random::Purpose::Noise, [0, 0]);
     let mut scratch = NoiseScratch::default();
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(64);
+    let fft = radome_dsp::spectrum::real_fft(64);
     let mut power = vec![0.0; 33];
     let chirps = 6000;
     for _ in 0..chirps {
@@ -231,7 +230,7 @@ fn far_walls_fold_as_the_chip_folds_them() {
     let (_, cycles, _) = stage.static_paths[0].tones[0];
     assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
     let frame = simulator(&scene, 0, Some(0)).render(0);
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(256);
+    let fft = radome_dsp::spectrum::real_fft(256);
     let mut x: Vec<f64> = frame
         .chirp(0, 0)
         .iter()

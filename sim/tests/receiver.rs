@@ -1,14 +1,13 @@
 //! Effects of the receiver on echoes: phase noise, and clutter that does not stand still.
 
-mod common;
-
-use common::{hall, parse, scene, simulator};
 use radome_dsp::Frame;
 use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::random::{Purpose, generator};
 use radome_sim::receiver::phase_noise::PhaseRates;
 use radome_sim::receiver::{ClutterDrift, PhaseNoise, Receiver};
 use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::common::{hall, parse, scene, simulator};
 
 /// A board before a metal wall 2.4 m away; nothing else, and a quiet receiver that stands still.
 fn wall(clutter: &str, receiver: &str) -> Scene {

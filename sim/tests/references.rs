@@ -1,7 +1,5 @@
 //! Fields against reference values that were computed independently (mpmath, dense integration, closed forms).
 
-mod common;
-
 use std::f64::consts::{PI, TAU};
 
 use glam::{DMat3, DVec3};
@@ -10,6 +8,8 @@ use radome_sim::field::fresnel::{half_space, slab};
 use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, Wall, images, order};
 use radome_sim::field::pattern::Pattern;
+
+use crate::common;
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 

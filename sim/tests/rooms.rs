@@ -1,13 +1,13 @@
 //! Rooms from meshes, and materials of a scene's own.
 
-mod common;
-
 use std::fmt::Write as _;
 use std::path::Path;
 
 use radome_sim::Scene;
 use radome_sim::field::image::Wall;
 use radome_sim::scene::material::Material;
+
+use crate::common;
 
 type Quad = [[f64; 3]; 4];
 

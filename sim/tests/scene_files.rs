@@ -1,11 +1,10 @@
 //! Scene and receiver files: what is wrong is said with file, line and expectation.
 
-mod common;
-
 use std::path::Path;
 
-use common::hall;
 use radome_sim::{Receiver, Scene, SceneError, load_receiver};
+
+use crate::common::{self, hall};
 
 const NOBODY: &str = "[people.desk]\nmax_people = 0\n";
 

@@ -1,10 +1,10 @@
 //! Paths that are traced side by side against paths that are traced one by one.
 
-mod common;
-
 use radome_sim::actor::program::Program;
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
 use radome_sim::stage::Stage;
+
+use crate::common;
 
 const FRAME_S: f64 = 0.064;
 

@@ -1,12 +1,9 @@
 //! Slow time: what maps lose when echoes are traced at a few keys of a frame rather than at every chirp.
 #![allow(clippy::print_stderr)]
 
-mod common;
-
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use common::{hall, parse, scene, simulator};
 use num_complex::{Complex, Complex64};
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::actor::body::SEGMENTS;
@@ -17,6 +14,8 @@ use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{Tone, exact_chirp};
 use radome_sim::{Scene, Simulator};
+
+use crate::common::{hall, parse, scene, simulator};
 
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
@@ -110,7 +109,7 @@ impl Walk {
 
 /// Power of a map, `[doppler][range]`, of one receiver's samples: Hann on both axes.
 fn map(samples: &[f64]) -> Vec<f64> {
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(SAMPLES);
+    let fft = radome_dsp::spectrum::real_fft(SAMPLES);
     let hann = |i: usize, n: usize| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos();
     let profile = |chirp: &[f64]| {
         let mut x: Vec<f64> = chirp.iter().enumerate().map(|(i, v)| v * hann(i, SAMPLES)).collect();

@@ -1,7 +1,5 @@
 //! The solver's parts against reference values that were computed independently: closed forms, Mie, dense quadrature.
 
-mod common;
-
 use std::f64::consts::PI;
 
 use glam::DVec3;
@@ -15,6 +13,8 @@ use radome_sim::field::triangle;
 use radome_sim::geometry::{Mesh, Surface, Topology, shape};
 use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 use radome_sim::scene::material::SKIN_PERMITTIVITY;
+
+use crate::common;
 
 const SKIN: Boundary = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
 

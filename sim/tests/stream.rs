@@ -1,12 +1,11 @@
 //! Streams of frames: determinism, threads, keys in slow time, fixture scenes.
 
-mod common;
-
-use common::{map_db, scene, simulator, statistics};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_sim::actor::motion::{MotionBuilder, Person};
 use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::{SimulateOptions, Simulator};
+
+use crate::common::{map_db, scene, simulator, statistics};
 
 fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");

@@ -1,8 +1,6 @@
 //! Rooms from boxes, floor plans and files as plane faces with edges.
 
-mod common;
-#[path = "surfaces/rooms.rs"]
-mod rooms;
+pub mod rooms;
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -15,6 +13,8 @@ use rooms::{
     Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_files, gltf, is_flat, is_free, is_inner, is_wedge,
     obj, parse, stl, surfaces, triangles,
 };
+
+use crate::common;
 
 const MM: &str = "unit = \"mm\"\nup = \"z\"";
 const M: &str = "unit = \"m\"\nup = \"z\"";

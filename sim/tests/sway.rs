@@ -1,15 +1,14 @@
 //! Empty rooms and receivers that do not stand still within a frame: swaying reflectors, vibration, settling, spurious tones, and
 //! people who disturb static echoes.
 
-mod common;
-
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use common::{hall, map_db, parse, scene, simulator, statistics};
 use num_complex::Complex64;
 use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
+
+use crate::common::{hall, map_db, parse, scene, simulator, statistics};
 
 const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 

@@ -1,10 +1,7 @@
 //! Receivers that share a path against paths of their own.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::scene;
 use num_complex::Complex;
 use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
 use radome_sim::echo::{EchoReport, Paths, Snapshot, audible_pairs};
@@ -12,6 +9,8 @@ use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
+
+use crate::common::scene;
 
 const SAMPLES: usize = 256;
 const STRETCH_S: f64 = 0.032;

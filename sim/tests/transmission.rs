@@ -1,11 +1,8 @@
 //! Through thin walls: who stands behind plasterboard is heard as much weaker as two ways through it make.
 
-mod common;
-
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use common::{hall, parse};
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_sim::Scene;
@@ -17,6 +14,8 @@ use radome_sim::field::image::{BoxRoom, Element, Wall, images};
 use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::material::Material;
 use radome_sim::stage::Stage;
+
+use crate::common::{hall, parse};
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 const THICKNESS_M: f64 = 0.0125;

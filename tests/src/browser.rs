@@ -10,6 +10,8 @@ use serde_json::{Value, json};
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
+use crate::skip;
+
 /// Longest wait for anything: machines are slow at times.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -25,11 +27,10 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens a page; `None`, with a word on stderr, where there is no Chromium.
+    /// Opens a page; `None` where there is no Chromium: the test is then counted as skipped.
     ///
     /// # Panics
     /// If Chromium is there and does not do what it is asked for; so do all other methods.
-    #[allow(clippy::print_stderr)]
     pub fn open(url: &str, width: u32, height: u32) -> Option<Browser> {
         let program = std::env::var_os("RADOME_CHROMIUM").unwrap_or_else(|| "chromium".into());
         let profile = tempfile::tempdir().expect("a folder");
@@ -45,7 +46,7 @@ impl Browser {
             .stderr(Stdio::piped())
             .spawn();
         let Ok(mut child) = spawned else {
-            eprintln!("skipped: no chromium; tests/run installs it, RADOME_CHROMIUM names another");
+            skip("chromium", "tests/run installs it, RADOME_CHROMIUM names another");
             return None;
         };
         let mut said = BufReader::new(child.stderr.take().expect("piped")).lines();

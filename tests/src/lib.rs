@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent, Waveform};
+pub use radome_skip::{shared, skip};
 use serde_json::Value;
 
 /// Root of the source tree.
@@ -18,59 +19,6 @@ pub fn root() -> PathBuf {
 /// A file under `fixtures/`.
 pub fn fixture(name: &str) -> PathBuf {
     root().join("fixtures").join(name)
-}
-
-/// A file of the data that lies beside the project: in the folder that `RADOME_SHARED` names, or in `../shared`.
-/// `None`, with a word on stderr, where it is absent: such a test then has nothing to check.
-#[allow(clippy::print_stderr)]
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    let path = folder.join(name);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent; RADOME_SHARED names the folder that holds data/", path.display());
-        return None;
-    }
-    Some(path)
-}
-
-/// The built program.
-///
-/// # Panics
-/// If it has not been built.
-pub fn radome() -> Command {
-    let folder = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.parent()?.to_owned()));
-    let program = folder.unwrap_or_default().join("radome");
-    assert!(program.exists(), "{} is absent: run tests/run, which builds it", program.display());
-    let mut command = Command::new(program);
-    command.current_dir(root());
-    // Scenes and specs that tests write elsewhere name fixtures and shared data.
-    let shared = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
-    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), shared]) {
-        command.env("RADOME_PATH", folders);
-    }
-    command
-}
-
-/// Runs and returns the JSON lines of stdout.
-///
-/// # Panics
-/// If the program fails or prints anything but JSON lines.
-pub fn json_lines(command: &mut Command) -> Vec<Value> {
-    json_lines_of(command, &[0])
-}
-
-/// The same for a program that ends with one of these exit statuses: 3 is done although something was lost.
-///
-/// # Panics
-/// If the program ends with another or prints anything but JSON lines.
-pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
-    let output = run(command);
-    let is_expected = output.status.code().is_some_and(|status| statuses.contains(&status));
-    assert!(is_expected, "{command:?}: {}: {}", output.status, String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout)
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}")))
-        .collect()
 }
 
 /// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
@@ -105,6 +53,45 @@ pub fn add_signal(from: &Path, to: &Path, keep_truth: bool, signal: impl Fn(&Wav
     writer.finish().expect("finishes");
 }
 
+/// The built program.
+///
+/// # Panics
+/// If it has not been built.
+pub fn radome() -> Command {
+    let folder = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.parent()?.to_owned()));
+    let program = folder.unwrap_or_default().join("radome");
+    assert!(program.exists(), "{} is absent: run tests/run, which builds it", program.display());
+    let mut command = Command::new(program);
+    command.current_dir(root());
+    // Scenes and specs that tests write elsewhere name fixtures and shared data.
+    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), radome_skip::shared_folder()]) {
+        command.env("RADOME_PATH", folders);
+    }
+    command
+}
+
+/// Runs and returns the JSON lines of stdout.
+///
+/// # Panics
+/// If the program fails or prints anything but JSON lines.
+pub fn json_lines(command: &mut Command) -> Vec<Value> {
+    json_lines_of(command, &[0])
+}
+
+/// The same for a program that ends with one of these exit statuses: 3 is done although something was lost.
+///
+/// # Panics
+/// If the program ends with another or prints anything but JSON lines.
+pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
+    let output = run(command);
+    let is_expected = output.status.code().is_some_and(|status| statuses.contains(&status));
+    assert!(is_expected, "{command:?}: {}: {}", output.status, String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}")))
+        .collect()
+}
+
 /// Runs and expects failure with exit status 1; returns what was said on stderr.
 ///
 /// # Panics
@@ -126,6 +113,23 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
     let path = folder.join("one-waveform.safetensors");
     model.save(&path).expect("a model can be written");
     path
+}
+
+/// Help of a command such as `board list`, or of the program if `name` is empty.
+///
+/// # Panics
+/// If the program has no such command.
+pub fn help(name: &str) -> String {
+    let output = run(radome().args(name.split_whitespace()).arg("--help"));
+    assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("text")
+}
+
+/// Long options that a help lists.
+pub fn long_options(help: &str) -> Vec<&str> {
+    let listed = help.lines().filter(|line| line.trim_start().starts_with('-'));
+    let named = listed.filter_map(|line| line.get(line.find("--")?..));
+    named.map(|text| text.split(|c: char| !(c.is_ascii_lowercase() || c == '-')).next().unwrap_or_default()).collect()
 }
 
 fn run(command: &mut Command) -> Output {

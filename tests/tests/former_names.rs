@@ -1,6 +1,6 @@
 //! Former names of commands do what the present ones do.
 
-use radome_tests::radome;
+use radome_tests::{help, long_options, radome};
 
 /// Table of former and present names, which the program reads too.
 const TABLE: &str = include_str!("../../cli/src/command/former_names.txt");
@@ -56,20 +56,6 @@ fn table() -> Vec<(&'static str, &'static str)> {
     lines.map(|line| line.split_once(" -> ").unwrap_or_else(|| panic!("no pair: {line}"))).collect()
 }
 
-/// Help of a command, from stdout.
-fn help(name: &str) -> String {
-    let output = radome().args(name.split(' ')).arg("--help").output().expect("runs");
-    assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).expect("text")
-}
-
-/// Long options that a help lists.
-fn options(help: &str) -> Vec<&str> {
-    let listed = help.lines().filter(|line| line.trim_start().starts_with('-'));
-    let named = listed.filter_map(|line| line.get(line.find("--")?..));
-    named.map(|text| text.split(|c: char| !(c.is_ascii_lowercase() || c == '-')).next().unwrap_or_default()).collect()
-}
-
 #[test]
 fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
     let table = table();
@@ -78,7 +64,7 @@ fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
         let (by_former, by_present) = (help(former), help(present));
         assert_eq!(by_former, by_present, "{former} -> {present}");
         assert!(by_present.contains(&format!("radome {present}")), "{by_present}");
-        let taken = options(&by_present);
+        let taken = long_options(&by_present);
         let (_, before) = OPTIONS.iter().find(|(name, _)| *name == former).unwrap_or_else(|| panic!("{former}"));
         for option in before.split_whitespace() {
             assert!(taken.contains(&option), "{former} took {option}; {present} takes {taken:?}");
@@ -91,16 +77,11 @@ fn former_names_stand_in_no_help() {
     let lists = |help: String, name: &str| help.lines().any(|line| line.starts_with(&format!("  {name} ")));
     for (former, _) in table() {
         let (group, name) = former.split_once(' ').unwrap_or(("", former));
-        let help = if group.is_empty() { radome_help() } else { help(group) };
-        assert!(!lists(help, name), "{former}");
+        assert!(!lists(help(group), name), "{former}");
     }
     for group in ["demo", "live", "record", "doctor", "board", "recording", "scene", "dataset", "model", "bench"] {
-        assert!(lists(radome_help(), group), "{}", radome_help());
+        assert!(lists(help(""), group), "{}", help(""));
     }
-}
-
-fn radome_help() -> String {
-    String::from_utf8(radome().arg("--help").output().expect("runs").stdout).expect("text")
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, free_port, wait_for};
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{fixture, json_lines, radome, skip};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -22,11 +22,10 @@ struct Broker {
 }
 
 impl Broker {
-    /// On a free port; `None`, with a word on stderr, where mosquitto is not installed.
-    #[allow(clippy::print_stderr)]
+    /// On a free port; `None` where mosquitto is not installed: the test is then counted as skipped.
     fn prepare() -> Option<Self> {
-        if program("mosquitto").is_none() || program("mosquitto_sub").is_none() {
-            eprintln!("skipped: mosquitto is absent; tests/run installs mosquitto and mosquitto-clients");
+        if ["mosquitto", "mosquitto_sub", "mosquitto_pub"].into_iter().any(|name| program(name).is_none()) {
+            skip("mosquitto", "tests/run installs mosquitto and mosquitto-clients");
             return None;
         }
         let folder = tempfile::tempdir().expect("a folder");
@@ -209,7 +208,6 @@ fn openssl(folder: &Path, arguments: &str) -> bool {
 }
 
 #[test]
-#[allow(clippy::print_stderr)]
 fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_right() {
     let Some(mut broker) = Broker::prepare() else { return };
     let folder = broker.folder.path().to_owned();
@@ -224,7 +222,7 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     let hashed =
         Command::new("mosquitto_passwd").args(["-b", "-c", "logins", "radar", "secret"]).current_dir(&folder).status();
     if !is_made || !hashed.is_ok_and(|status| status.success()) {
-        eprintln!("skipped: openssl or mosquitto_passwd is absent");
+        skip("openssl", "openssl or mosquitto_passwd is absent; tests/run installs openssl and mosquitto");
         return;
     }
     // mosquitto gives up root's rights before it reads them.

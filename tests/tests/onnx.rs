@@ -1,10 +1,8 @@
 //! Models as ONNX files at work in onnxruntime, where it is installed: `tests/run` puts it under `target/`.
 
-#![allow(clippy::print_stderr)]
-
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, skip};
 use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
@@ -19,14 +17,15 @@ fn export(model: &Path, folder: &Path) -> PathBuf {
     file
 }
 
-/// Whether there is an onnxruntime, by what the program says of a file that it would need it for.
+/// Whether there is an onnxruntime, by what the program says of a file that it would need it for. Where there is none, the test is
+/// counted as skipped.
 fn is_installed(onnx: &Path) -> bool {
     let output = radome().args(["evaluate", "--model"]).arg(onnx).arg("nowhere=one").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
     let installed = !said.contains("onnxruntime");
     if !installed {
         assert!(said.contains("pip install") && said.contains("ORT_DYLIB_PATH"), "{said}");
-        eprintln!("skipped: {said}");
+        skip("onnxruntime", &said);
     }
     installed
 }

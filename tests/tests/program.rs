@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, radome};
 use serde_json::json;
 
 #[test]
@@ -14,7 +14,7 @@ fn models_lists_the_hqnn_with_its_parameters() {
 
 #[test]
 fn circuit_agrees_with_qiskit() {
-    let Some(path) = shared("data/qiskit_pqc.json") else { return };
+    let path = fixture("circuit/qiskit_pqc.json");
     let reference: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON");
     let list = |v: &serde_json::Value| {

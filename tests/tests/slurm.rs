@@ -1,15 +1,13 @@
 //! A real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed: an array builds a dataset, one of its
 //! tasks is killed and requeued, and the shards merge to the bytes of a build without it.
 
-#![allow(clippy::print_stderr)]
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::free_port;
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{fixture, json_lines, radome, skip};
 
 /// Processes that end with the test.
 struct Daemons(Vec<Child>);
@@ -115,7 +113,7 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
         .collect();
     let is_root = Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout == b"0\n");
     if !absent.is_empty() || !is_root {
-        eprintln!("SKIPPED, NO SLURM TRIED: {absent:?} absent (apt-get install slurm-wlm munge), root: {is_root}");
+        skip("slurm", &format!("{absent:?} absent (apt-get install slurm-wlm munge), root: {is_root}"));
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");

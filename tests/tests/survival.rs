@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, root};
+use radome_tests::{failure, fixture, json_lines, radome, root, skip};
 
 /// One receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
@@ -278,7 +278,6 @@ fn a_file_that_may_not_grow_ends_the_recording_and_opens() {
 
 /// A disk of two megabytes. It needs the right to mount one, in a name space of its own.
 #[test]
-#[allow(clippy::print_stderr)]
 fn a_full_disk_ends_the_recording_and_leaves_a_file_that_opens() {
     const SCRIPT: &str = "mount -t tmpfs -o size=2m tmpfs \"$1\" || exit 77; disk=$1; copy=$2; shift 2
         \"$@\"; status=$?; cp \"$disk/x.mcap\" \"$copy\"; exit $status";
@@ -291,15 +290,10 @@ fn a_full_disk_ends_the_recording_and_leaves_a_file_that_opens() {
         let mut shell = Command::new("unshare");
         shell.args(["-m", "sh", "-c", SCRIPT, "sh"]).arg(at("disk")).arg(&copy).arg(radome().get_program());
         shell.args(command).arg(at("source.mcap")).arg("-o").arg(&made).current_dir(root());
-        let output = shell.output();
-        let Some(output) = output.ok().filter(|output| output.status.code() == Some(1)) else {
-            eprintln!("skipped: a small disk cannot be mounted here");
-            return;
-        };
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        if said.contains("unshare") {
-            eprintln!("skipped: {said}");
-            return;
+        let Ok(output) = shell.output() else { return skip("mount", "unshare is absent (util-linux)") };
+        let said = String::from_utf8_lossy(&output.stderr);
+        if output.status.code() == Some(77) || said.contains("unshare") {
+            return skip("mount", &format!("a small disk cannot be mounted: {said}"));
         }
         assert_names_cause(&output, &made, "No space left on device");
         let count = readable(&copy);

@@ -5,10 +5,10 @@ use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Window};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Features, Spread, features};
-use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
@@ -159,7 +159,7 @@ fn clutter(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str
     }
     let window = Window::Hann.weights(samples);
     let gain = 2.0 / window.iter().sum::<f64>();
-    let fft = FftPlanner::new().plan_fft_forward(samples);
+    let fft = complex_fft(samples);
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut spectra, mut times_s) = (Vec::<Vec<Complex64>>::new(), Vec::new());
     loop {

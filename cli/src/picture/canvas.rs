@@ -1,9 +1,9 @@
 //! Something to draw on: lines, areas and words in pixels.
 
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
-use image::{Rgb, RgbImage};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 use tiny_skia::{
     Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, Pixmap, PremultipliedColorU8, Rect, Stroke, StrokeDash,
@@ -188,14 +188,21 @@ impl Canvas {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> anyhow::Result<()> {
-        let mut image = RgbImage::new(self.pixels.width(), self.pixels.height());
-        for (to, from) in image.pixels_mut().zip(self.pixels.pixels()) {
-            *to = Rgb([from.red(), from.green(), from.blue()]);
-        }
         files::write_atomically(path, |writer| {
-            image.write_to(writer, image::ImageFormat::Png).with_context(|| format!("cannot write {}", path.display()))
+            write_png(writer, &self.pixels).with_context(|| format!("cannot write {}", path.display()))
         })
     }
+}
+
+/// Writes pixels as a PNG without transparency.
+fn write_png(writer: impl Write, pixels: &Pixmap) -> Result<(), png::EncodingError> {
+    let mut encoder = png::Encoder::new(writer, pixels.width(), pixels.height());
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_compression(png::Compression::Fast);
+    let mut image = encoder.write_header()?;
+    let rgb: Vec<u8> = pixels.pixels().iter().flat_map(|pixel| [pixel.red(), pixel.green(), pixel.blue()]).collect();
+    image.write_image_data(&rgb)?;
+    image.finish()
 }
 
 fn lay(path: &mut PathBuilder, places: &[Pixel]) {

@@ -1,6 +1,6 @@
-//! A source of known frames, and where shared data lies. Each test binary uses a part.
+//! A source of known frames. Each test binary uses a part.
 
-#![allow(dead_code, clippy::print_stderr)]
+#![allow(dead_code)]
 
 use radome_driver::Mcu7Board;
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
@@ -58,6 +58,18 @@ impl FrameSource for Pattern {
     fn frame_count(&self) -> Option<u64> {
         Some(self.frames)
     }
+}
+
+/// A waveform with this shape; a frame every `frame_interval_s`.
+pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s: f64) -> Waveform {
+    Waveform::realise(WaveformRequest {
+        rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
+        chirps_per_frame: chirps,
+        samples_per_chirp: samples,
+        frame_interval_s,
+        ..WaveformRequest::paper()
+    })
+    .expect("valid")
 }
 
 /// Waveform of the captured sessions.
@@ -120,31 +132,4 @@ pub fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
         client = stream.stop().expect("stops");
     }
     client
-}
-
-/// A waveform with this shape; a frame every `frame_interval_s`.
-pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s: f64) -> Waveform {
-    Waveform::realise(WaveformRequest {
-        rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
-        chirps_per_frame: chirps,
-        samples_per_chirp: samples,
-        frame_interval_s,
-        ..WaveformRequest::paper()
-    })
-    .expect("valid")
-}
-
-/// A file or folder below the shared data, which `RADOME_SHARED` or `../../shared` beside the workspace names. Says so
-/// and gives `None` where it is absent: the test is then skipped.
-pub fn shared(path: &str) -> Option<std::path::PathBuf> {
-    let root = std::env::var_os("RADOME_SHARED").map_or_else(
-        || std::path::PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
-        std::path::PathBuf::from,
-    );
-    let path = root.join(path);
-    if !path.exists() {
-        eprintln!("skipped: {} is absent; set RADOME_SHARED to the folder that holds data/", path.display());
-        return None;
-    }
-    Some(path)
 }

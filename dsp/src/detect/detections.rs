@@ -10,10 +10,10 @@
 use std::sync::Arc;
 
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner};
+use rustfft::Fft;
 
 use super::angle::Baseline;
-use crate::spectrum::{RangeFft, peak_offset};
+use crate::spectrum::{RangeFft, complex_fft, peak_offset};
 use crate::{Frame, MapError, Waveform, Window};
 
 /// Points of the range FFT for each sample. Padding lets the offset of a peak from its bin be interpolated.
@@ -105,7 +105,7 @@ impl Detector {
             doppler_window: Window::Hann.weights(shape.chirps),
             spectrum: vec![Complex64::default(); range_fft.bins()],
             range_fft,
-            doppler_fft: FftPlanner::new().plan_fft_forward(shape.chirps),
+            doppler_fft: complex_fft(shape.chirps),
             bins,
             cells: vec![Complex64::default(); shape.rx * bins * shape.chirps],
             power: vec![0.0; bins * shape.chirps],

@@ -6,11 +6,11 @@
 use std::sync::Arc;
 
 use num_complex::Complex64;
-use rustfft::{Fft, FftPlanner, FftPlannerScalar};
+use rustfft::{Fft, FftPlannerScalar};
 
 use super::map::RdmShape;
 use super::plan::MapPlan;
-use crate::spectrum::RangeFft;
+use crate::spectrum::{RangeFft, complex_fft};
 use crate::{FrameShape, KernelLevel};
 
 /// Chirps that are transformed before they are scattered into the range-major matrix: two cache lines of `Complex64`.
@@ -43,7 +43,7 @@ impl FourierTransform {
         let (range_fft, doppler_fft) = if level == KernelLevel::Portable {
             (RangeFft::scalar(samples, length), FftPlannerScalar::<f64>::new().plan_fft_forward(doppler))
         } else {
-            (RangeFft::new(samples, length), FftPlanner::<f64>::new().plan_fft_forward(doppler))
+            (RangeFft::new(samples, length), complex_fft(doppler))
         };
         let bins = range_fft.bins();
         let zero = Complex64::new(0.0, 0.0);

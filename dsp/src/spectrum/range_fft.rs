@@ -3,8 +3,10 @@
 use std::sync::Arc;
 
 use num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
+use realfft::RealToComplex;
 use rustfft::{Fft, FftPlannerScalar};
+
+use super::plan::real_fft;
 
 /// Range FFT of windowed samples, padded with zeros. Owns its buffers; transforms do not allocate.
 pub(crate) struct RangeFft {
@@ -24,7 +26,7 @@ enum Transform {
 impl RangeFft {
     /// Plans an FFT of `length` points for chirps of `samples` samples. The library chooses the instructions.
     pub(crate) fn new(samples: usize, length: usize) -> Self {
-        Self::with(Transform::Real(RealFftPlanner::new().plan_fft_forward(length)), samples, length)
+        Self::with(Transform::Real(real_fft(length)), samples, length)
     }
 
     /// Plans the FFT with scalar instructions, so that different machines agree.

@@ -20,8 +20,9 @@ mod leakage;
 use std::sync::Arc;
 
 use num_complex::Complex64;
+use radome_dsp::spectrum::real_fft;
 use radome_dsp::{Frame, Waveform};
-use realfft::{RealFftPlanner, RealToComplex};
+use realfft::RealToComplex;
 use thiserror::Error;
 
 use super::{Receiver, RxChannel};
@@ -146,7 +147,7 @@ impl Calibration {
         Ok(Calibration {
             waveform: waveform.clone(),
             channels,
-            fft: RealFftPlanner::new().plan_fft_forward(shape.samples),
+            fft: real_fft(shape.samples),
             seen: 0,
             stride: frames.saturating_mul(shape.chirps - 2).div_ceil(MOST_PERIODOGRAMS).max(1),
             chirp_stride: frames.div_ceil(MOST_CHIRPS).max(1),

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use num_complex::Complex;
 use radome_dsp::Waveform;
+use radome_dsp::spectrum::inverse_real_fft_f32;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use realfft::{ComplexToReal, RealFftPlanner};
+use realfft::ComplexToReal;
 
 use super::budget::{Filters, thermal_lsb2};
 use super::{Receiver, RxChannel};
@@ -82,7 +83,7 @@ impl std::fmt::Debug for NoiseShaper {
 impl NoiseShaper {
     /// For a density as [`density_lsb2`] gives it; what rounding will add is left out.
     pub fn new(density_lsb2: &[f64], samples: usize) -> Self {
-        let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(samples);
+        let inverse = inverse_real_fft_f32(samples);
         let bins = samples / 2 + 1;
         let amplitude = (0..bins)
             .map(|bin| {

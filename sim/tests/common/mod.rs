@@ -1,8 +1,8 @@
-//! What several tests need.
-#![allow(dead_code, clippy::print_stderr)]
+//! Helpers of several tests.
+#![allow(dead_code)]
 
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use num_complex::Complex64;
 use radome_dsp::Frame;
@@ -19,18 +19,10 @@ pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
     Simulator::new(scene, SimulateOptions { seed, people, ..SimulateOptions::default() }).expect("valid options")
 }
 
-/// Reference values computed elsewhere (mpmath, scipy); `None` with a message where they are not at hand.
+/// Reference values computed elsewhere (mpmath, scipy); `None` where the shared data are absent.
 pub fn reference() -> Option<serde_json::Value> {
-    let shared = std::env::var_os("RADOME_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = shared.join("data/sbr_reference.json");
-    match std::fs::read_to_string(&path) {
-        Ok(text) => Some(serde_json::from_str(&text).expect("reference values are JSON")),
-        Err(error) => {
-            eprintln!("skipped: {} cannot be read ({error}); set RADOME_SHARED", path.display());
-            None
-        }
-    }
+    let text = std::fs::read_to_string(radome_skip::shared("data/sbr_reference.json")?).expect("readable");
+    Some(serde_json::from_str(&text).expect("reference values are JSON"))
 }
 
 /// An empty 20 m hall without walls, radar in a corner region looking along +x, paper waveform, flat quiet receiver.
@@ -96,7 +88,7 @@ fn hann(i: usize, n: usize) -> f64 {
 /// `[doppler][range]` in dB, zero Doppler in the middle, receding above it.
 pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     let (m, n) = (frame.shape.chirps, frame.shape.samples);
-    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let fft = radome_dsp::spectrum::real_fft(n);
     let profiles: Vec<Vec<Complex64>> = (0..m)
         .map(|chirp| {
             let codes = frame.chirp(rx, chirp).iter().enumerate();

@@ -231,7 +231,7 @@ fn a_simulated_partner_stands_beside_its_recording() {
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
 }
 
-/// Pictures for the README.
+/// Pictures for the README and `docs/page.md`.
 #[test]
 #[ignore = "makes files: RADOME_PICTURES=docs cargo test --release --workspace --test page -- --ignored pictures"]
 fn pictures() {

@@ -5,10 +5,11 @@ use std::process::Command;
 use std::sync::Arc;
 
 use radome_dsp::rdm::reference;
+use radome_dsp::spectrum::{complex_fft_f32, real_fft_f32};
 use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest, Window, decibel};
-use realfft::{RealFftPlanner, RealToComplex};
+use realfft::RealToComplex;
+use rustfft::Fft;
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
 
 use super::point::{Point, least_ms};
 use crate::output;
@@ -127,8 +128,8 @@ impl LibraryChain {
         let (range_window, doppler_window) = (Window::Hann.weights(shape.samples), Window::Hann.weights(shape.chirps));
         let gain = 2.0 / (range_window.iter().sum::<f64>() * doppler_window.iter().sum::<f64>()) / 2048.0;
         let window = doppler_window.iter().flat_map(|d| range_window.iter().map(move |r| (gain * d * r) as f32));
-        let range = RealFftPlanner::new().plan_fft_forward(shape.samples);
-        let doppler = FftPlanner::new().plan_fft_forward(shape.chirps);
+        let range = real_fft_f32(shape.samples);
+        let doppler = complex_fft_f32(shape.chirps);
         LibraryChain {
             window: window.collect(),
             samples: range.make_input_vec(),

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::bail;
+use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{FrameShape, Window};
 
 use radome_sim::receiver::noise::density_lsb2;
 use radome_sim::scene::file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
-use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
@@ -150,8 +150,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
     let (chirps, length) = (shape.chirps, shape.samples);
     let (fast, slow) = (Window::Hann.weights(length), Window::Hann.weights(chirps));
-    let mut planner = FftPlanner::new();
-    let (over_samples, over_chirps) = (planner.plan_fft_forward(length), planner.plan_fft_forward(chirps));
+    let (over_samples, over_chirps) = (complex_fft(length), complex_fft(chirps));
     let mut cells = Vec::with_capacity(samples.len() / 2);
     for channel in samples.chunks(chirps * length) {
         let mut rows: Vec<Complex64> =

@@ -1,0 +1,21 @@
+//! Boards, protocols and recordings from outside: one program, so that it is linked once.
+
+mod bulk_board;
+mod common;
+mod deepcraft;
+mod deepcraft_board;
+mod detect;
+mod discover;
+mod emulated_board;
+mod line_board;
+mod lost_for_good;
+mod mcu7;
+mod particular_clients;
+mod player;
+mod recording_formats;
+mod recordings;
+mod repair;
+mod seek;
+mod staying_alive;
+mod test_pattern;
+mod transcripts;

@@ -1,0 +1,7 @@
+//! Models from outside: one program, so that it is linked once.
+
+mod filter_on_ladder;
+mod hostile_files;
+mod onnx;
+mod support;
+mod training;

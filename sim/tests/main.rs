@@ -1,0 +1,23 @@
+//! The simulator from outside: one program, so that it is linked once.
+
+mod actors;
+mod any_geometry;
+mod audible;
+mod chains;
+mod common;
+mod hard_cases;
+mod people;
+mod physics;
+mod receiver;
+mod references;
+mod rooms;
+mod scene_files;
+mod side_by_side;
+mod skins;
+mod slow_time;
+mod solver;
+mod stream;
+mod surfaces;
+mod sway;
+mod tracks;
+mod transmission;

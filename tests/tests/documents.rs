@@ -1,0 +1,303 @@
+//! Documentation against the tree and the program: links, paths, commands and their options.
+//!
+//! Fenced blocks marked `sh` are run. Those marked `console` need a board, a network or more than seconds: their commands and
+//! options are compared with the help, as are those in the text.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use radome_tests::{help, long_options, radome, root};
+
+/// Folders whose files pages name by their path from the root.
+const FOLDERS: [&str; 10] = ["cli", "docs", "driver", "dsp", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
+/// Parts of paths that stand for any name.
+const PLACEHOLDERS: [&str; 2] = ["GROUP", "NAME"];
+/// Commands that have commands of their own.
+const GROUPS: [&str; 6] = ["bench", "board", "dataset", "model", "recording", "scene"];
+/// Page that leads from nothing to a model.
+const FIRST_STEPS: &str = "docs/label-and-adapt.md";
+/// Other pages with commands that are run.
+const RUN: [&str; 6] =
+    ["docs/board.md", "docs/datasets.md", "docs/live.md", "docs/recordings.md", "docs/simulate.md", "docs/train.md"];
+
+/// Markdown file of the tree.
+struct Page {
+    /// Path from the root.
+    path: String,
+    /// Text outside of fenced blocks.
+    prose: String,
+    /// Fenced blocks: language and content.
+    blocks: Vec<(String, String)>,
+}
+
+impl Page {
+    fn parse(path: String, text: &str) -> Self {
+        let mut page = Page { path, prose: String::new(), blocks: Vec::new() };
+        let mut open: Option<(String, String)> = None;
+        for line in text.lines() {
+            match (line.strip_prefix("```"), open.take()) {
+                (Some(_), Some(block)) => page.blocks.push(block),
+                (Some(language), None) => open = Some((language.trim().to_owned(), String::new())),
+                (None, Some((language, content))) => open = Some((language, content + line + "\n")),
+                (None, None) => {
+                    page.prose.push_str(line);
+                    page.prose.push('\n');
+                }
+            }
+        }
+        assert!(open.is_none(), "{}: a block has no end", page.path);
+        assert!(page.prose.matches('`').count() % 2 == 0, "{}: a code span has no end", page.path);
+        page
+    }
+
+    fn folder(&self) -> &Path {
+        Path::new(&self.path).parent().unwrap_or(Path::new(""))
+    }
+
+    /// Code within the text, each span on one line.
+    fn spans(&self) -> Vec<String> {
+        let spans = self.prose.split('`').skip(1).step_by(2);
+        spans.map(|span| span.split_whitespace().collect::<Vec<_>>().join(" ")).collect()
+    }
+
+    /// Targets of links and pictures within the tree.
+    fn links(&self) -> Vec<&str> {
+        let targets = |opening: &'static str, closing: char| {
+            let rests = self.prose.split(opening).skip(1);
+            rests.filter_map(move |rest| rest.split_once(closing)).map(|(target, _)| target)
+        };
+        let all = targets("](", ')').chain(targets("src=\"", '"'));
+        all.filter(|target| !target.contains("://")).collect()
+    }
+
+    /// Commands of the program, in text and blocks: the words after its name.
+    fn commands(&self) -> Vec<Vec<String>> {
+        let mut lines = self.spans();
+        for (language, content) in &self.blocks {
+            let of_block: Vec<String> = content.replace("\\\n", " ").lines().map(str::to_owned).collect();
+            let is_command = language == "sh" || language == "console";
+            let is_stray = |line: &String| !is_command && command(line).is_some();
+            assert!(!of_block.iter().any(is_stray), "{}: mark this block sh or console:\n{content}", self.path);
+            lines.extend(of_block);
+        }
+        lines.iter().filter_map(|line| command(line)).collect()
+    }
+
+    /// Content of the blocks that are run.
+    fn script(&self) -> String {
+        self.blocks.iter().filter(|(language, _)| language == "sh").map(|(_, content)| content.as_str()).collect()
+    }
+}
+
+/// Words of a command line after the name of the program; `None` for other lines.
+fn command(line: &str) -> Option<Vec<String>> {
+    let line = line.trim();
+    let line = line.strip_prefix("$ ").unwrap_or(line);
+    let starts = ["radome ", "$radome ", "cargo run --release -- "];
+    let rest = starts.iter().find_map(|start| line.strip_prefix(start))?;
+    let words = rest.split_whitespace().take_while(|word| !["&&", "|", ">", "#"].contains(word));
+    Some(words.map(|word| word.trim_end_matches(';').to_owned()).collect())
+}
+
+/// Anchors of the headings of a page, as GitHub makes them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let anchor = |heading: &str| -> String {
+        let heading = heading.trim_start_matches('#').trim().to_lowercase();
+        let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
+        kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+    };
+    text.lines().filter(|line| line.starts_with('#')).map(anchor).collect()
+}
+
+fn find_pages(folder: &str, pages: &mut Vec<Page>) {
+    for entry in fs::read_dir(root().join(folder)).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let path = if folder.is_empty() { name.clone() } else { format!("{folder}/{name}") };
+        if entry.file_type().expect("a kind").is_dir() {
+            // Hidden folders and those in .gitignore are not part of the tree.
+            if !name.starts_with('.') && !["target", "out", "corpus", "artifacts", "log"].contains(&name.as_str()) {
+                find_pages(&path, pages);
+            }
+        } else if name.ends_with(".md") {
+            let text = fs::read_to_string(entry.path()).expect("a page");
+            pages.push(Page::parse(path, &text));
+        }
+    }
+}
+
+/// All pages of the tree, by path.
+fn pages() -> Vec<Page> {
+    let mut pages = Vec::new();
+    find_pages("", &mut pages);
+    pages.sort_by(|a, b| a.path.cmp(&b.path));
+    assert!(pages.iter().any(|page| page.path == FIRST_STEPS) && pages.iter().any(|page| page.path == "README.md"));
+    pages
+}
+
+fn page(path: &str) -> Page {
+    pages().into_iter().find(|page| page.path == path).unwrap_or_else(|| panic!("no {path}"))
+}
+
+/// Commands that a help lists.
+fn subcommands(help: &str) -> Vec<&str> {
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let named = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    named.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
+}
+
+/// Runs the blocks of a page that are marked `sh`, in the source tree, with `out/` moved to a folder. Returns stdout.
+fn run_blocks(page: &Page, folder: &Path) -> String {
+    let program = PathBuf::from(radome().get_program());
+    let commands = page
+        .script()
+        .replace("out/", &format!("{}/", folder.display()))
+        .replace("radome=target/release/radome", &format!("radome={}", program.display()));
+    let mut paths = vec![program.parent().expect("a folder").to_owned()];
+    paths.extend(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()));
+    let output = Command::new("sh")
+        .arg("-euc")
+        .arg(&commands)
+        .current_dir(root())
+        .env("PATH", std::env::join_paths(paths).expect("folders"))
+        .output()
+        .expect("a shell that can be run");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let path = &page.path;
+    assert!(output.status.success(), "{path}:\n{commands}\n{said}\n{}", String::from_utf8_lossy(&output.stderr));
+    said
+}
+
+#[test]
+fn links_lead_to_files_and_headings() {
+    let (mut count, mut wrong) = (0, Vec::new());
+    for page in pages() {
+        for link in page.links() {
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = if file.is_empty() { root().join(&page.path) } else { root().join(page.folder()).join(file) };
+            let has_anchor =
+                anchor.is_empty() || fs::read_to_string(&target).is_ok_and(|text| anchors(&text).contains(anchor));
+            if !target.exists() || !has_anchor {
+                wrong.push(format!("{}: {link}", page.path));
+            }
+            count += 1;
+        }
+    }
+    assert!(wrong.is_empty(), "links to no file or heading:\n{}", wrong.join("\n"));
+    assert!(count > 40, "{count} links found");
+}
+
+#[test]
+fn the_readme_links_every_page_of_docs() {
+    let readme = page("README.md");
+    let linked: BTreeSet<&str> = readme.links().into_iter().collect();
+    for page in pages().iter().filter(|page| page.folder() == Path::new("docs")) {
+        assert!(linked.contains(page.path.as_str()), "README.md does not link {}", page.path);
+    }
+}
+
+/// Paths are written from the root, or from the folder of the page.
+#[test]
+fn paths_in_the_text_exist() {
+    let (mut count, mut wrong) = (0, Vec::new());
+    for page in pages() {
+        for span in page.spans() {
+            let (folder, _) = span.split_once('/').unwrap_or_default();
+            let is_plain = span.chars().all(|c| c.is_ascii_alphanumeric() || "./_-".contains(c));
+            let is_placeholder = PLACEHOLDERS.iter().any(|placeholder| span.contains(placeholder));
+            if !FOLDERS.contains(&folder) || !is_plain || is_placeholder {
+                continue;
+            }
+            if !root().join(&span).exists() && !root().join(page.folder()).join(&span).exists() {
+                wrong.push(format!("{}: {span}", page.path));
+            }
+            count += 1;
+        }
+    }
+    assert!(wrong.is_empty(), "paths that do not exist:\n{}", wrong.join("\n"));
+    assert!(count > 100, "{count} paths found");
+}
+
+/// Former names of commands are refused here: help shows the present ones.
+#[test]
+fn commands_and_options_are_those_of_the_program() {
+    let is_name = |word: &str| word.chars().all(|c| c.is_ascii_lowercase());
+    let mut helps: BTreeMap<String, String> = BTreeMap::new();
+    for page in pages() {
+        for words in page.commands() {
+            let Some(first) = words.first().filter(|word| is_name(word)) else { continue };
+            let second = words.get(1).filter(|word| GROUPS.contains(&first.as_str()) && is_name(word));
+            let name = second.map_or_else(|| first.clone(), |second| format!("{first} {second}"));
+            let help = helps.entry(name.clone()).or_insert_with(|| help(&name));
+            assert!(help.contains(&format!("radome {name}")), "{}: {name} is a former name", page.path);
+            let known = long_options(help);
+            for option in words.iter().filter(|word| word.starts_with("--")) {
+                let option = option.split('=').next().unwrap_or_default();
+                assert!(known.contains(&option), "{}: {name} has no {option}: {known:?}", page.path);
+            }
+        }
+    }
+    assert!(helps.len() > 25, "{:?}", helps.keys());
+}
+
+#[test]
+fn the_table_of_commands_is_that_of_the_program() {
+    let listed: BTreeSet<String> = page("docs/commands.md")
+        .prose
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `")?.split(" | ").next())
+        .flat_map(|cell| cell.split('`').step_by(2))
+        .filter(|name| !name.is_empty())
+        .map(str::to_owned)
+        .collect();
+    let mut known = BTreeSet::from(["bench".to_owned()]);
+    for command in subcommands(&help("")) {
+        let below = if GROUPS.contains(&command) { help(command) } else { String::new() };
+        match subcommands(&below).as_slice() {
+            [] => known.extend([command.to_owned()]),
+            names => known.extend(names.iter().map(|name| format!("{command} {name}"))),
+        }
+    }
+    assert_eq!(listed, known);
+}
+
+#[test]
+fn the_first_steps_lead_to_a_labelled_recording_and_a_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let page = page(FIRST_STEPS);
+    assert!(page.script().contains("# From nothing to a model"), "{}", page.script());
+    let said = run_blocks(&page, folder.path());
+    assert!(folder.path().join("first/model.safetensors").exists());
+    // What `evaluate` and `live` say last.
+    assert!(said.contains("balanced accuracy") && said.contains("latency"), "{said}");
+}
+
+#[test]
+fn the_commands_of_all_other_pages_succeed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let with_scripts: Vec<Page> = pages().into_iter().filter(|page| !page.script().is_empty()).collect();
+    let run: Vec<&Page> = with_scripts.iter().filter(|page| page.path != FIRST_STEPS).collect();
+    assert_eq!(run.iter().map(|page| page.path.as_str()).collect::<Vec<_>>(), RUN);
+    for page in run {
+        run_blocks(page, folder.path());
+    }
+    for made in
+        ["live/night.csv", "recordings/map.png", "simulate/bedroom.png", "datasets/array.sh", "train/paper-hqnn.onnx"]
+    {
+        assert!(folder.path().join(made).exists(), "{made}");
+    }
+}
+
+/// The reader of pages itself.
+#[test]
+fn blocks_spans_links_and_commands_are_found() {
+    let text = "# A *page*, of two parts\n`radome live\nSOURCE --json` and [a link](x.md#y), <img src=\"p.png\">\n\
+                ```console\n$ radome board list \\\n  --watch && ls\n```\n";
+    let page = Page::parse("docs/page.md".to_owned(), text);
+    assert_eq!(page.links(), ["x.md#y", "p.png"]);
+    assert_eq!(page.commands(), [vec!["live", "SOURCE", "--json"], vec!["board", "list", "--watch"]]);
+    assert_eq!(anchors(text), BTreeSet::from(["a-page-of-two-parts".to_owned()]));
+    assert_eq!((page.folder(), page.script()), (Path::new("docs"), String::new()));
+}
