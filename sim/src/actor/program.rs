@@ -88,9 +88,9 @@ impl Program {
     }
 }
 
-/// Obstacles, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
+/// What stands in people's way, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
 pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
-    /// Heights between which things are obstacles, m.
+    /// What hangs above this, and what is lower than that, is in nobody's way, m.
     const OVERHEAD_M: f64 = 1.9;
     const CARPET_M: f64 = 0.05;
     let in_the_way = file.furniture.iter().filter(|f| {
@@ -105,7 +105,7 @@ pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
     in_the_way.map(block).chain(of_plan).collect()
 }
 
-/// Ground on which people may walk; `None` where they walk straight.
+/// Where people may walk; `None` where they walk straight.
 fn ground(file: &SceneFile) -> Option<Ground> {
     let [width, depth, _] = file.room.size_m;
     file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], blocks(file), keep_off_m))

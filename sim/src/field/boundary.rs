@@ -1,4 +1,4 @@
-//! Reflection and transmission by a surface.
+//! What a surface does to the field that meets it.
 
 use glam::DVec3;
 use num_complex::Complex64;

@@ -23,11 +23,11 @@ use crate::geometry::{Surface, polygon};
 pub struct Face {
     /// Convex polygon, counter-clockwise seen from its front.
     pub corners: Vec<DVec3>,
-    /// Material.
+    /// What it is made of.
     pub boundary: Boundary,
 }
 
-/// Contribution of one sequence of faces.
+/// What one sequence of faces contributes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contribution {
     /// Faces in the order in which the wave meets them.
@@ -61,7 +61,10 @@ fn follow(faces: &[Face], link: &Link, accuracy: Accuracy, left: usize, beam: &B
         if beam.faces.last() == Some(&i) || beam.source.side(corner, normal) <= 0.0 {
             continue;
         }
-        let lit = beam.windows.iter().fold(face.corners.clone(), |lit, window| beam.source.seen_through(&lit, window));
+        let lit = beam
+            .windows
+            .iter()
+            .fold(face.corners.clone(), |lit, window| polygon::through_window(lit, window, &beam.source));
         if lit.len() < 3 {
             continue;
         }

@@ -37,7 +37,7 @@ const LEAST_COSINE: f64 = 0.1;
 /// A highlight on a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeshHighlight {
-    /// Place, m.
+    /// Where it is, m.
     pub point: DVec3,
     /// Unit normal there.
     pub normal: DVec3,
@@ -45,7 +45,7 @@ pub struct MeshHighlight {
     pub length_m: f64,
     /// Principal values of the Hessian of half the path, 1/m, the larger magnitude first.
     pub hessian_per_m: [f64; 2],
-    /// Estimate of the error of stationary phase here, dB; infinite where it does not hold.
+    /// What stationary phase leaves out here, dB; infinite where it does not hold.
     pub estimate_db: f64,
     /// The triangle that holds it.
     pub triangle: u32,
@@ -397,7 +397,7 @@ fn judge(t: u32, [a, b, c]: [&Corner; 3], found: &mut Vec<Candidate>) {
     found.push(Candidate { triangle: t, corners: [*a, *b, *c], weights, index });
 }
 
-/// Stationary point of a fit.
+/// Where a fit is stationary.
 #[derive(Clone, Copy)]
 struct Stationary {
     offset: DVec2,

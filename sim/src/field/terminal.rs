@@ -1,11 +1,9 @@
-//! Endpoint of a wave: an antenna in the near field, or a direction in the far field.
+//! Where a wave comes from or goes to: an antenna in the near field, or a direction in the far field.
 //!
 //! Far terminals measure path lengths against the origin and leave spreading out, so that a near-field integral times
 //! `R_t R_r` tends to the far-field one.
 
 use glam::DVec3;
-
-use crate::geometry::polygon;
 
 /// One end of a scattered path.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,40 +59,5 @@ impl Terminal {
             Terminal::Near(antenna) => normal.dot(antenna - on_plane),
             Terminal::Far(towards) => normal.dot(towards),
         }
-    }
-
-    /// The part of a convex polygon that the terminal sees through a convex window, behind it.
-    pub fn seen_through(&self, corners: &[DVec3], window: &[DVec3]) -> Vec<DVec3> {
-        let normal = polygon::normal(window);
-        let middle = polygon::centroid(window);
-        let away = if self.side(middle, normal) > 0.0 { -normal } else { normal };
-        let mut left = polygon::clipped(corners, middle, away);
-        for (i, &a) in window.iter().enumerate() {
-            let b = window[(i + 1) % window.len()];
-            let side = (b - a).cross(self.leg(a).towards);
-            let inwards = if side.dot(middle - a) < 0.0 { -side } else { side };
-            left = polygon::clipped(&left, a, inwards);
-        }
-        left
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const SQUARE: [DVec3; 4] = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
-
-    /// A pinhole camera's window halves what lies twice as far behind it, a far one keeps its size.
-    #[test]
-    fn windows_throw_shadows_of_the_right_size() {
-        let window = [0.4, 0.6, 0.6, 0.4].iter().zip([0.4, 0.4, 0.6, 0.6]).map(|(x, y)| DVec3::new(*x, y, 1.0));
-        let window: Vec<DVec3> = window.collect();
-        let near = Terminal::Near(DVec3::new(0.5, 0.5, 2.0)).seen_through(&SQUARE, &window);
-        assert!((polygon::area_m2(&near) - 0.16).abs() < 1e-12, "{near:?}");
-        let far = Terminal::Far(DVec3::Z).seen_through(&SQUARE, &window);
-        assert!((polygon::area_m2(&far) - 0.04).abs() < 1e-12);
-        // What lies before the window is not seen through it.
-        assert!(Terminal::Far(-DVec3::Z).seen_through(&SQUARE, &window).is_empty());
     }
 }

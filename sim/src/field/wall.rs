@@ -12,7 +12,7 @@ use num_complex::Complex64;
 
 use super::fresnel::{self, Reflection};
 
-/// Material of a wall.
+/// What a wall is made of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wall {
     /// Lossy dielectric slab.

@@ -1,9 +1,10 @@
-//! Normals at the vertices of meshes that are as smooth as what they stand for.
+//! Vertex normals of meshes.
 
 use glam::DVec3;
 
-/// Unit normals at the vertices of triangles, from the triangles around each; zero for a vertex without a triangle. Weights are Max's,
-/// which are exact on a sphere ("Weights for computing vertex normals from facet normals", J. Graphics Tools 4(2), 1999).
+/// Unit normals at the vertices of triangles, from those around each: enough where a mesh is as smooth as what it stands for.
+/// Weights are Max's, which are exact on a sphere ("Weights for computing vertex normals from facet normals", J. Graphics Tools
+/// 4(2), 1999).
 pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
     for &corners in triangles {
@@ -30,8 +31,10 @@ mod tests {
 
     #[test]
     fn a_sphere_s_normals_are_its_radii() {
-        let mesh = isosurface(DVec3::splat(-0.19), DVec3::splat(0.19), 0.015, |p| p.length() - 0.15);
+        let (radius_m, reach) = (0.15, DVec3::splat(0.19));
+        let mesh = isosurface(-reach, reach, 0.015, |p| p.length() - radius_m);
         let normals = one_ring_normals(&mesh.vertices, &mesh.triangles);
+        assert_eq!(normals.len(), mesh.vertices.len());
         let angle = |(v, n): (&DVec3, &DVec3)| v.cross(*n).length().atan2(v.dot(*n));
         let worst_rad = mesh.vertices.iter().zip(&normals).map(angle).fold(0.0, f64::max);
         assert!(worst_rad < 0.003, "{worst_rad} rad");

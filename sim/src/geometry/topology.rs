@@ -1,4 +1,4 @@
-//! Neighbours of a surface's vertices, and its smooth patches.
+//! Which vertices of a surface are neighbours, and into which smooth patches it falls.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ pub struct Patch {
 /// Neighbourhood of a surface's vertices.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Topology {
-    /// Index at which each vertex' neighbours begin.
+    /// Where each vertex' neighbours begin.
     first: Vec<u32>,
     neighbours: Vec<u32>,
     /// The smooth parts.

@@ -68,7 +68,7 @@ struct Kept {
     is_whole: bool,
 }
 
-/// Share of a field that a sequence of facets leaves.
+/// What is left of a field by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
     sequence: &'a [FacetId],
@@ -435,7 +435,7 @@ impl ImagePaths {
     }
 }
 
-/// Screen that the facets at an edge form for a way.
+/// What the facets at an edge are to a way.
 struct Screen {
     /// Factors of the edge's part of the field behind them and beside them.
     behind: Complex64,

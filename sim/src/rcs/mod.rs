@@ -138,7 +138,7 @@ pub struct Setup {
     pub elevation_rad: f64,
     /// Direction of the field.
     pub polarisation: Polarisation,
-    /// Material of the target.
+    /// What the target is made of.
     pub boundary: Boundary,
 }
 

@@ -21,7 +21,7 @@ const MOST_TRIANGLES: f64 = 4e6;
 const STRAIGHT_RAD: f64 = 1e-9;
 /// Bounces between plane faces, at most.
 const MOST_BOUNCES: usize = 3;
-/// Distance that is far, in sizes of an exact shape.
+/// Where far is, in sizes of an exact shape.
 const FAR: f64 = 1e7;
 /// Most times that facets are halved for the sake of a tolerance.
 const ROUNDS: usize = 7;

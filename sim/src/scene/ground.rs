@@ -1,4 +1,4 @@
-//! Obstacles of a floor plan: all that lies outside of its walls, and its partitions but for their doorways.
+//! What of a floor plan is in people's way: all that lies outside of its walls, and its partitions but for their doorways.
 
 use glam::DVec2;
 
@@ -17,7 +17,7 @@ const OPEN_DEG: f64 = 45.0;
 /// Lines nearer to each other than this are one, m.
 const SAME_M: f64 = 1e-6;
 
-/// Obstacles of a plan. Door leaves are not among them.
+/// What of a plan people walk around. Door leaves are not among it.
 pub(crate) fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
     let corners: Vec<DVec2> = plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect();
     let mut boxes = outside(&corners);

@@ -10,7 +10,7 @@ use obvhs::triangle::Triangle;
 use obvhs::{BvhBuildParams, splits};
 use thiserror::Error;
 
-use super::bundle::Bundle;
+use super::packet::Bundle;
 use super::probe::{NONE, Probe};
 use super::ray::Crossings;
 use super::triangle::{Corners, Meeting};

@@ -1,4 +1,4 @@
-//! Distance of a straight way from a body's shadow edge: a knife-edge weight is a function of it.
+//! How near a straight way comes to a body's shadow edge: what a knife-edge weight is a function of.
 //!
 //! Whether something is in the way is yes or no; what a wave loses is not. Seen along the way, a body has an outline; the
 //! distance to the outline, positive beside the body and negative behind it, is a continuous function of the way and of the
@@ -7,20 +7,29 @@
 use glam::{DVec2, DVec3};
 
 use super::body::Body;
-use super::bundle::Bundle;
+use super::packet::Bundle;
 use super::probe::Probe;
 use super::ray::Ray;
 
 /// Beside the outline by this much, m, a ray is looked for a way past the body: above what f32 rounds, below what waves see.
 const BESIDE_M: f64 = 2e-5;
 
-/// Passage of a straight way by a body.
+/// How a straight way passes a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clearance {
     /// Distance across to the body's outline, m: positive where the way is clear, negative where it is blocked.
     pub clearance_m: f64,
-    /// Place along the way at which the outline is nearest, m from its beginning.
+    /// Where along the way the outline is nearest, m from its beginning.
     pub along_m: f64,
+}
+
+impl Clearance {
+    /// The Fresnel-Kirchhoff parameter of the edge, positive in shadow: `-clearance sqrt(2 L / (lambda d1 d2))` for a way of
+    /// length `L` split into `d1` and `d2` (ITU-R P.526, section 4.1).
+    pub fn fresnel_parameter(&self, length_m: f64, wavelength_m: f64) -> f64 {
+        let (before, after) = (self.along_m, length_m - self.along_m);
+        -self.clearance_m * (2.0 * length_m / (wavelength_m * before * after)).sqrt()
+    }
 }
 
 /// An edge of the outline where it is nearest to the way.

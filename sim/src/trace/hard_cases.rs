@@ -429,7 +429,7 @@ fn a_body_may_move_far_and_grow() {
     }
 }
 
-/// Visibility flips: clearance is continuous where the way becomes blocked, and is the distance to the
+/// sbr.md section 2, visibility flips: clearance is continuous where the way becomes blocked, and is the distance to the
 /// sphere's outline on either side of it.
 #[test]
 fn clearance_passes_through_zero_where_a_ball_begins_to_block() {
@@ -459,6 +459,9 @@ fn clearance_passes_through_zero_where_a_ball_begins_to_block() {
         }
         last = Some(found.clearance_m);
     }
+    let outside = Clearance { clearance_m: 0.1, along_m: 2.0 };
+    let exact = -0.1 * (2.0 * 5.0 / (0.005 * 2.0 * 3.0f64)).sqrt();
+    assert!((outside.fresnel_parameter(5.0, 0.005) - exact).abs() < 1e-12);
 }
 
 /// A person walks through a line of sight: clearance never jumps, though arms and legs pass before the trunk.

@@ -12,7 +12,6 @@
 //! processor: nearest first, then the lowest (body, triangle).
 
 mod body;
-mod bundle;
 mod clearance;
 mod packet;
 mod probe;

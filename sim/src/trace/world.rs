@@ -3,9 +3,8 @@
 use glam::DVec3;
 
 use super::body::{Body, BodyError, Nearest, roaming_m};
-use super::bundle::LANES;
 use super::clearance::{Clearance, clearance};
-use super::packet::{Found, Packet};
+use super::packet::{Found, LANES, Packet};
 use super::probe::Probe;
 use super::ray::{Crossings, Hit, Ray, Surface};
 
@@ -87,7 +86,7 @@ impl World {
         blocked_body(self, ray)
     }
 
-    /// Passage of a ray with an end by a body, as a continuous quantity. `None` where the body's outline is farther than
+    /// How a ray with an end passes a body, as a continuous quantity. `None` where the body's outline is farther than
     /// `reach_m` from a clear way; where the way is blocked and no way past is within reach, the clearance is `-reach_m`.
     /// Three times the radius of the first Fresnel zone is reach enough: a knife edge there changes the field by 4 percent.
     pub fn clearance(&self, body: u32, ray: &Ray, reach_m: f64) -> Option<Clearance> {
