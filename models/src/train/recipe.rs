@@ -42,6 +42,7 @@ pub fn train_with_checkpoint(
     report: &mut dyn FnMut(EpochReport),
 ) -> Result<TrainOutcome, TrainError> {
     spec.check()?;
+    spec.check_full_batch()?;
     let weights =
         spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
     let data = data::Data::load(dataset, spec)?;

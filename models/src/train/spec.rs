@@ -160,6 +160,22 @@ impl TrainSpec {
         self.linear_epochs.unwrap_or(self.epochs / 2)
     }
 
+    /// Checks that [`TrainSpec::full_batch`] goes with the network, which a settings file may leave to the caller.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] if not.
+    pub(super) fn check_full_batch(&self) -> Result<(), TrainError> {
+        let is_fixed = self.network.reads_descriptors() && self.augmentation == Augmentation::default();
+        match self.full_batch {
+            Some(FullBatch { steps, .. }) if !is_fixed => Err(TrainError::Setting {
+                name: "full_batch",
+                value: format!("{steps} steps for network {}", self.network),
+                expected: "a network of descriptors without augmentation, whose inputs stay the same",
+            }),
+            _ => Ok(()),
+        }
+    }
+
     /// Checks all settings.
     ///
     /// # Errors
@@ -192,9 +208,6 @@ impl TrainSpec {
             return fail("label_weights", format!("{:?}", self.label_weights), "0.001 to 1000 each");
         }
         if let Some(FullBatch { steps, weight_penalty }) = self.full_batch {
-            if !self.network.reads_descriptors() || self.augmentation != Augmentation::default() {
-                return fail("full_batch", format!("{steps} steps"), "a network of descriptors, and no augmentation");
-            }
             if !(1..=MOST_EPOCHS).contains(&steps) {
                 return fail("full_batch.steps", steps.to_string(), "1 to 100000");
             }
