@@ -1,8 +1,8 @@
 //! What several tests need.
-#![allow(dead_code, clippy::print_stderr)]
+#![allow(dead_code)]
 
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use num_complex::Complex64;
 use radome_dsp::Frame;
@@ -19,18 +19,11 @@ pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
     Simulator::new(scene, SimulateOptions { seed, people, ..SimulateOptions::default() }).expect("valid options")
 }
 
-/// Reference values computed elsewhere (mpmath, scipy); `None` with a message where they are not at hand.
-pub fn reference() -> Option<serde_json::Value> {
-    let shared = std::env::var_os("RADOME_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = shared.join("data/sbr_reference.json");
-    match std::fs::read_to_string(&path) {
-        Ok(text) => Some(serde_json::from_str(&text).expect("reference values are JSON")),
-        Err(error) => {
-            eprintln!("skipped: {} cannot be read ({error}); set RADOME_SHARED", path.display());
-            None
-        }
-    }
+/// Reference values computed elsewhere (mpmath, scipy).
+pub fn reference() -> serde_json::Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/solver/reference.json");
+    let text = std::fs::read_to_string(path).expect("fixtures/solver/reference.json is part of the sources");
+    serde_json::from_str(&text).expect("reference values are JSON")
 }
 
 /// An empty 20 m hall without walls, radar in a corner region looking along +x, paper waveform, flat quiet receiver.
