@@ -23,7 +23,7 @@ const CRATES: [(&str, &[&str]); 5] = [
 const KNOWN_CYCLES: &[&str] = &[
     "driver::board: deepcraft, error, reconnect",
     "driver::recording: infineon, mcap, text, writer",
-    "sim: actor, field, geometry, scene",
+    "sim: actor, field, scene",
     "sim: diffuse, echo, stage",
     "sim: render, simulator",
     "sim::actor: clip, clothing, collada, cycle, gltf, imported, motion, program, refine, rig, skin, wander",

@@ -48,6 +48,21 @@ pub(super) struct FieldAround {
     pub(super) slopes: [Phasor3; 3],
 }
 
+/// Step over which fields are differentiated, m.
+const FIELD_STEP_M: f64 = 0.03;
+
+impl FieldAround {
+    /// Around a place, of an antenna's field there; places are from `origin`.
+    pub(super) fn new(centre: DVec3, origin: DVec3, field_at: impl Fn(DVec3) -> Phasor3) -> Self {
+        let field = field_at(centre);
+        let slope = |axis: DVec3| {
+            let there = field_at(centre + axis * FIELD_STEP_M);
+            Phasor3 { re: (there.re - field.re) / FIELD_STEP_M, im: (there.im - field.im) / FIELD_STEP_M }
+        };
+        FieldAround { place: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
+    }
+}
+
 compiled_for_levels! {
     /// What that is at vertices.
     pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;

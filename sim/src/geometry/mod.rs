@@ -1,6 +1,7 @@
 //! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
-//! ([`planes`], [`edges`]), read from files ([`import`]), and smooth where waves see them so ([`smooth_normals`]).
+//! ([`planes`], [`edges`]), and read from files ([`import`]).
 
+mod creases;
 mod edges;
 pub mod import;
 mod isosurface;
@@ -13,7 +14,6 @@ mod planes;
 pub mod polygon;
 pub mod shape;
 mod surface;
-mod topology;
 mod weld;
 
 pub use edges::{Edge, edges, neighbours};
@@ -22,10 +22,9 @@ pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
 pub(crate) use mesh::check_places;
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
-pub use normals::smooth_normals;
 pub use orient::oriented;
 pub use planar_polygon::{Clearance, PlanarPolygon};
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;
-pub use topology::{Patch, Topology};
+pub(crate) use surface::halfway;
 pub use weld::{Welded, weld};

@@ -1,8 +1,10 @@
 //! A surface that knows its normals: smooth inside each patch, with edges only between patches.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 
-use super::Mesh;
+use super::{Mesh, edges};
 
 /// Triangles whose shared vertices carry the normal of the smooth surface that they stand for. Vertices along a crease exist
 /// once on either side of it.
@@ -32,6 +34,39 @@ impl Surface {
         Mesh { vertices: self.vertices.clone(), triangles: self.triangles.clone() }
     }
 
+    /// Whether it has no edge: every side of every triangle has exactly one other triangle behind it, with the same normals.
+    pub fn is_smooth(&self) -> bool {
+        edges(&self.mesh()).iter().all(|edge| edge.right.is_some())
+    }
+
+    /// The same surface with each triangle cut into four: the middle of an edge lies on the curve that the normals at its ends
+    /// describe.
+    pub fn halved(&self) -> Self {
+        let mut finer = Surface { triangles: Vec::new(), ..self.clone() };
+        let corner = |v: u32| Some((*self.vertices.get(v as usize)?, *self.normals.get(v as usize)?));
+        let mut middles: HashMap<[u32; 2], u32> = HashMap::with_capacity(2 * self.triangles.len());
+        for corners in &self.triangles {
+            let [Some(ab), Some(bc), Some(ca)] = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| {
+                let ends = [corners[i].min(corners[j]), corners[i].max(corners[j])];
+                if let Some(&known) = middles.get(&ends) {
+                    return Some(known);
+                }
+                let (a, b) = (corner(ends[0])?, corner(ends[1])?);
+                let (place, normal) = halfway(a.0, a.1, b.0, b.1);
+                let number = finer.vertices.len() as u32;
+                finer.vertices.push(place);
+                finer.normals.push(normal);
+                middles.insert(ends, number);
+                Some(number)
+            }) else {
+                continue;
+            };
+            let [a, b, c] = *corners;
+            finer.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        finer
+    }
+
     /// Lowest and highest coordinates; both zero for no vertex.
     pub fn bounds(&self) -> (DVec3, DVec3) {
         let Some(&first) = self.vertices.first() else { return (DVec3::ZERO, DVec3::ZERO) };
@@ -49,4 +84,16 @@ impl Surface {
         }
         if count == 0 { 0.0 } else { sum / count as f64 }
     }
+}
+
+/// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
+/// tangential to the surface at its ends. No bit depends on which end comes first.
+pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
+    let d = b - a;
+    let bulge = normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a);
+    let chord = d.length_squared();
+    let mean = normal_a + normal_b;
+    // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
+    let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
+    (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
 }

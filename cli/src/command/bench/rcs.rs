@@ -99,12 +99,12 @@ enum How {
     Auto,
     /// Stationary phase on the exact shape
     Highlight,
-    /// Stationary phase on a mesh, facets where that does not hold
-    MeshHighlight,
+    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes
+    Skin,
     /// Physical optics over adaptive facets
     Facets,
-    /// Geometrical optics from face to face, physical optics on the last
-    Chain,
+    /// Images by every sequence of plane faces, physical optics on the last
+    Images,
     /// Physical optics over a grid of patches: the slow reference
     Dense,
 }
@@ -117,7 +117,6 @@ struct Answer {
     analytic_dbsm: Option<f64>,
     error_db: Option<f64>,
     milliseconds: f64,
-    rays: usize,
     facets: usize,
     /// Origin of the analytic value.
     analytic_source: Option<&'static str>,
@@ -143,9 +142,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let method = match arguments.method {
         How::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
         How::Highlight => Method::Highlight,
-        How::MeshHighlight => Method::MeshHighlight,
+        How::Skin => Method::Skin,
         How::Facets => Method::Facets,
-        How::Chain => Method::Chain,
+        How::Images => Method::Images,
         How::Dense => Method::Dense,
     };
     let started = Instant::now();
@@ -170,7 +169,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         analytic_dbsm,
         error_db: value_dbsm.zip(analytic_dbsm).map(|(value, analytic)| value - analytic),
         milliseconds,
-        rays: outcome.rays,
         facets: outcome.facets,
         analytic_source: known.map(|k| k.source),
         estimate_db: outcome.estimate_db,
@@ -196,8 +194,8 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
     let estimate = decibels(answer.estimate_db, "dB");
     output::text_line(&format!("error      {}   own estimate {estimate}", decibels(answer.error_db, "dB")))?;
     output::text_line(&format!(
-        "time       {:.3} ms   {} facets, {} rays; prepared in {:.1} ms, {} triangles",
-        answer.milliseconds, answer.facets, answer.rays, answer.prepare_milliseconds, answer.triangles
+        "time       {:.3} ms   {} facets; prepared in {:.1} ms, {} triangles",
+        answer.milliseconds, answer.facets, answer.prepare_milliseconds, answer.triangles
     ))
 }
 

@@ -3,11 +3,11 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::Phasor3;
-use super::boundary::Boundary;
-use super::current::{Arrival, Listener, heard};
 use super::facet::Sample;
 use super::terminal::Terminal;
+use crate::field::Phasor3;
+use crate::field::boundary::Boundary;
+use crate::field::current::{Arrival, Listener, heard};
 
 /// A transmitter and a receiver whose fields have unit strength in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
