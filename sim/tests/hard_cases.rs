@@ -10,7 +10,7 @@
 //! | degenerate triangles | `geometry/weld.rs`, `tests/solver.rs` |
 //! | grazing, total internal reflection, thin slab | `field/fresnel.rs`, `tests/references.rs`, `tests/solver.rs` |
 //! | caustic, PO shadow line | `tests/solver.rs` |
-//! | dihedral | `field/chain.rs`, `tests/solver.rs` |
+//! | dihedral | `rcs/images.rs`, `tests/solver.rs` |
 //! | R to 0 | `tests/solver.rs`, `tests/physics.rs` |
 //! | threads | `tests/stream.rs` |
 

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 use num_complex::Complex64;
-use radome_sim::field::boundary::Boundary;
+use radome_sim::field::image::Wall;
 use radome_sim::field::triangle;
 use radome_sim::geometry::{Mesh, Surface, shape};
 use radome_sim::rcs::facet::{self, Accuracy};
@@ -15,7 +15,7 @@ use radome_sim::rcs::terminal::Terminal;
 use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 use radome_sim::scene::material::SKIN_PERMITTIVITY;
 
-const SKIN: Boundary = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+const SKIN: Wall = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
 
 fn number(value: &serde_json::Value) -> f64 {
     value.as_f64().expect("number")
@@ -25,7 +25,7 @@ fn db(sigma_m2: f64) -> f64 {
     10.0 * sigma_m2.log10()
 }
 
-fn setup(range_m: Option<f64>, azimuth_deg: f64, elevation_deg: f64, boundary: Boundary) -> Setup {
+fn setup(range_m: Option<f64>, azimuth_deg: f64, elevation_deg: f64, boundary: Wall) -> Setup {
     Setup {
         frequency_hz: 60e9,
         range_m,
@@ -63,7 +63,7 @@ fn plates_have_their_sidelobes_near_a_null_too() {
     let reference = common::reference();
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
     for row in reference["plate"]["rows"].as_array().expect("rows") {
-        let s = setup(None, number(&row["theta_deg"]), 0.0, Boundary::Conductor);
+        let s = setup(None, number(&row["theta_deg"]), 0.0, Wall::Conductor);
         let expected = number(&row["sigma_m2"]);
         for method in [Method::Facets, Method::Images] {
             let got = solve(&plate, &s, method, None, 0.1).sigma_m2;
@@ -79,7 +79,7 @@ fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
     for row in reference["plate_near_field"]["rows"].as_array().expect("rows") {
         let side = number(&row["a_m"]);
         let plate = Target::Plate { width_m: side, height_m: side };
-        let s = setup(Some(number(&row["R_m"])), 0.0, 0.0, Boundary::Conductor);
+        let s = setup(Some(number(&row["R_m"])), 0.0, 0.0, Wall::Conductor);
         let expected = number(&row["sigma_nf_dBsm"]);
         let outcome = solve(&plate, &s, Method::Facets, None, 0.01);
         let error = db(outcome.sigma_m2) - expected;
@@ -96,14 +96,13 @@ fn a_dihedral_far_and_near() {
     let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
     let expected = number(&reference["dihedral"]["dBsm"]);
     for range in [None, Some(100.0), Some(1000.0)] {
-        let s = setup(range, 45.0, 0.0, Boundary::Conductor);
+        let s = setup(range, 45.0, 0.0, Wall::Conductor);
         let error = db(solve(&dihedral, &s, Method::Images, None, 0.01).sigma_m2) - expected;
         // All orders together: the single bounces off both faces at 45 degrees have their part of it.
         assert!(error.abs() < 0.051, "{range:?}: {error} dB");
     }
     // Near, the wave fronts bend: 4.9 dB less at 2 m (dense integration of both orders, alone).
-    let near =
-        db(solve(&dihedral, &setup(Some(2.0), 45.0, 0.0, Boundary::Conductor), Method::Images, None, 0.01).sigma_m2);
+    let near = db(solve(&dihedral, &setup(Some(2.0), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.01).sigma_m2);
     assert!((near - (expected - 4.9)).abs() < 0.3, "{near}");
 }
 
@@ -111,7 +110,7 @@ fn a_dihedral_far_and_near() {
 fn trihedrals_at_all_tabulated_angles() {
     let reference = common::reference();
     for row in reference["trihedral"]["rows"].as_array().expect("rows") {
-        let s = setup(None, number(&row["az"]), number(&row["el"]), Boundary::Conductor);
+        let s = setup(None, number(&row["az"]), number(&row["el"]), Wall::Conductor);
         for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
             let target = Target::Trihedral { edge_m: 0.1, outline };
             let expected = number(&row[key]);
@@ -142,7 +141,7 @@ fn spheres_of_twenty_thousand_triangles_are_mies() {
     for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
         let target = Target::Sphere { radius_m };
         let tolerance = if radius_m < 0.025 { 0.2 } else { 0.1 };
-        for boundary in [Boundary::Conductor, SKIN] {
+        for boundary in [Wall::Conductor, SKIN] {
             for (azimuth, elevation) in [(0.0, 0.0), (17.0, 31.0), (222.0, -65.0)] {
                 let s = setup(None, azimuth, elevation, boundary);
                 let edge = radius_m * (4.0 * PI / (20480.0 * 0.433)).sqrt();
@@ -163,7 +162,7 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
     let reference = common::reference();
     for row in reference["sphere"]["rows"].as_array().expect("rows") {
         let radius_m = number(&row["r_m"]);
-        let s = setup(None, 20.0, 10.0, Boundary::Conductor);
+        let s = setup(None, 20.0, 10.0, Wall::Conductor);
         let outcome = solve(&Target::Sphere { radius_m }, &s, Method::Facets, Some(0.04 * radius_m), 0.02);
         let error = db(outcome.sigma_m2) - number(&row["po_dBsm"]);
         assert!(error.abs() < 0.05, "{row}: {error} dB, estimate {:?}", outcome.estimate_db);
@@ -183,7 +182,7 @@ fn ellipsoids_on_meshes() {
         // The reference measures from the centre, and a box around the body.
         let range_m = number(&row["R0"]) + semi_axes_m.max_element() - target.reference_point(towards).length();
         let (azimuth, elevation) = (towards.y.atan2(towards.x).to_degrees(), towards.z.asin().to_degrees());
-        let s = setup(Some(range_m), azimuth, elevation, Boundary::Conductor);
+        let s = setup(Some(range_m), azimuth, elevation, Wall::Conductor);
         let edge_m = 0.2 * semi_axes_m.min_element();
         let error = db(solve(&target, &s, Method::Skin, Some(edge_m), 0.1).sigma_m2) - known_db(&target, &s);
         assert!(error.abs() < 0.1, "{row}: {error} dB");
@@ -209,9 +208,9 @@ fn cylinders_far_and_near() {
     let reference = common::reference();
     let cylinder = |radius_m, height_m| Target::Cylinder { radius_m, height_m };
     for (s, name) in [
-        (setup(None, 20.0, 0.0, Boundary::Conductor), "broadside"),
-        (setup(None, 20.0, 2.0, Boundary::Conductor), "tilted"),
-        (setup(Some(3.0), 20.0, 0.0, Boundary::Conductor), "near"),
+        (setup(None, 20.0, 0.0, Wall::Conductor), "broadside"),
+        (setup(None, 20.0, 2.0, Wall::Conductor), "tilted"),
+        (setup(Some(3.0), 20.0, 0.0, Wall::Conductor), "near"),
     ] {
         let target = cylinder(0.05, 0.3);
         let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - known_db(&target, &s);
@@ -219,7 +218,7 @@ fn cylinders_far_and_near() {
     }
     // The Fresnel integral along a cylinder without end is the reference's.
     for row in reference["cylinder_infinite"]["rows"].as_array().expect("rows") {
-        let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Boundary::Conductor);
+        let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Wall::Conductor);
         let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
         assert!((long - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {long}");
     }
@@ -230,10 +229,10 @@ fn cylinders_far_and_near() {
 fn a_mirror_is_finite_at_its_caustic() {
     let reference = common::reference();
     let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
-    let k = setup(None, 0.0, 0.0, Boundary::Conductor).wavenumber_per_m();
+    let k = setup(None, 0.0, 0.0, Wall::Conductor).wavenumber_per_m();
     for row in reference["concave_mirror"]["rows"].as_array().expect("rows") {
         let range = number(&row["R_m"]);
-        let s = setup(Some(range), 0.0, 0.0, Boundary::Conductor);
+        let s = setup(Some(range), 0.0, 0.0, Wall::Conductor);
         let expected = db(k * k / PI * number(&row["abs_I"]).powi(2) * range.powi(4));
         assert!((known_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
         let outcome = solve(&mirror, &s, Method::Facets, None, 0.02);
@@ -241,7 +240,7 @@ fn a_mirror_is_finite_at_its_caustic() {
         assert!(error.abs() < 0.01, "{row}: {error} dB");
         assert_eq!(Method::automatic(&mirror, true), Method::Facets);
     }
-    let focus = setup(Some(1.0), 0.0, 0.0, Boundary::Conductor);
+    let focus = setup(Some(1.0), 0.0, 0.0, Wall::Conductor);
     let error = db(solve(&mirror, &focus, Method::Facets, None, 0.02).sigma_m2) - known_db(&mirror, &focus);
     assert!(error.abs() < 0.1, "{error}");
 }
@@ -250,7 +249,7 @@ fn a_mirror_is_finite_at_its_caustic() {
 #[test]
 fn meshes_without_normals_are_what_they_look_like() {
     let ball = shape::icosphere(DVec3::splat(0.05), 32);
-    let s = setup(None, 12.0, 34.0, Boundary::Conductor);
+    let s = setup(None, 12.0, 34.0, Wall::Conductor);
     let surface = Surface::from_mesh(&ball.mesh(), 0.6);
     let target = Target::Surface { surface };
     assert_eq!(Method::automatic(&target, true), Method::Skin);
@@ -275,7 +274,7 @@ fn meshes_without_normals_are_what_they_look_like() {
     let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1]] };
     let corner = Target::Surface { surface: Surface::from_mesh(&mesh, 0.6) };
     assert_eq!(Method::automatic(&corner, true), Method::Images);
-    let axis = setup(None, 45.0, 35.264_389_682_754_654, Boundary::Conductor);
+    let axis = setup(None, 45.0, 35.264_389_682_754_654, Wall::Conductor);
     let error = db(solve(&corner, &axis, Method::Images, None, 0.1).sigma_m2) - 12.247_497;
     assert!(error.abs() < 0.3, "{error} dB");
 }
@@ -308,7 +307,7 @@ mod hard_cases {
     fn the_focus_of_a_mirror_is_passed_smoothly() {
         let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
         for step in -6..=6 {
-            let s = setup(Some(1.0 + 0.005 * f64::from(step)), 0.0, 0.0, Boundary::Conductor);
+            let s = setup(Some(1.0 + 0.005 * f64::from(step)), 0.0, 0.0, Wall::Conductor);
             let automatic = Method::automatic(&mirror, false);
             let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - known_db(&mirror, &s);
             assert!(error.abs() < 0.1, "step {step}, {automatic:?}: {error} dB");
@@ -320,7 +319,7 @@ mod hard_cases {
     fn a_dihedral_is_weaker_near_than_far() {
         let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
         let at = |range| {
-            let s = setup(range, 45.0, 0.0, Boundary::Conductor);
+            let s = setup(range, 45.0, 0.0, Wall::Conductor);
             db(solve(&dihedral, &s, Method::Images, None, 0.01).sigma_m2)
         };
         let lost = at(Some(2.0)) - at(None);
@@ -332,7 +331,7 @@ mod hard_cases {
     fn nothing_happens_at_the_specular_direction() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
         let at = |degrees: f64| {
-            db(solve(&plate, &setup(None, degrees, 0.0, Boundary::Conductor), Method::Facets, None, 0.1).sigma_m2)
+            db(solve(&plate, &setup(None, degrees, 0.0, Wall::Conductor), Method::Facets, None, 0.1).sigma_m2)
         };
         let peak = at(0.0);
         for exponent in 3..16 {
@@ -371,11 +370,10 @@ mod hard_cases {
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
         let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let almost = Boundary::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
-        let of = |boundary: Boundary| {
-            facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, false, &boundary, k)).value
-        };
-        let (scalar, vectors) = (of(Boundary::Conductor), of(almost));
+        let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
+        let of =
+            |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, false, &boundary, k)).value;
+        let (scalar, vectors) = (of(Wall::Conductor), of(almost));
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
 
@@ -389,7 +387,7 @@ mod hard_cases {
         shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
         let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, false, &Boundary::Conductor, k));
+        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, false, &Wall::Conductor, k));
         let (a, b) = (of(&surface), of(&shuffled));
         assert_eq!(a.facets, b.facets);
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
@@ -404,7 +402,7 @@ mod hard_cases {
         let plain = shape::plate(0.1, 0.1, 0.05);
         let mut worse = plain.clone();
         worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
-        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, true, &Boundary::Conductor, k)).value;
+        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, true, &Wall::Conductor, k)).value;
         // 0, 1 and 2 lie in a row: no area.
         assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
         assert!(!worse.is_smooth());
@@ -418,7 +416,7 @@ mod hard_cases {
         for distance in [0.0, 1e-12, 1e-6, 1e-3] {
             let link = Link::monostatic(Terminal::Near(DVec3::X * distance), DVec3::Z);
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.2 };
-            for boundary in [Boundary::Conductor, SKIN] {
+            for boundary in [Wall::Conductor, SKIN] {
                 let value = facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, true, &boundary, k)).value;
                 assert!(value.is_finite(), "{distance} {boundary:?}: {value}");
             }
@@ -429,7 +427,7 @@ mod hard_cases {
     #[test]
     fn grazing_incidence_fades() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
-        for boundary in [Boundary::Conductor, SKIN] {
+        for boundary in [Wall::Conductor, SKIN] {
             for off in [1e-3, 1e-6, 1e-9, 0.0] {
                 let sigma = solve(&plate, &setup(None, 90.0 - off, 0.0, boundary), Method::Facets, None, 0.1).sigma_m2;
                 assert!(sigma.is_finite() && sigma < 1e-3, "{off}: {sigma}");
@@ -443,7 +441,7 @@ mod hard_cases {
         let target = Target::Sphere { radius_m: 0.05 };
         let mut values = Vec::new();
         for turn in 0..8 {
-            let s = setup(None, 7.0 * f64::from(turn), 3.0 * f64::from(turn), Boundary::Conductor);
+            let s = setup(None, 7.0 * f64::from(turn), 3.0 * f64::from(turn), Wall::Conductor);
             values.push(db(solve(&target, &s, Method::Facets, Some(0.005), 0.05).sigma_m2));
         }
         let (low, high) =
@@ -455,7 +453,7 @@ mod hard_cases {
     #[test]
     fn impossible_targets_are_refused() {
         let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };
-        let s = setup(None, 0.0, 0.0, Boundary::Conductor);
+        let s = setup(None, 0.0, 0.0, Wall::Conductor);
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
             assert!(Problem::new(&plate(bad), &s, Method::Facets, None).is_err(), "{bad}");
             let near = Setup { range_m: Some(bad), ..s };

@@ -267,8 +267,8 @@ mod tests {
     use rand::Rng;
 
     use super::*;
-    use crate::field::boundary::Boundary;
     use crate::field::current::{Arrival, heard_by};
+    use crate::field::image::Wall;
     use crate::random::{Purpose, generator};
     use crate::scene::material::SKIN_PERMITTIVITY;
 
@@ -315,7 +315,7 @@ mod tests {
                 factor: 1.0,
             };
             let (re, im) = strengths(level, &between);
-            let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+            let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
             let arrival = Arrival { field: fields[0], direction: -t };
             let exact =
                 heard_by(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));

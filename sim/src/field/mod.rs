@@ -3,7 +3,6 @@
 //! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a path
 //! except the propagation phase.
 
-pub mod boundary;
 pub mod current;
 pub mod curved_triangle;
 pub mod fresnel;

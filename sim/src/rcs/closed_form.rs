@@ -8,8 +8,8 @@ use num_complex::Complex64;
 
 use super::edge::fresnel_integral;
 use super::{Outline, Setup, Target, mie};
-use crate::field::boundary::Boundary;
 use crate::field::highlight::Ellipsoid;
+use crate::field::image::Wall;
 use crate::field::triangle::sinc;
 use crate::geometry::polygon;
 
@@ -52,11 +52,11 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
         }
         Target::Sphere { radius_m } => match setup.range_m {
             None => match setup.boundary {
-                Boundary::Conductor => (mie::cross_section_m2(radius_m, setup.wavelength_m(), None), "Mie"),
-                Boundary::HalfSpace { permittivity } => {
+                Wall::Conductor => (mie::cross_section_m2(radius_m, setup.wavelength_m(), None), "Mie"),
+                Wall::HalfSpace { permittivity } => {
                     (mie::cross_section_m2(radius_m, setup.wavelength_m(), Some(permittivity)), "Mie")
                 }
-                Boundary::Slab { .. } => return None,
+                Wall::Slab { .. } | Wall::Open => return None,
             },
             Some(range_m) => {
                 let curvature = 1.0 / radius_m + 1.0 / range_m;
@@ -81,7 +81,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
 }
 
 fn conductor(setup: &Setup) -> Option<()> {
-    (setup.boundary == Boundary::Conductor).then_some(())
+    (setup.boundary == Wall::Conductor).then_some(())
 }
 
 /// `4 pi A^2/lambda^2 cos^2 sinc^2 sinc^2`.

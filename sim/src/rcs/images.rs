@@ -15,15 +15,12 @@ use super::facet::{Accuracy, Integral, Sample, integrate};
 use super::link::{Link, transverse};
 use super::terminal::Terminal;
 use crate::field::Phasor3;
-use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard};
 use crate::field::image::Wall;
 use crate::geometry::{Surface, polygon};
 use crate::paths::exhaustive::all_sequences;
 use crate::paths::{Environment, EnvironmentError, Facet, FacetId};
 
-/// A half-space is a wall so thick, m.
-const HALF_SPACE_M: f64 = 10.0;
 /// From a radar infinitely far waves come as from one at this distance, as far as it says which facets they may meet, m.
 const FAR_M: f64 = 1e6;
 
@@ -31,7 +28,7 @@ const FAR_M: f64 = 1e6;
 #[derive(Debug, Clone)]
 pub struct Images {
     environment: Environment,
-    boundary: Boundary,
+    boundary: Wall,
     link: Link,
     ways: Vec<Way>,
 }
@@ -59,12 +56,12 @@ impl Images {
     /// If a face is no plane polygon, or the environment of scenes refuses them.
     pub fn new(
         faces: Vec<Vec<DVec3>>,
-        boundary: Boundary,
+        boundary: Wall,
         link: Link,
         wavenumber_per_m: f64,
         max_bounces: usize,
     ) -> Result<Self, EnvironmentError> {
-        let facets = faces.into_iter().map(|corners| Facet::new(corners, wall(boundary))).collect();
+        let facets = faces.into_iter().map(|corners| Facet::new(corners, boundary)).collect();
         let environment = Environment::new(facets, wavenumber_per_m)?;
         let origin = match link.tx {
             Terminal::Near(antenna) => antenna,
@@ -138,14 +135,6 @@ impl Way {
     }
 }
 
-fn wall(boundary: Boundary) -> Wall {
-    match boundary {
-        Boundary::Conductor => Wall::Conductor,
-        Boundary::HalfSpace { permittivity } => Wall::Slab { permittivity, thickness_m: HALF_SPACE_M },
-        Boundary::Slab { permittivity, thickness_m } => Wall::Slab { permittivity, thickness_m },
-    }
-}
-
 /// A convex polygon as triangles.
 fn fan(corners: &[DVec3], normal: DVec3) -> Surface {
     Surface {
@@ -207,7 +196,7 @@ mod hard_cases {
 
     fn images(faces: Vec<Vec<DVec3>>, end: Terminal, max_bounces: usize) -> Images {
         let link = Link::monostatic(end, DVec3::Z);
-        Images::new(faces, Boundary::Conductor, link, K, max_bounces).expect("plane faces")
+        Images::new(faces, Wall::Conductor, link, K, max_bounces).expect("plane faces")
     }
 
     /// Integrals by sequences of so many facets.

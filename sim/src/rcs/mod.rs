@@ -28,7 +28,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use thiserror::Error;
 
-use crate::field::boundary::Boundary;
+use crate::field::image::Wall;
 use crate::geometry::Surface;
 use crate::paths::EnvironmentError;
 pub use closed_form::{Known, known};
@@ -150,7 +150,7 @@ pub struct Setup {
     /// Direction of the field.
     pub polarisation: Polarisation,
     /// What the target is made of.
-    pub boundary: Boundary,
+    pub boundary: Wall,
 }
 
 impl Setup {
@@ -206,7 +206,7 @@ impl Setup {
     /// polarisations mix.
     fn plane_reflection(&self, cosine: f64) -> Option<f64> {
         let coefficients = self.boundary.reflection(self.wavenumber_per_m(), cosine);
-        if self.boundary == Boundary::Conductor {
+        if self.boundary == Wall::Conductor {
             return Some(1.0);
         }
         let (level, upright) = (self.elevation_rad.abs() < 1e-12, self.azimuth_rad.abs() < 1e-12);
@@ -340,11 +340,11 @@ pub enum RcsError {
         /// What is allowed.
         most: f64,
     },
-    /// A skin cannot be a slab.
+    /// A skin is solid.
     #[error(
         "a closed smooth body is solid: it has no thickness\n\nhint: leave the thickness out, or choose another method"
     )]
-    SlabSkin,
+    NotSolid,
     /// The target's faces cannot be those of a room.
     #[error(transparent)]
     Faces(#[from] EnvironmentError),

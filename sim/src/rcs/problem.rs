@@ -13,9 +13,9 @@ use super::{Method, Outline, RcsError, Setup, Target, dense};
 use crate::echo::demand::Fineness;
 use crate::echo::still::{StillSkin, StillView};
 use crate::field::Phasor3;
-use crate::field::boundary::Boundary;
 use crate::field::curved_triangle::Integrator;
 use crate::field::highlight::Ellipsoid;
+use crate::field::image::Wall;
 use crate::geometry::{Surface, polygon, shape};
 
 /// More triangles than this are not made; of a skin, which is put in order patch by patch, fewer.
@@ -270,11 +270,11 @@ impl Problem {
 }
 
 impl Skin {
-    fn new(surface: Surface, boundary: Boundary) -> Result<Self, RcsError> {
+    fn new(surface: Surface, boundary: Wall) -> Result<Self, RcsError> {
         let permittivity = match boundary {
-            Boundary::Conductor => CONDUCTOR,
-            Boundary::HalfSpace { permittivity } => permittivity,
-            Boundary::Slab { .. } => return Err(RcsError::SlabSkin),
+            Wall::Conductor => CONDUCTOR,
+            Wall::HalfSpace { permittivity } => permittivity,
+            Wall::Slab { .. } | Wall::Open => return Err(RcsError::NotSolid),
         };
         let triangles = 4.0 * surface.triangles.len() as f64;
         if triangles > MOST_OF_SKIN {

@@ -4,7 +4,7 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use glam::DVec3;
-use radome_sim::field::boundary::Boundary;
+use radome_sim::field::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
@@ -286,7 +286,7 @@ fn setup(arguments: &Arguments, target: &Target) -> anyhow::Result<Setup> {
     })
 }
 
-fn boundary(arguments: &Arguments) -> anyhow::Result<Boundary> {
+fn boundary(arguments: &Arguments) -> anyhow::Result<Wall> {
     let name = arguments.material.as_str();
     let permittivity = match name {
         "pec" | "metal" => None,
@@ -302,10 +302,10 @@ fn boundary(arguments: &Arguments) -> anyhow::Result<Boundary> {
         }
     };
     match (permittivity, arguments.thickness_m) {
-        (None, None) => Ok(Boundary::Conductor),
+        (None, None) => Ok(Wall::Conductor),
         (None, Some(_)) => bail!("--thickness-m does not belong to {name}, which nothing passes"),
-        (Some(permittivity), None) => Ok(Boundary::HalfSpace { permittivity }),
+        (Some(permittivity), None) => Ok(Wall::HalfSpace { permittivity }),
         (Some(_), Some(t)) if !(t > 0.0 && t.is_finite()) => bail!("--thickness-m {t} is no thickness"),
-        (Some(permittivity), Some(thickness_m)) => Ok(Boundary::Slab { permittivity, thickness_m }),
+        (Some(permittivity), Some(thickness_m)) => Ok(Wall::Slab { permittivity, thickness_m }),
     }
 }

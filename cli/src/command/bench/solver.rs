@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::DVec3;
-use radome_sim::field::boundary::Boundary;
+use radome_sim::field::image::Wall;
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
@@ -152,7 +152,7 @@ fn targets() -> Vec<(&'static str, Target, Setup)> {
         azimuth_rad: azimuth_deg.to_radians(),
         elevation_rad: elevation_deg.to_radians(),
         polarisation: Polarisation::Vertical,
-        boundary: Boundary::Conductor,
+        boundary: Wall::Conductor,
     };
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
     vec![
