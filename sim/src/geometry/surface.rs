@@ -97,3 +97,21 @@ pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (
     let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
     (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use crate::geometry::shape;
+
+    #[test]
+    fn a_sphere_whose_triangles_are_cut_is_a_sphere() {
+        let sphere = shape::icosphere(DVec3::splat(0.05), 8);
+        let finer = sphere.halved();
+        assert_eq!(finer.triangles.len(), 4 * sphere.triangles.len());
+        assert!(finer.is_smooth());
+        for (vertex, normal) in finer.vertices.iter().zip(&finer.normals) {
+            assert!((vertex.length() - 0.05).abs() < 2e-6 && vertex.normalize().distance(*normal) < 1e-9, "{vertex}");
+        }
+    }
+}

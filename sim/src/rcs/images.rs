@@ -128,11 +128,6 @@ impl Way {
         let lit = fan(&lit, environment.normal(*last)?);
         (!lit.triangles.is_empty()).then_some(Way { source, mirror, longer_m, lit, facets })
     }
-
-    /// Area of what the light of the sequence falls on, m^2.
-    pub fn lit_area_m2(&self) -> f64 {
-        self.lit.mesh().area_m2()
-    }
 }
 
 /// A convex polygon as triangles.
@@ -255,7 +250,7 @@ mod hard_cases {
         let options = LaunchOptions { max_order: 3, ..LaunchOptions::default() };
         let by_rays = ImagePaths::discover(environment, radar * 1.5, &options);
         let known: Vec<&Vec<FacetId>> = by_rays.images().iter().flat_map(|image| &image.sequences).collect();
-        let lit: Vec<&Way> = found.ways().iter().filter(|way| way.lit_area_m2() > 0.05).collect();
+        let lit: Vec<&Way> = found.ways().iter().filter(|way| way.lit.mesh().area_m2() > 0.05).collect();
         assert!(lit.iter().any(|way| way.facets.len() == 3), "a corner has paths of three reflections");
         for way in lit {
             assert!(known.contains(&&way.facets), "{:?}", way.facets);
