@@ -31,7 +31,6 @@ const KNOWN_CYCLES: &[&str] = &[
     "sim::render: clutter, paths",
     "sim::scene: check, room",
     "sim::scene: plan, surfaces",
-    "sim::trace: body, packet",
 ];
 
 /// Segments of a path below a crate's root; none for the root.

@@ -62,26 +62,6 @@ fn turn_rad(mesh: &Mesh, [from, to]: [u32; 2], left: u32, right: u32) -> f64 {
     n.cross(m).dot(along).atan2(n.dot(m))
 }
 
-/// Of every triangle, the ones beyond its edges (first to second corner, second to third, third to first); `u32::MAX` where
-/// there is none.
-pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
-    let mut all = vec![[u32::MAX; 3]; mesh.triangles.len()];
-    for edge in edges(mesh) {
-        let Some(right) = edge.right else { continue };
-        let [from, to] = edge.vertices;
-        for (triangle, other, (p, q)) in [(edge.left, right, (from, to)), (right, edge.left, (to, from))] {
-            let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
-            let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q));
-            if let (Some(side), Some(slots)) = (side, all.get_mut(triangle as usize))
-                && let Some(slot) = slots.get_mut(side)
-            {
-                *slot = other;
-            }
-        }
-    }
-    all
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::FRAC_PI_2;
@@ -120,14 +100,5 @@ mod tests {
         let mut flipped = cube(false);
         flipped.triangles[0].swap(0, 1);
         assert_eq!(edges(&flipped).iter().filter(|e| e.tangled).count(), 3);
-    }
-
-    #[test]
-    fn neighbours_are_mutual() {
-        let mesh = cube(false);
-        let all = neighbours(&mesh);
-        for (t, next) in all.iter().enumerate() {
-            assert!(next.iter().all(|&n| all[n as usize].contains(&(t as u32))));
-        }
     }
 }

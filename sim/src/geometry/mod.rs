@@ -16,7 +16,7 @@ pub mod shape;
 mod surface;
 mod weld;
 
-pub use edges::{Edge, edges, neighbours};
+pub use edges::{Edge, edges};
 pub use isosurface::isosurface;
 pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
 pub(crate) use mesh::check_places;
