@@ -84,7 +84,7 @@ impl Images {
 
     /// What a sequence sends to the receiver from its last facet.
     pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
-        let before = way.facets.split_last().map_or(&[][..], |(_, before)| before);
+        let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
         integrate(&way.lit, accuracy, |point, normal| {
             let (there, back) = (way.source.leg(point), self.link.rx.leg(point));
             let length_m = there.length_m + way.longer_m + back.length_m;
