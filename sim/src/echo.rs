@@ -13,6 +13,7 @@ mod posed_patch;
 pub mod self_shadow;
 mod side_by_side;
 pub mod skin;
+pub mod still;
 mod strength;
 mod workbench;
 

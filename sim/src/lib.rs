@@ -7,7 +7,7 @@
 //! -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding). People who are meshes go by [`echo::skin`]
 //! instead, to an error that is asked for.
 //!
-//! Beside it, [`rcs`] puts canonical targets before the solver's parts in [`field`], one by one, against what is known of them.
+//! Beside it, [`rcs`] puts canonical targets before the integrators of scenes, one by one, against what is known of them.
 //!
 //! Conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up; the radar's own axes are
 //! x boresight, y left, z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in whatever

@@ -10,7 +10,6 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::actor::body::CHEST;
 use radome_sim::actor::motion::{MotionBuilder, Person};
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
-use radome_sim::field::boundary::Boundary;
 use radome_sim::field::current::{Arrival, Listener, heard};
 use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
@@ -113,7 +112,7 @@ impl Chain {
         let step_m = 0.5e-3;
         let rows = (PI * b.max_element() / step_m) as usize;
         let columns = (TAU * b.x.max(b.y) / step_m) as usize;
-        let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+        let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
         let row = |i: usize| {
             let theta = PI * (i as f64 + 0.5) / rows as f64;
             let mut sum = Complex64::ZERO;

@@ -5,12 +5,13 @@
 //! |---|---|
 //! | facet integral near specular | `field/triangle.rs`, `tests/solver.rs` |
 //! | f32 kernel, f32 path length, dynamic range | here |
-//! | f32 hit point, self-hit, shared edges, coplanar faces, visibility flips | `trace/hard_cases.rs` |
+//! | f32 hit point, self-hit, shared edges, coplanar faces | `trace/hard_cases.rs` |
+//! | visibility flips | `paths/tests.rs` |
 //! | overlapping faces | `geometry/lint.rs` |
 //! | degenerate triangles | `geometry/weld.rs`, `tests/solver.rs` |
 //! | grazing, total internal reflection, thin slab | `field/fresnel.rs`, `tests/references.rs`, `tests/solver.rs` |
 //! | caustic, PO shadow line | `tests/solver.rs` |
-//! | dihedral | `field/chain.rs`, `tests/solver.rs` |
+//! | dihedral | `rcs/images.rs`, `tests/solver.rs` |
 //! | R to 0 | `tests/solver.rs`, `tests/physics.rs` |
 //! | threads | `tests/stream.rs` |
 

@@ -169,7 +169,7 @@ impl TrainSpec {
         match self.full_batch {
             Some(FullBatch { steps, .. }) if !is_fixed => Err(TrainError::Setting {
                 name: "full_batch",
-                value: format!("{steps} steps for network {}", self.network),
+                value: format!("{steps} steps for network {:?}", self.network),
                 expected: "a network of descriptors without augmentation, whose inputs stay the same",
             }),
             _ => Ok(()),

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 
 use super::body::{Build, CHEST, PELVIS, SEGMENTS, half_extent};
 use crate::field::highlight::Ellipsoid;
-use crate::geometry::{Edge, Mesh, edges, isosurface, one_ring_normals};
+use crate::geometry::{Edge, Mesh, Surface, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
 
 /// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
@@ -238,6 +238,20 @@ impl Skin {
             influences.extend_from_slice(of);
         }
         Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }
+    }
+
+    /// A body that keeps its shape and its place, and its pose.
+    pub(crate) fn still(surface: &Surface) -> (Self, PosedSkin) {
+        let (rest, patches, from) = in_patch_order(&surface.mesh());
+        let edges = skin_edges(&rest);
+        let narrowing = narrowing(&rest, &edges);
+        let posed = PosedSkin {
+            vertices: rest.vertices.clone(),
+            velocities_m_per_s: vec![DVec3::ZERO; rest.vertices.len()],
+            normals: from.iter().map(|&v| surface.normals.get(v as usize).copied().unwrap_or(DVec3::Z)).collect(),
+        };
+        let (segment_of, bindings, influences) = (Vec::new(), Vec::new(), Vec::new());
+        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, posed)
     }
 
     /// The mesh in its rest pose, over the origin, facing +x.

@@ -14,9 +14,8 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
 use crate::actor::skin::{PosedSkin, bulge};
-use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
-use crate::field::image::{Illumination, ImageIndex};
+use crate::field::image::{Illumination, ImageIndex, Wall};
 use crate::field::triangle;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::smooth::smooth_step;
@@ -245,7 +244,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
     let k = TAU / stage.wavelength_m;
     let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
     let factor = Complex64::new(0.0, -k * aperture / TAU);
-    let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+    let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
     let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);
     let strength = |i: usize| {
         let (Some(there), Some(home)) = (&out.there[i], &back.home[i]) else { return Complex64::ZERO };

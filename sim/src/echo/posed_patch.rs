@@ -44,7 +44,7 @@ pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -
 }
 
 /// A vector of vertices at every corner of triangles: `[corner]`.
-fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
+pub(super) fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
     let mut rows: [Row3; 3] = Default::default();
     for axis in 0..3 {
         let at = at_corners(&of[axis], corners);

@@ -48,6 +48,21 @@ pub(super) struct FieldAround {
     pub(super) slopes: [Phasor3; 3],
 }
 
+/// Step over which fields are differentiated, m.
+const FIELD_STEP_M: f64 = 0.03;
+
+impl FieldAround {
+    /// Around a place, of an antenna's field there; places are from `origin`.
+    pub(super) fn new(centre: DVec3, origin: DVec3, field_at: impl Fn(DVec3) -> Phasor3) -> Self {
+        let field = field_at(centre);
+        let slope = |axis: DVec3| {
+            let there = field_at(centre + axis * FIELD_STEP_M);
+            Phasor3 { re: (there.re - field.re) / FIELD_STEP_M, im: (there.im - field.im) / FIELD_STEP_M }
+        };
+        FieldAround { place: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
+    }
+}
+
 compiled_for_levels! {
     /// Field at vertices.
     pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;
@@ -252,8 +267,8 @@ mod tests {
     use rand::Rng;
 
     use super::*;
-    use crate::field::boundary::Boundary;
     use crate::field::current::{Arrival, heard_by};
+    use crate::field::image::Wall;
     use crate::random::{Purpose, generator};
     use crate::scene::material::SKIN_PERMITTIVITY;
 
@@ -300,7 +315,7 @@ mod tests {
                 factor: 1.0,
             };
             let (re, im) = strengths(level, &between);
-            let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+            let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
             let arrival = Arrival { field: fields[0], direction: -t };
             let exact =
                 heard_by(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));

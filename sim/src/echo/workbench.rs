@@ -12,7 +12,6 @@ use super::posed_patch::{PosedPatch, Rules};
 use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
 use crate::actor::clothing::Folds;
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
-use crate::field::Phasor3;
 use crate::field::curved_triangle::{HALVES, Integrator, MomentRows, moments, spans_rad};
 use crate::field::image::{Element, ImageIndex};
 use crate::field::quadrature::rule_for;
@@ -20,9 +19,6 @@ use crate::lanes::{LANES, Row};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
-
-/// Step over which fields are differentiated, m.
-const FIELD_STEP_M: f64 = 0.03;
 
 /// A patch whose triangles the wave runs across by more than this is quieter than one in phase, in proportion, rad: measured, by
 /// leaving out what this says is not heard.
@@ -154,16 +150,7 @@ impl Workbench {
         let Some(middle) = work.posed.get(work.posed.len() / 2) else { return Vec::new() };
         let centre = patch.vertices.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / LANES as f64;
         let field = |image: usize, at: DVec3| work.stage.room.illuminate(&work.antenna, work.indices[image], at).field;
-        let around = |&image: &usize| {
-            let here = field(image, centre);
-            let slope = |axis: DVec3| {
-                let there = field(image, centre + axis * FIELD_STEP_M);
-                Phasor3 { re: (there.re - here.re) / FIELD_STEP_M, im: (there.im - here.im) / FIELD_STEP_M }
-            };
-            let place = (centre - work.origin).as_vec3().to_array();
-            FieldAround { place, field: here, slopes: DVec3::AXES.map(slope) }
-        };
-        self.images.iter().map(around).collect()
+        self.images.iter().map(|&image| FieldAround::new(centre, work.origin, |at| field(image, at))).collect()
     }
 
     fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
@@ -341,7 +328,7 @@ impl Pose {
 }
 
 /// The rule for the widest span of phase among these lanes, rad, in each half of all.
-fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
+pub(super) fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
     let mut widest: [Option<f32>; HALVES] = [None; HALVES];
     for l in lanes {
         if let Some(widest) = widest.get_mut(l * HALVES / LANES) {

@@ -4,7 +4,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::Phasor3;
-use super::boundary::Boundary;
+use super::wall::Wall;
 
 /// A wave that has arrived at a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +38,7 @@ fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {
 pub fn heard(
     arrival: &Arrival,
     normal: DVec3,
-    boundary: &Boundary,
+    boundary: &Wall,
     wavenumber_per_m: f64,
     listener: &Listener,
 ) -> Complex64 {
@@ -49,7 +49,7 @@ pub fn heard(
 pub fn heard_by(
     arrival: &Arrival,
     normal: DVec3,
-    boundary: &Boundary,
+    boundary: &Wall,
     wavenumber_per_m: f64,
     towards: DVec3,
     polarisation: Phasor3,
@@ -58,7 +58,7 @@ pub fn heard_by(
     let p =
         Phasor3 { re: polarisation.re - s * s.dot(polarisation.re), im: polarisation.im - s * s.dot(polarisation.im) };
     let magnetic = cross(arrival.direction, arrival.field);
-    if *boundary == Boundary::Conductor {
+    if *boundary == Wall::Conductor {
         return cross(normal, magnetic).received_by(p);
     }
     let (reflected, outgoing) = boundary.reflect(arrival.field, arrival.direction, normal, wavenumber_per_m);
@@ -80,10 +80,10 @@ mod tests {
         let polarisation = towards.any_orthonormal_vector();
         let listener = Listener { towards, polarisation };
         let arrival = Arrival { field: Phasor3::real(polarisation), direction: -towards };
-        let conductor = heard(&arrival, DVec3::Z, &Boundary::Conductor, 1257.0, &listener);
+        let conductor = heard(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
         assert!((conductor - towards.z).norm() < 1e-12);
         let permittivity = Complex64::new(7.98, -10.9);
-        let skin = Boundary::HalfSpace { permittivity };
+        let skin = Wall::HalfSpace { permittivity };
         let back = heard(&arrival, towards, &skin, 1257.0, &listener);
         let index = permittivity.sqrt();
         assert!((back + (1.0 - index) / (1.0 + index)).norm() < 1e-12);
@@ -101,8 +101,8 @@ mod tests {
         );
         let arrival = Arrival { field, direction };
         let listener = Listener { towards: DVec3::new(-0.2, 0.5, 0.7).normalize(), polarisation: DVec3::Y };
-        let metal = heard(&arrival, DVec3::Z, &Boundary::Conductor, 1257.0, &listener);
-        let almost = Boundary::HalfSpace { permittivity: Complex64::new(1.0, -1e12) };
+        let metal = heard(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
+        let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e12) };
         assert!((heard(&arrival, DVec3::Z, &almost, 1257.0, &listener) - metal).norm() < 1e-5);
     }
 }

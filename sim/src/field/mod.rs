@@ -1,25 +1,16 @@
-//! Fields: reflection at slabs, antennas and their images, highlights on curved bodies, physical optics over facets.
+//! Fields: reflection at slabs, antennas and their images, highlights on ellipsoids, physical optics over triangles.
 //!
 //! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a path
 //! except the propagation phase.
 
-pub mod aperture;
-pub mod boundary;
-pub mod chain;
 pub mod current;
 pub mod curved_triangle;
-pub mod edge;
-pub mod facet;
 pub mod fresnel;
-mod gauss_map;
 pub mod highlight;
 pub(crate) mod highlight_rows;
 pub mod image;
-pub mod link;
-pub mod mesh_highlight;
 pub mod pattern;
 pub mod quadrature;
-pub mod terminal;
 pub mod triangle;
 pub mod wall;
 

@@ -154,48 +154,6 @@ pub fn sinc(x: f64) -> f64 {
     if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x }
 }
 
-/// The same integral the slow, obvious way: Gauss-Legendre quadrature in both directions, panels of at most a radian.
-pub fn by_quadrature(a: f64, b: f64, c: f64) -> Complex64 {
-    // int_0^1 du u int_0^1 dv exp(j (a + u ((b - a) + v (c - b)))): the unit square, folded into the simplex.
-    let panels = |span: f64| 1 + span.abs().ceil() as usize;
-    let outer = panels((b - a).abs().max((c - a).abs()));
-    let inner = panels(c - b);
-    let mut sum = Complex64::ZERO;
-    for (u, wu) in gauss_legendre(outer) {
-        for (v, wv) in gauss_legendre(inner) {
-            sum += Complex64::from_polar(wu * wv * u, a + u * ((b - a) + v * (c - b)));
-        }
-    }
-    sum
-}
-
-/// Nodes and weights of the 10-point rule on equal panels of 0..1.
-pub(crate) fn gauss_legendre(panels: usize) -> impl Iterator<Item = (f64, f64)> {
-    const NODES: [f64; 5] = [
-        0.148_874_338_981_631_22,
-        0.433_395_394_129_247_2,
-        0.679_409_568_299_024_4,
-        0.865_063_366_688_984_5,
-        0.973_906_528_517_171_7,
-    ];
-    const WEIGHTS: [f64; 5] = [
-        0.295_524_224_714_752_87,
-        0.269_266_719_309_996_35,
-        0.219_086_362_515_982_04,
-        0.149_451_349_150_580_6,
-        0.066_671_344_308_688_14,
-    ];
-    let width = 1.0 / panels.max(1) as f64;
-    (0..panels.max(1)).flat_map(move |panel| {
-        let centre = (panel as f64 + 0.5) * width;
-        (0..10).map(move |i| {
-            let (node, weight) = (NODES[i % 5], WEIGHTS[i % 5]);
-            let sign = if i < 5 { 1.0 } else { -1.0 };
-            (centre + 0.5 * width * sign * node, 0.5 * width * weight)
-        })
-    })
-}
-
 /// The integral in arithmetic of 32 digits, for tests: unevaluated sums of two f64 (Dekker, "A floating-point technique for
 /// extending the available precision", Numerische Mathematik 18, 1971), exponentials by Taylor series and repeated squaring.
 #[cfg(test)]

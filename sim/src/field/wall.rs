@@ -1,4 +1,4 @@
-//! Walls: their coefficients in closed form, and the same tabulated over the cosine of incidence.
+//! What surfaces are made of: their coefficients in closed form, and the same tabulated over the cosine of incidence.
 //!
 //! [`fresnel::slab`] takes complex roots and exponentials, and an image path needs it at every wall. [`WallTable`] cuts the range
 //! of the cosine into cells and each cell into as many equal pieces as it needs: a piece is a polynomial of degree five through
@@ -8,11 +8,13 @@
 
 use std::f64::consts::PI;
 
+use glam::DVec3;
 use num_complex::Complex64;
 
 use super::fresnel::{self, Reflection};
+use super::{Phasor3, incidence_frame};
 
-/// What a wall is made of.
+/// What a wall or another surface is made of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wall {
     /// Lossy dielectric slab.
@@ -21,6 +23,11 @@ pub enum Wall {
         permittivity: Complex64,
         /// Thickness, m.
         thickness_m: f64,
+    },
+    /// Lossy dielectric, thick enough that nothing returns from behind.
+    HalfSpace {
+        /// Complex relative permittivity, `eps' - j eps''`.
+        permittivity: Complex64,
     },
     /// Perfect conductor.
     Conductor,
@@ -38,6 +45,7 @@ impl Wall {
             Wall::Slab { permittivity, thickness_m } => {
                 fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection
             }
+            Wall::HalfSpace { permittivity } => fresnel::half_space(permittivity, cosine),
             Wall::Conductor => Reflection { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
             Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
         }
@@ -49,9 +57,30 @@ impl Wall {
             Wall::Slab { permittivity, thickness_m } => {
                 fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
             }
-            Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
+            Wall::HalfSpace { .. } | Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
             Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
         }
+    }
+
+    /// Field that leaves the surface and its direction, for a field that meets it along a direction.
+    pub fn reflect(
+        &self,
+        incident: Phasor3,
+        direction: DVec3,
+        normal: DVec3,
+        wavenumber_per_m: f64,
+    ) -> (Phasor3, DVec3) {
+        let descent = direction.dot(normal);
+        let outgoing = direction - normal * (2.0 * descent);
+        let coefficients = self.reflection(wavenumber_per_m, descent.abs().min(1.0));
+        let (te, tm) = incidence_frame(direction, normal);
+        let field = Phasor3::combine(
+            coefficients.te * incident.along(te),
+            te,
+            coefficients.tm * incident.along(tm),
+            te.cross(outgoing),
+        );
+        (field, outgoing)
     }
 
     /// Distance outside of the wall's inner face over which its effect grows to its whole, m: its thickness, and no less than a
@@ -59,7 +88,7 @@ impl Wall {
     pub(super) fn depth_m(&self) -> f64 {
         match *self {
             Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
-            Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
+            Wall::HalfSpace { .. } | Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
         }
     }
 }
@@ -340,6 +369,21 @@ mod tests {
                 assert_eq!(table.transmission(0.3), wall.transmission(K, 0.3));
                 assert_eq!(table.most_reflection(0.0, 1.0), [wall.reflection(K, 1.0).te.norm(); 2]);
             }
+        }
+    }
+
+    /// A conductor's reflected field cancels the incident tangential one, at any angle and polarisation.
+    #[test]
+    fn no_tangential_field_on_a_conductor() {
+        let normal = DVec3::new(0.3, -0.2, 0.9).normalize();
+        for direction in [-normal, DVec3::NEG_Z, DVec3::new(0.8, 0.1, -0.5).normalize()] {
+            let e = direction.any_orthonormal_vector();
+            let incident = Phasor3::combine(Complex64::new(0.3, 0.4), e, Complex64::new(-0.2, 0.9), direction.cross(e));
+            let (reflected, outgoing) = Wall::Conductor.reflect(incident, direction, normal, 1257.0);
+            for tangent in [normal.any_orthonormal_vector(), normal.cross(normal.any_orthonormal_vector())] {
+                assert!((incident.along(tangent) + reflected.along(tangent)).norm() < 1e-12);
+            }
+            assert!(reflected.along(outgoing).norm() < 1e-12);
         }
     }
 }

@@ -62,8 +62,8 @@ fn turn_rad(mesh: &Mesh, [from, to]: [u32; 2], left: u32, right: u32) -> f64 {
     n.cross(m).dot(along).atan2(n.dot(m))
 }
 
-/// Of every triangle, the ones beyond its edges (first to second corner, second to third, third to first); `u32::MAX` where
-/// there is none.
+/// Triangles beyond the edges of every triangle (first to second corner, second to third, third to first); `u32::MAX` where there is
+/// none.
 pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
     let mut all = vec![[u32::MAX; 3]; mesh.triangles.len()];
     for edge in edges(mesh) {

@@ -1,6 +1,7 @@
 //! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
 //! ([`planes`], [`edges`]), and read from files ([`import`]).
 
+mod creases;
 mod edges;
 pub mod import;
 mod isosurface;
@@ -13,7 +14,6 @@ mod planes;
 pub mod polygon;
 pub mod shape;
 mod surface;
-mod topology;
 mod weld;
 
 pub use edges::{Edge, edges, neighbours};
@@ -26,5 +26,5 @@ pub use orient::oriented;
 pub use planar_polygon::{Clearance, PlanarPolygon};
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;
-pub use topology::{Patch, Topology};
+pub(crate) use surface::halfway;
 pub use weld::{Welded, weld};

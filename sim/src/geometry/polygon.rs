@@ -2,8 +2,6 @@
 
 use glam::DVec3;
 
-use crate::field::terminal::Terminal;
-
 /// The part of a convex polygon on the side of a plane to which its normal points (Sutherland and Hodgman).
 pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
@@ -21,21 +19,6 @@ pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> 
         (from, from_height) = (to, to_height);
     }
     if kept.len() < 3 { Vec::new() } else { kept }
-}
-
-/// The part of a convex polygon that a terminal sees through a convex window, behind it.
-pub fn through_window(polygon: Vec<DVec3>, window: &[DVec3], terminal: &Terminal) -> Vec<DVec3> {
-    let normal = normal(window);
-    let middle = centroid(window);
-    let away = if terminal.side(middle, normal) > 0.0 { -normal } else { normal };
-    let mut left = clipped(&polygon, middle, away);
-    for (i, &a) in window.iter().enumerate() {
-        let b = window[(i + 1) % window.len()];
-        let side = (b - a).cross(terminal.leg(a).towards);
-        let inwards = if side.dot(middle - a) < 0.0 { -side } else { side };
-        left = clipped(&left, a, inwards);
-    }
-    left
 }
 
 /// Unit normal, by the right hand along the corners; zero for no area.
@@ -70,18 +53,5 @@ mod tests {
         assert!((area_m2(&triangle) - 0.5).abs() < 1e-15);
         assert!(clipped(&SQUARE, DVec3::splat(2.0), DVec3::X).is_empty());
         assert_eq!(clipped(&SQUARE, DVec3::ZERO, DVec3::X).len(), 4);
-    }
-
-    /// A pinhole camera's window halves what lies twice as far behind it, a far one keeps its size.
-    #[test]
-    fn windows_throw_shadows_of_the_right_size() {
-        let window = [0.4, 0.6, 0.6, 0.4].iter().zip([0.4, 0.4, 0.6, 0.6]).map(|(x, y)| DVec3::new(*x, y, 1.0));
-        let window: Vec<DVec3> = window.collect();
-        let near = through_window(SQUARE.to_vec(), &window, &Terminal::Near(DVec3::new(0.5, 0.5, 2.0)));
-        assert!((area_m2(&near) - 0.16).abs() < 1e-12, "{near:?}");
-        let far = through_window(SQUARE.to_vec(), &window, &Terminal::Far(DVec3::Z));
-        assert!((area_m2(&far) - 0.04).abs() < 1e-12);
-        // What lies before the window is not seen through it.
-        assert!(through_window(SQUARE.to_vec(), &window, &Terminal::Far(-DVec3::Z)).is_empty());
     }
 }

@@ -1,8 +1,10 @@
 //! A surface that knows its normals: smooth inside each patch, with edges only between patches.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 
-use super::Mesh;
+use super::{Mesh, edges};
 
 /// Triangles whose shared vertices carry the normal of the smooth surface that they stand for. Vertices along a crease exist
 /// once on either side of it.
@@ -19,6 +21,14 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Mean length of the triangles' edges, m; 0 without triangles.
+    pub fn mean_edge_m(&self) -> f64 {
+        let corners = (0..self.triangles.len()).filter_map(|t| self.corners(t));
+        let lengths = corners.flat_map(|corners| [0, 1, 2].map(|i| corners[i].0.distance(corners[(i + 1) % 3].0)));
+        let (sum, count) = lengths.fold((0.0, 0usize), |(sum, count), length| (sum + length, count + 1));
+        sum / count.max(1) as f64
+    }
+
     /// Corners and normals of a triangle; `None` where it or one of its vertices does not exist.
     #[inline]
     pub fn corners(&self, triangle: usize) -> Option<[(DVec3, DVec3); 3]> {
@@ -32,9 +42,72 @@ impl Surface {
         Mesh { vertices: self.vertices.clone(), triangles: self.triangles.clone() }
     }
 
+    /// Whether it has no edge: every side of every triangle has exactly one other triangle behind it, with the same normals.
+    pub fn is_smooth(&self) -> bool {
+        edges(&self.mesh()).iter().all(|edge| edge.right.is_some())
+    }
+
+    /// The same surface with each triangle cut into four: the middle of an edge lies on the curve that the normals at its ends
+    /// describe.
+    pub fn halved(&self) -> Self {
+        let mut finer = Surface { triangles: Vec::new(), ..self.clone() };
+        let corner = |v: u32| Some((*self.vertices.get(v as usize)?, *self.normals.get(v as usize)?));
+        let mut middles: HashMap<[u32; 2], u32> = HashMap::with_capacity(2 * self.triangles.len());
+        for corners in &self.triangles {
+            let [Some(ab), Some(bc), Some(ca)] = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| {
+                let ends = [corners[i].min(corners[j]), corners[i].max(corners[j])];
+                if let Some(&known) = middles.get(&ends) {
+                    return Some(known);
+                }
+                let (a, b) = (corner(ends[0])?, corner(ends[1])?);
+                let (place, normal) = halfway(a.0, a.1, b.0, b.1);
+                let number = finer.vertices.len() as u32;
+                finer.vertices.push(place);
+                finer.normals.push(normal);
+                middles.insert(ends, number);
+                Some(number)
+            }) else {
+                continue;
+            };
+            let [a, b, c] = *corners;
+            finer.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        finer
+    }
+
     /// Lowest and highest coordinates; both zero for no vertex.
     pub fn bounds(&self) -> (DVec3, DVec3) {
         let Some(&first) = self.vertices.first() else { return (DVec3::ZERO, DVec3::ZERO) };
         self.vertices.iter().fold((first, first), |(low, high), &v| (low.min(v), high.max(v)))
+    }
+}
+
+/// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
+/// tangential to the surface at its ends. No bit depends on which end comes first.
+pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
+    let d = b - a;
+    let bulge = normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a);
+    let chord = d.length_squared();
+    let mean = normal_a + normal_b;
+    // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
+    let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
+    (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use crate::geometry::shape;
+
+    #[test]
+    fn a_sphere_whose_triangles_are_cut_is_a_sphere() {
+        let sphere = shape::icosphere(DVec3::splat(0.05), 8);
+        let finer = sphere.halved();
+        assert_eq!(finer.triangles.len(), 4 * sphere.triangles.len());
+        assert!(finer.is_smooth());
+        for (vertex, normal) in finer.vertices.iter().zip(&finer.normals) {
+            assert!((vertex.length() - 0.05).abs() < 2e-6 && vertex.normalize().distance(*normal) < 1e-9, "{vertex}");
+        }
     }
 }

@@ -10,7 +10,7 @@ use num_complex::Complex64;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edge_field::side_from_foot;
 use super::edges::SoftEdge;
-use super::environment::Passing;
+use super::environment::{Environment, Passing};
 use super::flat::{FacetId, Flat, SEAM_M};
 use crate::field::fresnel::Reflection;
 use crate::field::image::{Element, Illumination};
@@ -177,7 +177,8 @@ impl ImagePaths {
             let transverse = polarisation - direction * direction.dot(polarisation);
             let launched = Phasor3::real(transverse).scaled(element.pattern.field(departure));
             for arrival in self.valid(image, element.position, point) {
-                field = sum(field, self.reflected(&arrival, direction, launched).times(arrival.part));
+                let arrived = self.environment.reflected(arrival.sequence, &arrival.crossed, direction, launched);
+                field = sum(field, arrived.times(arrival.part));
             }
         }
         Illumination { source: position, distance_m, direction, field }
@@ -251,36 +252,6 @@ impl ImagePaths {
             has_whole |= is_whole;
         }
         all
-    }
-
-    /// Field after the reflections of a sequence and the walls that it goes through, in the image's frame.
-    fn reflected(&self, arrival: &Arrival, direction: DVec3, launched: Phasor3) -> Phasor3 {
-        let environment = &*self.environment;
-        // What later facets make of vectors at each leg.
-        let mut frames = [DMat3::IDENTITY; MAX_ORDER + 1];
-        let mut later = DMat3::IDENTITY;
-        for (leg, &facet) in arrival.sequence.iter().enumerate().rev() {
-            let (Some(flat), Some(slot)) = (environment.flat(facet), frames.get_mut(leg)) else { continue };
-            later *= flat.mirror();
-            *slot = later;
-        }
-        let frame = |leg: usize| frames.get(leg).copied().unwrap_or(DMat3::IDENTITY);
-        let mut field = launched;
-        for leg in 0..=arrival.sequence.len() {
-            let crossed = arrival.crossed.iter().filter(|(of_leg, _)| *of_leg == leg);
-            for flat in crossed.filter_map(|(_, facet)| environment.flat(*facet)) {
-                let normal = frame(leg) * flat.normal;
-                let through = flat.table.transmission(direction.dot(normal).abs().min(1.0));
-                let (te, tm) = incidence_frame(direction, normal);
-                field = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
-            }
-            let Some(flat) = arrival.sequence.get(leg).and_then(|&facet| environment.flat(facet)) else { continue };
-            let normal = frame(leg + 1) * flat.normal;
-            let reflection = flat.table.reflection(direction.dot(normal).abs().min(1.0));
-            let (te, tm) = incidence_frame(direction, normal);
-            field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
-        }
-        field
     }
 
     /// The path by a sequence if all its planes are met from the front, wherever on them.
@@ -432,6 +403,44 @@ impl ImagePaths {
         let is_in_the_way = is_crossed(flat);
         let behind = if is_in_the_way && through.norm_sqr() > 1e-8 { taken / through } else { taken };
         Screen { behind, beside: taken, is_in_the_way }
+    }
+}
+
+impl Environment {
+    /// Field after the reflections of a sequence and the walls that it goes through, each with the number of the leg that
+    /// crosses it. Fields and direction are in the image's frame.
+    pub(crate) fn reflected(
+        &self,
+        sequence: &[FacetId],
+        crossed: &[(usize, FacetId)],
+        direction: DVec3,
+        launched: Phasor3,
+    ) -> Phasor3 {
+        // What later facets make of vectors at each leg.
+        let mut frames = [DMat3::IDENTITY; MAX_ORDER + 1];
+        let mut later = DMat3::IDENTITY;
+        for (leg, &facet) in sequence.iter().enumerate().rev() {
+            let (Some(flat), Some(slot)) = (self.flat(facet), frames.get_mut(leg)) else { continue };
+            later *= flat.mirror();
+            *slot = later;
+        }
+        let frame = |leg: usize| frames.get(leg).copied().unwrap_or(DMat3::IDENTITY);
+        let mut field = launched;
+        for leg in 0..=sequence.len() {
+            let walls = crossed.iter().filter(|(of_leg, _)| *of_leg == leg);
+            for flat in walls.filter_map(|(_, facet)| self.flat(*facet)) {
+                let normal = frame(leg) * flat.normal;
+                let through = flat.table.transmission(direction.dot(normal).abs().min(1.0));
+                let (te, tm) = incidence_frame(direction, normal);
+                field = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
+            }
+            let Some(flat) = sequence.get(leg).and_then(|&facet| self.flat(facet)) else { continue };
+            let normal = frame(leg + 1) * flat.normal;
+            let reflection = flat.table.reflection(direction.dot(normal).abs().min(1.0));
+            let (te, tm) = incidence_frame(direction, normal);
+            field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
+        }
+        field
     }
 }
 

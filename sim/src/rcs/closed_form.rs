@@ -6,11 +6,11 @@ use std::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
+use super::edge::fresnel_integral;
 use super::{Outline, Setup, Target, mie};
-use crate::field::boundary::Boundary;
-use crate::field::edge::fresnel_integral;
 use crate::field::highlight::Ellipsoid;
-use crate::field::triangle::{gauss_legendre, sinc};
+use crate::field::image::Wall;
+use crate::field::triangle::sinc;
 use crate::geometry::polygon;
 
 /// A reference value and where it is from.
@@ -52,11 +52,11 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
         }
         Target::Sphere { radius_m } => match setup.range_m {
             None => match setup.boundary {
-                Boundary::Conductor => (mie::cross_section_m2(radius_m, setup.wavelength_m(), None), "Mie"),
-                Boundary::HalfSpace { permittivity } => {
+                Wall::Conductor => (mie::cross_section_m2(radius_m, setup.wavelength_m(), None), "Mie"),
+                Wall::HalfSpace { permittivity } => {
                     (mie::cross_section_m2(radius_m, setup.wavelength_m(), Some(permittivity)), "Mie")
                 }
-                Boundary::Slab { .. } => return None,
+                Wall::Slab { .. } | Wall::Open => return None,
             },
             Some(range_m) => {
                 let curvature = 1.0 / radius_m + 1.0 / range_m;
@@ -81,7 +81,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
 }
 
 fn conductor(setup: &Setup) -> Option<()> {
-    (setup.boundary == Boundary::Conductor).then_some(())
+    (setup.boundary == Wall::Conductor).then_some(())
 }
 
 /// `4 pi A^2/lambda^2 cos^2 sinc^2 sinc^2`.
@@ -202,4 +202,31 @@ fn mirror(setup: &Setup, radius_m: f64, aperture_m: f64) -> f64 {
         integral += Complex64::from_polar(ring * incidence * spreading * spreading, -2.0 * k * length);
     }
     setup.cross_section_m2(integral)
+}
+
+/// Nodes and weights of the 10-point rule on equal panels of 0..1.
+fn gauss_legendre(panels: usize) -> impl Iterator<Item = (f64, f64)> {
+    const NODES: [f64; 5] = [
+        0.148_874_338_981_631_22,
+        0.433_395_394_129_247_2,
+        0.679_409_568_299_024_4,
+        0.865_063_366_688_984_5,
+        0.973_906_528_517_171_7,
+    ];
+    const WEIGHTS: [f64; 5] = [
+        0.295_524_224_714_752_87,
+        0.269_266_719_309_996_35,
+        0.219_086_362_515_982_04,
+        0.149_451_349_150_580_6,
+        0.066_671_344_308_688_14,
+    ];
+    let width = 1.0 / panels.max(1) as f64;
+    (0..panels.max(1)).flat_map(move |panel| {
+        let centre = (panel as f64 + 0.5) * width;
+        (0..10).map(move |i| {
+            let (node, weight) = (NODES[i % 5], WEIGHTS[i % 5]);
+            let sign = if i < 5 { 1.0 } else { -1.0 };
+            (centre + 0.5 * width * sign * node, 0.5 * width * weight)
+        })
+    })
 }

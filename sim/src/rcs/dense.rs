@@ -4,7 +4,7 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use crate::field::facet::{Integral, Sample};
+use super::facet::{Integral, Sample};
 use crate::geometry::Surface;
 
 /// Sums the integrand over patches whose edges are at most `patch_m`, each with the value at its middle. The patches of a

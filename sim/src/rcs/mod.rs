@@ -1,4 +1,9 @@
-//! Radar cross-sections of canonical targets: the solver's methods one by one, beside what is known without it.
+//! Radar cross-sections of canonical targets: the integrators of scenes one by one, beside what is known without them.
+//!
+//! Round bodies go by the highlights of people's ellipsoids ([`crate::field::highlight`]), closed smooth meshes by the patches of
+//! skins ([`crate::echo::still`]), plane faces by the facets, sequences and reflections of rooms ([`images`]). Scenes have no
+//! radar infinitely far ([`terminal`]) and no physical optics on flat or open surfaces ([`facet`], the last surface of a
+//! sequence): these are here alone.
 //!
 //! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
 //! solved to a tolerance. Far from the target the cross-section is the textbook's; near it, it is the one that a radar at that
@@ -8,8 +13,13 @@
 
 pub mod closed_form;
 pub mod dense;
+pub mod edge;
+pub mod facet;
+pub mod images;
+pub mod link;
 pub mod mie;
 mod problem;
+pub mod terminal;
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -18,12 +28,13 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use thiserror::Error;
 
-use crate::field::boundary::Boundary;
-use crate::field::link::Link;
-use crate::field::terminal::Terminal;
+use crate::field::image::Wall;
 use crate::geometry::Surface;
+use crate::paths::EnvironmentError;
 pub use closed_form::{Known, known};
+use link::Link;
 pub use problem::{Outcome, Problem};
+use terminal::Terminal;
 
 /// Outline of a trihedral's faces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -139,7 +150,7 @@ pub struct Setup {
     /// Direction of the field.
     pub polarisation: Polarisation,
     /// What the target is made of.
-    pub boundary: Boundary,
+    pub boundary: Wall,
 }
 
 impl Setup {
@@ -195,7 +206,7 @@ impl Setup {
     /// polarisations mix.
     fn plane_reflection(&self, cosine: f64) -> Option<f64> {
         let coefficients = self.boundary.reflection(self.wavenumber_per_m(), cosine);
-        if self.boundary == Boundary::Conductor {
+        if self.boundary == Wall::Conductor {
             return Some(1.0);
         }
         let (level, upright) = (self.elevation_rad.abs() < 1e-12, self.azimuth_rad.abs() < 1e-12);
@@ -212,28 +223,27 @@ impl Setup {
 pub enum Method {
     /// Stationary phase on the exact shape: round bodies.
     Highlight,
-    /// Stationary phase on a mesh, and facets where that does not hold.
-    MeshHighlight,
+    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes.
+    Skin,
     /// Physical optics over facets, cut until the phase is straight inside each.
     Facets,
-    /// Geometrical optics from face to face, physical optics on the last: corners.
-    Chain,
+    /// Images by every sequence of plane faces, physical optics on the last: corners.
+    Images,
     /// Physical optics summed over a grid of patches of constant phase: the slow reference.
     Dense,
 }
 
 impl Method {
     /// Every method.
-    pub const ALL: [Method; 5] =
-        [Method::Highlight, Method::MeshHighlight, Method::Facets, Method::Chain, Method::Dense];
+    pub const ALL: [Method; 5] = [Method::Highlight, Method::Skin, Method::Facets, Method::Images, Method::Dense];
 
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Method::Highlight => "highlight",
-            Method::MeshHighlight => "mesh-highlight",
+            Method::Skin => "skin",
             Method::Facets => "facets",
-            Method::Chain => "chain",
+            Method::Images => "images",
             Method::Dense => "dense",
         }
     }
@@ -242,7 +252,12 @@ impl Method {
     pub fn suits(self, target: &Target) -> bool {
         match self {
             Method::Highlight => matches!(target, Target::Sphere { .. } | Target::Ellipsoid { .. }),
-            Method::Chain => match target {
+            Method::Skin => match target {
+                Target::Sphere { .. } | Target::Ellipsoid { .. } => true,
+                Target::Surface { surface } => surface.is_smooth(),
+                _ => false,
+            },
+            Method::Images => match target {
                 Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Plate { .. } => true,
                 Target::Surface { surface } => few_flat_faces(surface),
                 _ => false,
@@ -255,10 +270,11 @@ impl Method {
     pub fn automatic(target: &Target, mesh: bool) -> Self {
         match target {
             Target::Plate { .. } | Target::Cylinder { .. } | Target::Mirror { .. } => Method::Facets,
-            Target::Dihedral { .. } | Target::Trihedral { .. } => Method::Chain,
+            Target::Dihedral { .. } | Target::Trihedral { .. } => Method::Images,
             Target::Sphere { .. } | Target::Ellipsoid { .. } if !mesh => Method::Highlight,
-            Target::Surface { surface } if few_flat_faces(surface) => Method::Chain,
-            _ => Method::MeshHighlight,
+            Target::Surface { surface } if few_flat_faces(surface) => Method::Images,
+            Target::Surface { surface } if !surface.is_smooth() => Method::Facets,
+            _ => Method::Skin,
         }
     }
 }
@@ -324,6 +340,14 @@ pub enum RcsError {
         /// Greatest number that is allowed.
         most: f64,
     },
+    /// A skin is solid.
+    #[error(
+        "a closed smooth body is solid: it has no thickness\n\nhint: leave the thickness out, or choose another method"
+    )]
+    NotSolid,
+    /// The target's faces cannot be those of a room.
+    #[error(transparent)]
+    Faces(#[from] EnvironmentError),
     /// There is nothing to look at.
     #[error("the surface has no triangle with an area\n\nhint: check the file and its unit, which must be metres")]
     Empty,

@@ -5,24 +5,35 @@ use std::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::{Method, RcsError, Setup, Target, dense};
-use crate::field::boundary::Boundary;
-use crate::field::chain::{self, Face};
-use crate::field::facet::{self, Accuracy, Integral};
+use super::facet::{self, Accuracy, Integral};
+use super::images::{self, Images};
+use super::link::{Link, transverse};
+use super::terminal::Terminal;
+use super::{Method, Outline, RcsError, Setup, Target, dense};
+use crate::echo::demand::Fineness;
+use crate::echo::still::{StillSkin, StillView};
+use crate::field::Phasor3;
+use crate::field::curved_triangle::Integrator;
 use crate::field::highlight::Ellipsoid;
-use crate::field::link::Link;
-use crate::field::mesh_highlight::{HighlightFinder, MeshHighlight};
-use crate::field::terminal::Terminal;
-use crate::geometry::{Surface, Topology, shape};
+use crate::field::image::Wall;
+use crate::geometry::{Surface, polygon, shape};
 
-/// More triangles than this are not made.
+/// More triangles than this are not made; of a skin, which is put in order patch by patch, fewer.
 const MOST_TRIANGLES: f64 = 4e6;
+const MOST_OF_SKIN: f64 = 1e6;
 /// Phases that bend less than this, rad, are straight but for rounding.
 const STRAIGHT_RAD: f64 = 1e-9;
 /// Bounces between plane faces, at most.
 const MOST_BOUNCES: usize = 3;
-/// Where far is, in sizes of an exact shape.
+/// Where far is, in sizes of a round body.
 const FAR: f64 = 1e7;
+/// Sines of the angles from the highlight up to which all of a skin counts and from which nothing does. One body alone is asked
+/// for more than people are ([`Fineness::for_tolerance`]): its window is wider.
+const WINDOW: [f64; 2] = [0.4, 0.97];
+/// And its rules of quadrature are this much more exact.
+const EASE: f32 = 0.5;
+/// A conductor, to those who know permittivities alone.
+const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
 /// Most times that facets are halved for the sake of a tolerance.
 const ROUNDS: usize = 7;
 
@@ -35,21 +46,20 @@ pub struct Problem {
     shape: Shape,
 }
 
-/// A surface with its topology, each patch by itself, and whether one part may hide another.
+/// A closed smooth surface, and the same with every triangle cut into four.
 #[derive(Debug, Clone)]
-struct Mesh {
+struct Skin {
     surface: Surface,
-    topology: Topology,
-    parts: Vec<Surface>,
-    may_hide: bool,
+    levels: [StillSkin; 2],
+    permittivity: Complex64,
 }
 
 #[derive(Debug, Clone)]
 enum Shape {
-    Faces(Vec<Face>),
+    Faces(Box<Images>),
     Body(Ellipsoid),
     Surface(Surface),
-    Mesh(Box<Mesh>),
+    Skin(Box<Skin>),
 }
 
 /// Solution and its cost.
@@ -59,10 +69,8 @@ pub struct Outcome {
     pub sigma_m2: f64,
     /// The method's own estimate of its numerical error, dB; `None` where it has none.
     pub estimate_db: Option<f64>,
-    /// Facets (patches, highlights) that were evaluated.
+    /// Facets (patches, triangles, highlights) that were evaluated.
     pub facets: usize,
-    /// Rays that were traced.
-    pub rays: usize,
 }
 
 fn check(what: &'static str, value: f64, unit: &'static str, low: f64, high: f64) -> Result<(), RcsError> {
@@ -95,20 +103,18 @@ impl Problem {
             let suitable: Vec<&str> = Method::ALL.iter().filter(|m| m.suits(target)).map(|m| m.name()).collect();
             return Err(RcsError::Unsuitable { method: method.name(), suitable: suitable.join(", ") });
         }
+        let link = setup.link(target.reference_point(setup.towards()));
         let shape = match (method, target) {
-            (Method::Chain, _) => Shape::Faces(faces(target, setup.boundary)),
+            (Method::Images, _) => {
+                let faces = faces(target);
+                let bounces = faces.len().min(MOST_BOUNCES);
+                Shape::Faces(Box::new(Images::new(faces, setup.boundary, link, setup.wavenumber_per_m(), bounces)?))
+            }
             (Method::Highlight, &Target::Sphere { radius_m }) => Shape::Body(body(DVec3::splat(radius_m))),
             (Method::Highlight, &Target::Ellipsoid { semi_axes_m }) => Shape::Body(body(semi_axes_m)),
-            (Method::MeshHighlight, _) => {
-                let surface = mesh(target, mesh_edge_m)?;
-                let topology = Topology::new(&surface);
-                let parts = topology.patches.iter().map(|patch| surface.patch(patch)).collect();
-                let may_hide = matches!(target, Target::Surface { .. });
-                Shape::Mesh(Box::new(Mesh { surface, topology, parts, may_hide }))
-            }
+            (Method::Skin, _) => Shape::Skin(Box::new(Skin::new(mesh(target, mesh_edge_m)?, setup.boundary)?)),
             _ => Shape::Surface(mesh(target, mesh_edge_m)?),
         };
-        let link = setup.link(target.reference_point(setup.towards()));
         Ok(Problem { setup: *setup, method, link, shape })
     }
 
@@ -116,7 +122,7 @@ impl Problem {
     pub fn triangles(&self) -> usize {
         match &self.shape {
             Shape::Surface(surface) => surface.triangles.len(),
-            Shape::Mesh(mesh) => mesh.surface.triangles.len(),
+            Shape::Skin(skin) => skin.surface.triangles.len(),
             _ => 0,
         }
     }
@@ -129,16 +135,16 @@ impl Problem {
         check("the tolerance", tolerance_db, "dB", 1e-4, 20.0)?;
         Ok(match &self.shape {
             Shape::Body(body) => self.highlight(body),
-            Shape::Faces(faces) => self.refined(tolerance_db, |accuracy| {
+            Shape::Faces(images) => self.refined(tolerance_db, |accuracy| {
                 let mut all = Integral::default();
-                for c in chain::contributions(faces, &self.link, accuracy, faces.len().min(MOST_BOUNCES)) {
-                    all.value += c.integral.value;
-                    all.facets += c.integral.facets;
-                    all.bend_rad = all.bend_rad.max(c.integral.bend_rad);
+                for integral in images.ways().iter().map(|way| images.integrate(way, accuracy)) {
+                    all.value += integral.value;
+                    all.facets += integral.facets;
+                    all.bend_rad = all.bend_rad.max(integral.bend_rad);
                 }
                 all
             }),
-            Shape::Mesh(mesh) => self.mesh_highlights(mesh, tolerance_db),
+            Shape::Skin(skin) => self.skin(skin, tolerance_db),
             Shape::Surface(surface) => match self.method {
                 Method::Dense => self.dense(surface, tolerance_db),
                 _ => self.refined(tolerance_db, |accuracy| self.facets(surface, accuracy)),
@@ -153,7 +159,7 @@ impl Problem {
     }
 
     fn outcome(&self, integral: &Integral, estimate_db: Option<f64>) -> Outcome {
-        Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets, rays: 0 }
+        Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets }
     }
 
     /// Facets by the tolerance, then with a quarter of their bending until the result stays where it is; the last change is the
@@ -210,60 +216,54 @@ impl Problem {
         Outcome { facets, ..self.outcome(&coarse, Some(estimate_db).filter(|e| e.is_finite())) }
     }
 
-    /// Highlights of the closed patches where they hold to the tolerance, facets elsewhere.
-    fn mesh_highlights(&self, mesh: &Mesh, tolerance_db: f64) -> Outcome {
-        let Mesh { surface, topology, parts, may_hide } = mesh;
-        let mut rays = 0;
-        let k = self.setup.wavenumber_per_m();
-        let finder = HighlightFinder::new(surface, topology, k);
-        let mut sum = Integral::default();
-        let mut left_out = Vec::new();
-        let mut estimate_db: f64 = 0.0;
-        for (patch, part) in topology.patches.iter().zip(parts) {
-            // What ends somewhere has an edge that a highlight does not know of.
-            let found = if patch.closed { finder.find(patch, &self.link.tx, &self.link.rx) } else { Vec::new() };
-            if !patch.closed || found.iter().any(|h| h.estimate_db > tolerance_db) {
-                left_out.push(part);
-                continue;
+    /// Patches of a skin, whose triangles are cut into four until the result stays.
+    fn skin(&self, skin: &Skin, tolerance_db: f64) -> Outcome {
+        let (low, high) = skin.surface.bounds();
+        let (setup, antenna) = self.near((high - low).length());
+        let polarisation = self.link.tx_polarisation;
+        let field = |at: DVec3| Phasor3::real(transverse(polarisation, (at - antenna).normalize_or_zero()));
+        let ease = EASE * Fineness::for_tolerance(tolerance_db).ease;
+        let view = StillView {
+            antenna,
+            field: &field,
+            wavelength_m: setup.wavelength_m(),
+            permittivity: skin.permittivity,
+            fineness: Fineness { window: WINDOW, ease },
+        };
+        let integrator = Integrator::default();
+        let [coarse, fine] = skin.levels.each_ref();
+        let mut facets = coarse.triangles() + fine.triangles();
+        let (mut before, mut value) = (coarse.integral(&integrator, &view), fine.integral(&integrator, &view));
+        let change_db = |a: Complex64, b: Complex64| (20.0 * (a.norm() / b.norm()).log10()).abs();
+        let mut surface: Option<Surface> = None;
+        while change_db(before, value) > tolerance_db {
+            let finer = surface.as_ref().map_or_else(|| skin.surface.halved().halved(), Surface::halved);
+            if finer.triangles.len() as f64 > MOST_OF_SKIN {
+                break;
             }
-            for highlight in found {
-                if *may_hide {
-                    rays += 1;
-                    if hidden(surface, &highlight, &self.link.tx) {
-                        continue;
-                    }
-                }
-                let sample = self.link.sample(highlight.point, highlight.normal, false, &self.setup.boundary, k);
-                sum.value += highlight.integral(sample.amplitude, k);
-                sum.facets += 1;
-                estimate_db = estimate_db.max(highlight.estimate_db);
+            let still = StillSkin::new(&finer);
+            facets += still.triangles();
+            (before, value) = (value, still.integral(&integrator, &view));
+            surface = Some(finer);
+        }
+        let estimate_db = Some(change_db(before, value)).filter(|change| change.is_finite());
+        Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db, facets }
+    }
+
+    /// The radar, and where it stands: from infinitely far it is far in sizes of a body.
+    fn near(&self, size_m: f64) -> (Setup, DVec3) {
+        match self.link.tx {
+            Terminal::Near(radar) => (self.setup, radar),
+            Terminal::Far(towards) => {
+                let range_m = FAR * size_m;
+                (Setup { range_m: Some(range_m), ..self.setup }, towards * range_m)
             }
         }
-        if left_out.is_empty() {
-            return Outcome { rays, ..self.outcome(&sum, Some(estimate_db)) };
-        }
-        let outcome = self.refined(tolerance_db, |accuracy| {
-            left_out.iter().fold(sum, |mut sum, part| {
-                let integral = self.facets(part, accuracy);
-                sum.value += integral.value;
-                sum.facets += integral.facets;
-                sum.bend_rad = sum.bend_rad.max(integral.bend_rad);
-                sum
-            })
-        });
-        Outcome { rays, ..outcome }
     }
 
     /// Stationary phase on the exact shape.
     fn highlight(&self, body: &Ellipsoid) -> Outcome {
-        let d = self.setup.towards();
-        let (setup, radar) = match self.link.tx {
-            Terminal::Near(radar) => (self.setup, radar),
-            Terminal::Far(_) => {
-                let range_m = FAR * body.semi_axes_m.max_element();
-                (Setup { range_m: Some(range_m), ..self.setup }, d * range_m)
-            }
-        };
+        let (setup, radar) = self.near(body.semi_axes_m.max_element());
         let Some(h) = body.highlight(radar, radar, None) else {
             return self.outcome(&Integral::default(), None);
         };
@@ -276,45 +276,44 @@ impl Problem {
     }
 }
 
-/// Whether a triangle stands between a highlight and the radar. Every triangle is tried: highlights are few.
-fn hidden(surface: &Surface, highlight: &MeshHighlight, radar: &Terminal) -> bool {
-    let leg = radar.leg(highlight.point);
-    let reach_m = if leg.curvature_per_m > 0.0 { leg.length_m } else { f64::INFINITY };
-    // The highlight lies on the curved surface, its own triangle a little beside it.
-    let own = surface.corners(highlight.triangle as usize);
-    let clear_m = own.map_or(0.0, |[a, b, _]| a.0.distance(b.0));
-    (0..surface.triangles.len()).filter_map(|t| surface.corners(t)).any(|[a, b, c]| {
-        let (u, v) = (b.0 - a.0, c.0 - a.0);
-        let across = leg.towards.cross(v);
-        let det = u.dot(across);
-        let from = highlight.point - a.0;
-        let (p, turned) = (from.dot(across) / det, from.cross(u));
-        let (q, distance_m) = (leg.towards.dot(turned) / det, v.dot(turned) / det);
-        p >= 0.0 && q >= 0.0 && p + q <= 1.0 && distance_m > clear_m && distance_m < reach_m
-    })
+impl Skin {
+    fn new(surface: Surface, boundary: Wall) -> Result<Self, RcsError> {
+        let permittivity = match boundary {
+            Wall::Conductor => CONDUCTOR,
+            Wall::HalfSpace { permittivity } => permittivity,
+            Wall::Slab { .. } | Wall::Open => return Err(RcsError::NotSolid),
+        };
+        let triangles = 4.0 * surface.triangles.len() as f64;
+        if triangles > MOST_OF_SKIN {
+            return Err(RcsError::TooFine { edge_m: 0.5 * surface.mean_edge_m(), triangles, most: MOST_OF_SKIN });
+        }
+        let levels = [StillSkin::new(&surface), StillSkin::new(&surface.halved())];
+        Ok(Skin { surface, levels, permittivity })
+    }
 }
 
 fn body(semi_axes_m: DVec3) -> Ellipsoid {
     Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m }
 }
 
-fn faces(target: &Target, boundary: Boundary) -> Vec<Face> {
+/// Outlines of a target's plane faces, counter-clockwise seen from where they reflect.
+fn faces(target: &Target) -> Vec<Vec<DVec3>> {
     match *target {
-        Target::Dihedral { width_m, height_m } => chain::dihedral(width_m, height_m, boundary),
-        Target::Trihedral { edge_m, outline } => chain::trihedral(edge_m, outline == super::Outline::Square, boundary),
+        Target::Dihedral { width_m, height_m } => images::dihedral(width_m, height_m),
+        Target::Trihedral { edge_m, outline } => images::trihedral(edge_m, outline == Outline::Square),
         Target::Plate { width_m, height_m } => {
             let (w, h) = (0.5 * width_m, 0.5 * height_m);
             let corners: Vec<DVec3> =
                 [(-w, -h), (w, -h), (w, h), (-w, h)].iter().map(|&(y, z)| DVec3::new(0.0, y, z)).collect();
             let back = corners.iter().rev().copied().collect();
-            vec![Face { corners, boundary }, Face { corners: back, boundary }]
+            vec![corners, back]
         }
         Target::Surface { ref surface } => {
             let triangles = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
             let sides = if surface.two_sided { 2 } else { 1 };
             let both =
                 triangles.flat_map(|[a, b, c]| [vec![a.0, b.0, c.0], vec![c.0, b.0, a.0]].into_iter().take(sides));
-            both.map(|corners| Face { corners, boundary }).collect()
+            both.filter(|corners| polygon::normal(corners) != DVec3::ZERO).collect()
         }
         _ => Vec::new(),
     }

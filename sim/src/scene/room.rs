@@ -20,7 +20,6 @@ use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
-use crate::field::fresnel;
 use crate::field::image::Wall;
 use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
@@ -94,14 +93,8 @@ pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -
 
 /// Share of a wave's power that a wall of a material reflects at normal incidence; 0 where there is no wall.
 fn reflected(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
-    match slab(file, surface, frequency_hz) {
-        Some(Wall::Slab { permittivity, thickness_m }) => {
-            let wavenumber = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
-            fresnel::slab(permittivity, thickness_m, wavenumber, 1.0).reflection.te.norm_sqr()
-        }
-        Some(Wall::Conductor) => 1.0,
-        Some(Wall::Open) | None => 0.0,
-    }
+    let wavenumber_per_m = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
+    slab(file, surface, frequency_hz).map_or(0.0, |wall| wall.reflection(wavenumber_per_m, 1.0).te.norm_sqr())
 }
 
 /// Mean cross-section of a body of so much surface turned at random, dBsm.

@@ -10,11 +10,10 @@ use obvhs::triangle::Triangle;
 use obvhs::{BvhBuildParams, splits};
 use thiserror::Error;
 
-use super::packet::Bundle;
 use super::probe::{NONE, Probe};
 use super::ray::Crossings;
 use super::triangle::{Corners, Meeting};
-use crate::geometry::{Mesh, MeshError, check_places, neighbours};
+use crate::geometry::{Mesh, MeshError, check_places};
 
 /// Levels of a structure that traversal has room for.
 const DEEPEST: usize = 30;
@@ -77,7 +76,6 @@ pub enum Build {
 pub struct Body {
     mesh: Mesh,
     groups: Vec<u32>,
-    neighbours: Vec<[u32; 3]>,
     pub(super) tree: CwBvh,
     build: Build,
     /// Corners and group of each of the tree's primitives, in its order.
@@ -127,9 +125,7 @@ impl Body {
         let group = |&t: &u32| groups.get(t as usize).copied().unwrap_or(NONE);
         let leaf_groups = tree.primitive_indices.iter().map(group).collect();
         let corners = vec![Corners::default(); tree.primitive_indices.len()];
-        let neighbours = neighbours(&mesh);
-        let mut body =
-            Body { mesh, groups, neighbours, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, scale_m };
+        let mut body = Body { mesh, groups, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, scale_m };
         body.load_corners();
         body.bounds = body.corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, pad_m(scale_m))));
         Ok(body)
@@ -143,11 +139,6 @@ impl Body {
     /// Coplanar group of a triangle.
     pub fn group(&self, triangle: u32) -> Option<u32> {
         self.groups.get(triangle as usize).copied()
-    }
-
-    /// The triangles beyond a triangle's edges; `u32::MAX` where the surface ends.
-    pub(super) fn neighbours(&self, triangle: u32) -> Option<[u32; 3]> {
-        self.neighbours.get(triangle as usize).copied()
     }
 
     /// Moves the vertices and fits the boxes to them again. A structure built as [`Build::Static`] is built again, since its
@@ -277,20 +268,6 @@ impl Body {
             if any { -1.0 } else { farthest }
         });
         any
-    }
-
-    /// Visits all triangles whose boxes a bundle may enter; some of them several times.
-    pub(super) fn visit_bundle(&self, bundle: &Bundle, probe: &Probe, mut visitor: impl FnMut(u32)) {
-        if self.tree.nodes.is_empty() || !bundle.enters(&self.bounds) {
-            return;
-        }
-        let mut state = self.tree.new_traversal(probe.direction);
-        let mut node: &CwBvhNode;
-        obvhs::traverse!(self.tree, node, state, bundle.meet(node, state.oct_inv4), {
-            if let Some(&triangle) = self.tree.primitive_indices.get(state.primitive_id as usize) {
-                visitor(triangle);
-            }
-        });
     }
 
     /// All meetings, each triangle once, by distance and then triangle.

@@ -12,7 +12,6 @@
 //! processor: nearest first, then the lowest (body, triangle).
 
 mod body;
-mod clearance;
 mod packet;
 mod probe;
 mod ray;
@@ -21,7 +20,6 @@ mod triangle;
 mod world;
 
 pub use body::{Body, BodyError, Build};
-pub use clearance::Clearance;
 pub use ray::{Crossings, Hit, Ray, Surface};
 pub use world::World;
 

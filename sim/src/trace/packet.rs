@@ -133,7 +133,7 @@ fn bits(lanes: &[bool; LANES]) -> u32 {
 }
 
 /// All the places where some rays may be: intervals of origin and direction.
-pub(super) struct Bundle {
+struct Bundle {
     axes: [Span; 3],
     farthest: f32,
     /// The most that any of the rays begins behind its origin.
@@ -178,18 +178,9 @@ impl Bundle {
         Bundle { axes, farthest: farthest + back, back }
     }
 
-    /// All rays parallel to one, within a distance of it.
-    pub fn around(probe: &Probe, reach: f32) -> Self {
-        let mut bundle = Bundle::new(&[*probe; LANES]);
-        for span in &mut bundle.axes {
-            span.origin = [span.origin[0] - reach, span.origin[1] + reach];
-        }
-        bundle
-    }
-
     /// Whether any of the rays may enter a box.
     #[inline(always)]
-    pub fn enters(&self, around: &obvhs::aabb::Aabb) -> bool {
+    fn enters(&self, around: &obvhs::aabb::Aabb) -> bool {
         let mut planes = [[[0.0; LANES]; 2]; 3];
         for (axis, planes) in planes.iter_mut().enumerate() {
             *planes = [[around.min[axis]; LANES], [around.max[axis]; LANES]];
@@ -199,7 +190,7 @@ impl Bundle {
 
     /// The children of a node whose boxes some of the rays may enter, in the encoding of [`obvhs::traverse`].
     #[inline(always)]
-    pub fn meet(&self, node: &CwBvhNode, oct_inv4: u32) -> u32 {
+    fn meet(&self, node: &CwBvhNode, oct_inv4: u32) -> u32 {
         let (p, step) = (node.p.to_array(), node.compute_extent().to_array());
         let least = [&node.child_min_x, &node.child_min_y, &node.child_min_z];
         let greatest = [&node.child_max_x, &node.child_max_y, &node.child_max_z];

@@ -3,7 +3,6 @@
 use glam::DVec3;
 
 use super::body::{Body, BodyError, Nearest, roaming_m};
-use super::clearance::{Clearance, clearance};
 use super::packet::{Found, LANES, Packet};
 use super::probe::Probe;
 use super::ray::{Crossings, Hit, Ray, Surface};
@@ -84,14 +83,6 @@ impl World {
             return unsafe { blocked_avx2(self, ray) };
         }
         blocked_body(self, ray)
-    }
-
-    /// How a ray with an end passes a body, as a continuous quantity. `None` where the body's outline is farther than
-    /// `reach_m` from a clear way; where the way is blocked and no way past is within reach, the clearance is `-reach_m`.
-    /// Three times the radius of the first Fresnel zone is reach enough: a knife edge there changes the field by 4 percent.
-    pub fn clearance(&self, body: u32, ray: &Ray, reach_m: f64) -> Option<Clearance> {
-        let of = self.bodies.get(body as usize)?;
-        clearance(of, body, ray, reach_m, |ray| self.probe(ray))
     }
 
     /// All triangles of one body that a ray meets, nearest first.

@@ -19,10 +19,11 @@ pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
     Simulator::new(scene, SimulateOptions { seed, people, ..SimulateOptions::default() }).expect("valid options")
 }
 
-/// Reference values computed elsewhere (mpmath, scipy); `None` where the shared data are absent.
-pub fn reference() -> Option<serde_json::Value> {
-    let text = std::fs::read_to_string(radome_skip::shared("data/sbr_reference.json")?).expect("readable");
-    Some(serde_json::from_str(&text).expect("reference values are JSON"))
+/// Reference values computed elsewhere (mpmath, scipy).
+pub fn reference() -> serde_json::Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/solver/reference.json");
+    let text = std::fs::read_to_string(path).expect("fixtures/solver/reference.json is part of the sources");
+    serde_json::from_str(&text).expect("reference values are JSON")
 }
 
 /// An empty 20 m hall without walls, radar in a corner region looking along +x, paper waveform, flat quiet receiver.

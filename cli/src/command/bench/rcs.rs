@@ -4,7 +4,7 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use glam::DVec3;
-use radome_sim::field::boundary::Boundary;
+use radome_sim::field::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
@@ -99,12 +99,12 @@ enum How {
     Auto,
     /// Stationary phase on the exact shape
     Highlight,
-    /// Stationary phase on a mesh, facets where that does not hold
-    MeshHighlight,
+    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes
+    Skin,
     /// Physical optics over adaptive facets
     Facets,
-    /// Geometrical optics from face to face, physical optics on the last
-    Chain,
+    /// Images by every sequence of plane faces, physical optics on the last
+    Images,
     /// Physical optics over a grid of patches: the slow reference
     Dense,
 }
@@ -117,7 +117,6 @@ struct Answer {
     analytic_dbsm: Option<f64>,
     error_db: Option<f64>,
     milliseconds: f64,
-    rays: usize,
     facets: usize,
     /// Origin of the analytic value.
     analytic_source: Option<&'static str>,
@@ -143,9 +142,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let method = match arguments.method {
         How::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
         How::Highlight => Method::Highlight,
-        How::MeshHighlight => Method::MeshHighlight,
+        How::Skin => Method::Skin,
         How::Facets => Method::Facets,
-        How::Chain => Method::Chain,
+        How::Images => Method::Images,
         How::Dense => Method::Dense,
     };
     let started = Instant::now();
@@ -170,7 +169,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         analytic_dbsm,
         error_db: value_dbsm.zip(analytic_dbsm).map(|(value, analytic)| value - analytic),
         milliseconds,
-        rays: outcome.rays,
         facets: outcome.facets,
         analytic_source: known.map(|k| k.source),
         estimate_db: outcome.estimate_db,
@@ -196,8 +194,8 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
     let estimate = decibels(answer.estimate_db, "dB");
     output::text_line(&format!("error      {}   own estimate {estimate}", decibels(answer.error_db, "dB")))?;
     output::text_line(&format!(
-        "time       {:.3} ms   {} facets, {} rays; prepared in {:.1} ms, {} triangles",
-        answer.milliseconds, answer.facets, answer.rays, answer.prepare_milliseconds, answer.triangles
+        "time       {:.3} ms   {} facets; prepared in {:.1} ms, {} triangles",
+        answer.milliseconds, answer.facets, answer.prepare_milliseconds, answer.triangles
     ))
 }
 
@@ -288,7 +286,7 @@ fn setup(arguments: &Arguments, target: &Target) -> anyhow::Result<Setup> {
     })
 }
 
-fn boundary(arguments: &Arguments) -> anyhow::Result<Boundary> {
+fn boundary(arguments: &Arguments) -> anyhow::Result<Wall> {
     let name = arguments.material.as_str();
     let permittivity = match name {
         "pec" | "metal" => None,
@@ -304,10 +302,10 @@ fn boundary(arguments: &Arguments) -> anyhow::Result<Boundary> {
         }
     };
     match (permittivity, arguments.thickness_m) {
-        (None, None) => Ok(Boundary::Conductor),
+        (None, None) => Ok(Wall::Conductor),
         (None, Some(_)) => bail!("--thickness-m does not belong to {name}, which nothing passes"),
-        (Some(permittivity), None) => Ok(Boundary::HalfSpace { permittivity }),
+        (Some(permittivity), None) => Ok(Wall::HalfSpace { permittivity }),
         (Some(_), Some(t)) if !(t > 0.0 && t.is_finite()) => bail!("--thickness-m {t} is no thickness"),
-        (Some(permittivity), Some(thickness_m)) => Ok(Boundary::Slab { permittivity, thickness_m }),
+        (Some(permittivity), Some(thickness_m)) => Ok(Wall::Slab { permittivity, thickness_m }),
     }
 }

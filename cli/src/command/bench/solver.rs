@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::DVec3;
-use radome_sim::field::boundary::Boundary;
+use radome_sim::field::image::Wall;
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
@@ -13,7 +13,7 @@ use crate::picture::plot;
 
 /// Tolerances that every method is asked for, dB.
 const TOLERANCES_DB: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
-/// Meshes on which highlights are looked for, triangles.
+/// Meshes of skins, triangles.
 const TRIANGLES: [f64; 3] = [1280.0, 5120.0, 20480.0];
 
 #[derive(clap::Args)]
@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for (name, target, setup) in targets {
         let mut of_target = Vec::new();
         for method in Method::ALL.into_iter().filter(|m| m.suits(&target)) {
-            if method == Method::MeshHighlight {
+            if method == Method::Skin {
                 let Some(size_m) = size_m(&target) else { continue };
                 for triangles in TRIANGLES {
                     let edge_m = size_m * (4.0 * std::f64::consts::PI / (0.433 * triangles)).sqrt();
@@ -152,7 +152,7 @@ fn targets() -> Vec<(&'static str, Target, Setup)> {
         azimuth_rad: azimuth_deg.to_radians(),
         elevation_rad: elevation_deg.to_radians(),
         polarisation: Polarisation::Vertical,
-        boundary: Boundary::Conductor,
+        boundary: Wall::Conductor,
     };
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
     vec![

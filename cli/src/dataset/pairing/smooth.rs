@@ -11,7 +11,6 @@ use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
 use radome_dsp::detect::Baseline;
 use radome_sim::Scene;
-use radome_sim::field::fresnel;
 use radome_sim::field::image::{BoxRoom, Wall};
 use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::ANTENNA_OFFSETS_M;
@@ -193,14 +192,8 @@ impl Sensor {
             let mut mirrored = place;
             mirrored[axis] = 2.0 * at - place[axis];
             let unit = (mirrored - self.position).normalize_or_zero();
-            let reflection = match self.room.walls.get(wall) {
-                Some(Wall::Slab { permittivity, thickness_m }) => {
-                    let slab = fresnel::slab(*permittivity, *thickness_m, self.room.wavenumber_per_m, unit[axis].abs());
-                    slab.reflection.te.norm()
-                }
-                Some(Wall::Conductor) => 1.0,
-                _ => 0.0,
-            };
+            let of = |wall: &Wall| wall.reflection(self.room.wavenumber_per_m, unit[axis].abs()).te.norm();
+            let reflection = self.room.walls.get(wall).map_or(0.0, of);
             let share = reflection * self.pattern.field(self.world_from_radar.transpose() * unit) / own.0.max(1e-3);
             all += share;
             pull += share * (self.beside().dot(unit) - self.beside().dot(own.1)).abs();

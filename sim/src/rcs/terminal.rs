@@ -21,8 +21,6 @@ pub struct Leg {
     pub length_m: f64,
     /// Factor of the field: `1/R`, or 1 for a far terminal.
     pub spreading: f64,
-    /// Curvature of the wave front at the point, `1/R`, or 0.
-    pub curvature_per_m: f64,
     /// Unit vector from the point to the terminal.
     pub towards: DVec3,
 }
@@ -37,11 +35,9 @@ impl Terminal {
                 // Nothing is nearer than the nearest that a division survives.
                 let length_m = offset.length().max(1e-9);
                 let inverse = 1.0 / length_m;
-                Leg { length_m, spreading: inverse, curvature_per_m: inverse, towards: offset * inverse }
+                Leg { length_m, spreading: inverse, towards: offset * inverse }
             }
-            Terminal::Far(towards) => {
-                Leg { length_m: -towards.dot(point), spreading: 1.0, curvature_per_m: 0.0, towards }
-            }
+            Terminal::Far(towards) => Leg { length_m: -towards.dot(point), spreading: 1.0, towards },
         }
     }
 

@@ -1,100 +1,10 @@
-//! Which vertices of a surface are neighbours, and into which smooth patches it falls.
+//! Surfaces from meshes: smooth inside, with edges along creases.
 
 use std::collections::HashMap;
 
 use glam::DVec3;
 
 use super::{Mesh, Surface};
-
-/// A connected smooth part of a surface.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Patch {
-    /// Its triangles.
-    pub triangles: Vec<u32>,
-    /// Whether it has no edge: every side of every triangle has another one behind it.
-    pub closed: bool,
-}
-
-/// Neighbourhood of a surface's vertices.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Topology {
-    /// Where each vertex' neighbours begin.
-    first: Vec<u32>,
-    neighbours: Vec<u32>,
-    /// The smooth parts.
-    pub patches: Vec<Patch>,
-}
-
-impl Topology {
-    /// Finds neighbours and patches.
-    pub fn new(surface: &Surface) -> Self {
-        let count = surface.vertices.len();
-        // Each side of a triangle, both ways; a closed surface has every one twice.
-        let sides = surface.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)]);
-        let mut sides: Vec<(u32, u32)> =
-            sides.filter(|&(a, b)| (a as usize) < count && (b as usize) < count && a != b).collect();
-        sides.sort_unstable();
-        let mut open = vec![false; count];
-        let mut unique = Vec::with_capacity(sides.len() / 2);
-        for run in sides.chunk_by(|p, q| p == q) {
-            if let Some(&(a, b)) = run.first() {
-                if run.len() != 2 {
-                    open[a as usize] = true;
-                    open[b as usize] = true;
-                }
-                unique.push((a, b));
-            }
-        }
-        let mut first = vec![0u32; count + 1];
-        for &(a, _) in &unique {
-            first[a as usize + 1] += 1;
-        }
-        for i in 0..count {
-            first[i + 1] += first[i];
-        }
-        let neighbours: Vec<u32> = unique.iter().map(|&(_, b)| b).collect();
-        let mut topology = Topology { first, neighbours, patches: Vec::new() };
-        topology.patches = topology.find_patches(surface, &open);
-        topology
-    }
-
-    /// Vertices that share a side with this one.
-    pub fn neighbours(&self, vertex: u32) -> &[u32] {
-        let at = |i: usize| self.first.get(i).map_or(0, |&f| f as usize);
-        self.neighbours.get(at(vertex as usize)..at(vertex as usize + 1)).unwrap_or_default()
-    }
-
-    fn find_patches(&self, surface: &Surface, open: &[bool]) -> Vec<Patch> {
-        let mut patch_of = vec![u32::MAX; surface.vertices.len()];
-        let mut patches: Vec<Patch> = Vec::new();
-        for start in 0..surface.vertices.len() as u32 {
-            if patch_of[start as usize] != u32::MAX || self.neighbours(start).is_empty() {
-                continue;
-            }
-            let id = patches.len() as u32;
-            let mut closed = true;
-            let mut left = vec![start];
-            patch_of[start as usize] = id;
-            while let Some(vertex) = left.pop() {
-                closed &= !open[vertex as usize];
-                for &next in self.neighbours(vertex) {
-                    if patch_of[next as usize] == u32::MAX {
-                        patch_of[next as usize] = id;
-                        left.push(next);
-                    }
-                }
-            }
-            patches.push(Patch { triangles: Vec::new(), closed });
-        }
-        for (t, triangle) in surface.triangles.iter().enumerate() {
-            let patch = patch_of.get(triangle[0] as usize).and_then(|&p| patches.get_mut(p as usize));
-            if let Some(patch) = patch {
-                patch.triangles.push(t as u32);
-            }
-        }
-        patches
-    }
-}
 
 impl Surface {
     /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
@@ -141,24 +51,6 @@ impl Surface {
             *normal = normal.normalize_or(fallback);
         }
         surface
-    }
-
-    /// The part of a surface that a patch is.
-    pub fn patch(&self, patch: &Patch) -> Surface {
-        let triangles = patch.triangles.iter().filter_map(|&t| self.triangles.get(t as usize).copied());
-        let mut part = Surface { two_sided: self.two_sided, ..Surface::default() };
-        let mut new_index: HashMap<u32, u32> = HashMap::new();
-        for triangle in triangles {
-            let triangle = triangle.map(|i| {
-                *new_index.entry(i).or_insert_with(|| {
-                    part.vertices.push(self.vertices.get(i as usize).copied().unwrap_or_default());
-                    part.normals.push(self.normals.get(i as usize).copied().unwrap_or(DVec3::Z));
-                    (part.vertices.len() - 1) as u32
-                })
-            });
-            part.triangles.push(triangle);
-        }
-        part
     }
 }
 
@@ -214,15 +106,14 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_falls_into_six_open_patches_and_stays_one_closed_one_when_smoothed() {
+    fn a_cube_falls_into_six_faces_and_stays_one_surface_when_smoothed() {
         let sharp = Surface::from_mesh(&cube(), 0.5);
-        let patches = Topology::new(&sharp).patches;
-        assert_eq!((patches.len(), sharp.vertices.len()), (6, 24));
-        assert!(patches.iter().all(|p| !p.closed && p.triangles.len() == 2));
+        assert_eq!((sharp.triangles.len(), sharp.vertices.len()), (12, 24));
         assert!(!sharp.two_sided, "a box has an inside");
+        assert!(!sharp.is_smooth());
         let smooth = Surface::from_mesh(&cube(), 2.0);
-        let patches = Topology::new(&smooth).patches;
-        assert_eq!((patches.len(), smooth.vertices.len(), patches[0].closed), (1, 8, true));
+        assert_eq!(smooth.vertices.len(), 8);
+        assert!(smooth.is_smooth());
         assert!(smooth.normals.iter().zip(&smooth.vertices).all(|(n, v)| n.dot(*v - DVec3::splat(0.5)) > 0.8));
     }
 
@@ -242,8 +133,6 @@ mod tests {
         assert_eq!(surface.triangles.len(), sphere.triangles.len());
         let worst = surface.vertices.iter().zip(&surface.normals).map(|(v, n)| n.angle_between(*v));
         assert!(worst.fold(0.0, f64::max) < 0.01);
-        let topology = Topology::new(&surface);
-        assert!(topology.patches.len() == 1 && topology.patches[0].closed);
-        assert!((0..surface.vertices.len() as u32).all(|v| (5..=6).contains(&topology.neighbours(v).len())));
+        assert!(surface.is_smooth());
     }
 }

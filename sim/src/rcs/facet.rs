@@ -12,8 +12,8 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::triangle;
-use crate::geometry::Surface;
+use crate::field::triangle;
+use crate::geometry::{Surface, halfway};
 
 /// Integrand at a point of the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,18 +82,6 @@ pub fn integrate<F: Fn(DVec3, DVec3) -> Sample>(surface: &Surface, accuracy: Acc
         }
     }
     integrator.sum
-}
-
-/// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
-/// tangential to the surface at its ends. No bit depends on which end comes first.
-pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
-    let d = b - a;
-    let bulge = normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a);
-    let chord = d.length_squared();
-    let mean = normal_a + normal_b;
-    // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
-    let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
-    (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
 }
 
 impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {

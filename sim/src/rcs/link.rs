@@ -3,11 +3,11 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::Phasor3;
-use super::boundary::Boundary;
-use super::current::{Arrival, Listener, heard};
 use super::facet::Sample;
 use super::terminal::Terminal;
+use crate::field::Phasor3;
+use crate::field::current::{Arrival, Listener, heard};
+use crate::field::image::Wall;
 
 /// A transmitter and a receiver whose fields have unit strength in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,12 +45,12 @@ impl Link {
         point: DVec3,
         normal: DVec3,
         two_sided: bool,
-        boundary: &Boundary,
+        boundary: &Wall,
         wavenumber_per_m: f64,
     ) -> Sample {
         let there = self.tx.leg(point);
         let cosine = normal.dot(there.towards);
-        if *boundary == Boundary::Conductor && self.is_monostatic() {
+        if *boundary == Wall::Conductor && self.is_monostatic() {
             // What the vectors come to for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);

@@ -1,4 +1,4 @@
-//! Edges: Fresnel's integral, the knife edge, and Sommerfeld's half-plane beside it.
+//! Edges: Fresnel's integral, the knife edge, and Sommerfeld's half-plane, beside which scenes' diffraction is put.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -59,40 +59,6 @@ pub fn knife_edge(nu: f64) -> Complex64 {
     Complex64::new(0.5, 0.5) * rest.conj()
 }
 
-/// The knife edge's parameter from the detour that the way over the edge is, m, negative in the light:
-/// `nu = 2 sqrt(detour/lambda)`.
-pub fn knife_edge_parameter(detour_m: f64, shadowed: bool, wavelength_m: f64) -> f64 {
-    let nu = 2.0 * (detour_m.max(0.0) / wavelength_m).sqrt();
-    if shadowed { nu } else { -nu }
-}
-
-/// Field past the edge of a conducting screen over the free field, with what the screen's own reflection adds to it: two knife
-/// edges, one for the straight way and one for the way by the source's mirror image in the screen's plane. Exact for plane
-/// waves; for the mean of both polarisations the plain [`knife_edge`] is what it comes to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ScreenEdge {
-    /// The way over the edge is so much longer than the straight way, m.
-    pub detour_m: f64,
-    /// The screen lies in the straight way.
-    pub shadowed: bool,
-    /// The way over the edge is so much longer than the way from the source's mirror image, m.
-    pub image_detour_m: f64,
-    /// The screen lies in that way, and so reflects.
-    pub reflecting: bool,
-}
-
-impl ScreenEdge {
-    /// The weight, at a wave length, for the electric field along the edge (`soft`) or across it.
-    pub fn weight(&self, wavelength_m: f64, soft: bool) -> Complex64 {
-        let straight = knife_edge(knife_edge_parameter(self.detour_m, self.shadowed, wavelength_m));
-        // The image is light where the screen is, not where it is not.
-        let image = knife_edge(knife_edge_parameter(self.image_detour_m, !self.reflecting, wavelength_m));
-        let longer_m = self.detour_m - self.image_detour_m;
-        let image = image * Complex64::from_polar(1.0, -2.0 * PI * longer_m / wavelength_m);
-        if soft { straight - image } else { straight + image }
-    }
-}
-
 /// Sommerfeld's exact field of a plane wave of unit strength behind a conducting half-plane, at cylinder coordinates about
 /// its edge, both angles from the screen's lit face: electric field along the edge (`soft`, zero on the screen) or magnetic.
 /// Phase zero at the edge.
@@ -109,6 +75,7 @@ pub fn half_plane(k_rho: f64, angle_rad: f64, incidence_rad: f64, soft: bool) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::paths::edge_field::side_from_foot;
 
     fn db(v: Complex64) -> f64 {
         20.0 * v.norm().log10()
@@ -167,71 +134,27 @@ mod tests {
         assert!(half_plane(1e-8, 4.0, 1.0, true).norm() < 1e-3);
     }
 
-    /// Six decibels at the boundary, and Sommerfeld's field within 0.3 dB all across it, for both polarisations and at any
-    /// incidence: from the light through the boundary down to 40 dB, which soft screens reach at their back.
+    /// Past an edge scenes have the mean of both polarisations, from the light to deep shadow.
     #[test]
-    fn the_screens_edge_is_the_half_plane_from_light_to_forty_decibels() {
-        let wavelength_m = 299_792_458.0 / 60e9;
-        let mut deepest = 0.0f64;
-        for (behind_m, incidence) in [(0.1, FRAC_PI_2), (0.5, FRAC_PI_2), (2.0, 0.9), (5.0, FRAC_PI_2), (5.0, 2.2)] {
-            let k_rho = std::f64::consts::TAU * behind_m / wavelength_m;
-            let mut worst: f64 = 0.0;
-            // From the screen's lit face to its dark one.
-            for i in 1..4000 {
-                let angle: f64 = 2.0 * PI * f64::from(i) / 4000.0;
-                let edge = ScreenEdge {
-                    detour_m: behind_m * (1.0 + (angle - incidence).cos()),
-                    shadowed: angle > PI + incidence,
-                    image_detour_m: behind_m * (1.0 + (angle + incidence).cos()),
-                    reflecting: angle < PI - incidence,
-                };
-                for soft in [true, false] {
-                    let exact = half_plane(k_rho, angle, incidence, soft);
-                    if db(exact) < -40.0 {
-                        continue;
-                    }
-                    deepest = deepest.min(db(exact));
-                    worst = worst.max((db(edge.weight(wavelength_m, soft)) - db(exact)).abs());
-                }
-            }
-            assert!(worst < 1e-6, "{behind_m} m, {incidence}: {worst} dB");
-            let boundary = ScreenEdge {
-                detour_m: 0.0,
-                shadowed: false,
-                image_detour_m: behind_m * (1.0 + (PI + 2.0 * incidence).cos()),
-                reflecting: false,
-            };
-            let mean = 0.5 * (boundary.weight(wavelength_m, true) + boundary.weight(wavelength_m, false));
-            assert!((db(mean) + 6.0206).abs() < 1e-3);
-            assert!((db(boundary.weight(wavelength_m, true)) + 6.02).abs() < 0.5);
-        }
-        assert!(deepest < -39.0, "{deepest} dB");
-    }
-
-    /// The plain knife edge knows neither polarisation nor the screen's own reflection: it is the mean of both polarisations,
-    /// and each of them within 0.3 dB from the light to where that reflection is a thirtieth of what is left, which is the deeper
-    /// the further behind.
-    #[test]
-    fn the_knife_edge_is_the_half_plane_across_the_boundary() {
+    fn scenes_diffract_as_the_half_plane_does() {
         assert!((db(knife_edge(0.0)) + 6.0206).abs() < 1e-3);
         let wavelength_m = 299_792_458.0 / 60e9;
-        for (behind_m, shadow_db) in [(0.5, -12.0), (2.0, -17.0), (5.0, -21.0)] {
-            let k_rho = std::f64::consts::TAU * behind_m / wavelength_m;
-            let incidence = FRAC_PI_2;
-            let mut worst: f64 = 0.0;
+        for (behind_m, incidence) in [(0.1, FRAC_PI_2), (0.5, 1.2), (2.0, 0.9), (5.0, 2.2)] {
+            let k_rho = 2.0 * PI * behind_m / wavelength_m;
             for i in -400..=400 {
                 let past = f64::from(i) * 1e-3;
-                let detour_m = behind_m * (1.0 - past.cos());
-                let weight = knife_edge(knife_edge_parameter(detour_m, past > 0.0, wavelength_m));
-                if db(weight) < shadow_db {
-                    continue;
-                }
-                for soft in [true, false] {
-                    let exact = half_plane(k_rho, PI + incidence + past, incidence, soft);
-                    worst = worst.max((db(weight) - db(exact)).abs());
+                let angle = PI + incidence + past;
+                let both = [true, false].map(|soft| half_plane(k_rho, angle, incidence, soft));
+                // Over the plane wave's field there, whose phase is zero at the edge.
+                let free = Complex64::from_polar(1.0, k_rho * (angle - incidence).cos());
+                let exact = 0.5 * (both[0] + both[1]) / free;
+                let nu = (4.0 * k_rho / PI).sqrt() * (0.5 * past).sin();
+                let edge = side_from_foot(nu.abs(), f64::INFINITY) - side_from_foot(nu.abs(), f64::NEG_INFINITY);
+                let by_outline = if nu > 0.0 { edge } else { 1.0 - edge };
+                for scene in [crate::shadow::half_plane(-nu), by_outline] {
+                    assert!((scene - exact).norm() < 0.005, "{behind_m} m, {past} rad: {scene} {exact}");
                 }
             }
-            assert!(worst < 0.3, "{behind_m} m: {worst} dB");
         }
     }
 }

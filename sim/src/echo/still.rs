@@ -1,0 +1,164 @@
+//! A surface that stands still, by the patches of skins: one antenna lights it and listens to it.
+//!
+//! It is what frames do with a person at one key time ([`super::skin`]), without what moves: the same patches, triangles,
+//! strengths and shadows. Validation puts it before bodies whose cross-section is known.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::demand::Fineness;
+use super::posed_patch::{at_corners, vectors_at_corners, vertex_rows};
+use super::self_shadow;
+use super::strength::{Between, FieldAround, VertexRows, field_rows, light_rows, strengths};
+use super::workbench::rules_for;
+use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
+use crate::field::Phasor3;
+use crate::field::curved_triangle::{
+    HALVES, Integrator, Nodes, bulge_rows, moments, place_nodes, spans_rad, triangle_rows, view_rows,
+};
+use crate::geometry::Surface;
+use crate::lanes::{LANES, Row};
+
+/// From farther away than this shadows are cast as from here, m: they are found in single precision.
+const FARTHEST_SHADING_M: f64 = 1e3;
+
+/// A closed surface that stands still.
+#[derive(Debug, Clone)]
+pub struct StillSkin {
+    skin: Skin,
+    posed: PosedSkin,
+    /// Middle of the vertices: single precision counts from here.
+    origin: DVec3,
+}
+
+/// An antenna that lights a surface and listens to it, and how its echo is integrated.
+pub struct StillView<'a> {
+    /// Position, m.
+    pub antenna: DVec3,
+    /// Field at a place, but for spreading and phase.
+    pub field: &'a dyn Fn(DVec3) -> Phasor3,
+    /// Wavelength, m.
+    pub wavelength_m: f64,
+    /// Complex relative permittivity of the body, whose real part is no less than 1.
+    pub permittivity: Complex64,
+    /// How finely to integrate.
+    pub fineness: Fineness,
+}
+
+impl StillSkin {
+    /// From a surface with normals; every edge has one triangle or two.
+    pub fn new(surface: &Surface) -> Self {
+        let (skin, posed) = Skin::still(surface);
+        let origin = posed.vertices.iter().sum::<DVec3>() / posed.vertices.len().max(1) as f64;
+        StillSkin { skin, posed, origin }
+    }
+
+    /// Number of triangles.
+    pub fn triangles(&self) -> usize {
+        self.skin.rest().triangles.len()
+    }
+
+    /// Physical optics over what is near a highlight and in the light: the integral of [`crate::field::current::heard_by`] over
+    /// the square of the distance, with the phase of the path relative to that by the middle of the surface.
+    pub fn integral(&self, integrator: &Integrator, view: &StillView) -> Complex64 {
+        let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);
+        let wanted = vec![true; self.posed.vertices.len()];
+        let weights = self_shadow::weights(&self.skin, &self.posed, shading, view.wavelength_m, &wanted);
+        self.skin.patches().iter().map(|patch| self.of_patch(integrator, view, patch, &weights)).sum()
+    }
+
+    fn of_patch(&self, integrator: &Integrator, view: &StillView, patch: &SkinPatch, weights: &[f64]) -> Complex64 {
+        let level = integrator.level;
+        let [places, normals] = vertex_rows(&self.posed, patch, self.origin);
+        let corners = vectors_at_corners(&places, &patch.corners);
+        let corner_normals = vectors_at_corners(&normals, &patch.corners);
+        let bulges = bulge_rows(level, &corners, &corner_normals);
+        let triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
+        let seen = view_rows(level, view.antenna, self.origin, &triangles, view.wavelength_m);
+        let light = light_rows(level, (view.antenna - self.origin).as_vec3().to_array(), &places);
+        let around = FieldAround::new(self.centre(patch), self.origin, view.field);
+        let field = field_rows(level, &around, &places);
+        let weights = patch.vertices.map(|v| weights.get(v as usize).map_or(1.0, |weight| *weight as f32));
+        let vertices = VertexRows { places, normals, left: [1.0; LANES], narrowing: [1.0; LANES] };
+        let (re, im) = strengths(
+            level,
+            &Between {
+                vertices: &vertices,
+                lights: [&light, &light],
+                fields: [&field, &field],
+                weights: [&weights, &weights],
+                permittivity: view.permittivity,
+                fineness: &view.fineness,
+                factor: 1.0,
+            },
+        );
+        if re.iter().chain(&im).all(|part| *part == 0.0) {
+            return Complex64::ZERO;
+        }
+        let spans = spans_rad(level, [&seen, &seen]);
+        let rules = rules_for(&spans, 0..patch.triangles.len(), view.fineness.ease);
+        let mut nodes: [Nodes; HALVES] = Default::default();
+        for (half, (rule, nodes)) in rules.into_iter().zip(&mut nodes).enumerate() {
+            if let Some(rule) = rule.and_then(|number| integrator.rules.get(number)) {
+                place_nodes(level, &triangles, half, rule, nodes);
+            }
+        }
+        let moments = moments(level, nodes.each_ref(), [&seen, &seen]);
+        let (re, im) = (at_corners(&re, &patch.corners), at_corners(&im, &patch.corners));
+        let middle_m = view.antenna.distance(self.origin);
+        let of_triangle = |(l, distance_m): (usize, &f64)| {
+            let number = |re: &Row, im: &Row| Complex64::new(re[l].into(), im[l].into());
+            let products = (0..3).map(|i| number(&re[i], &im[i]) * number(&moments.re[i], &moments.im[i]));
+            let longer_m = 2.0 * (distance_m - middle_m);
+            products.sum::<Complex64>() * Complex64::from_polar(1.0, -TAU * longer_m / view.wavelength_m)
+        };
+        let triangles = seen.distances_m.iter().enumerate().take(patch.triangles.len());
+        // Strengths are multiplied by j.
+        -Complex64::I * triangles.map(of_triangle).sum::<Complex64>()
+    }
+
+    fn centre(&self, patch: &SkinPatch) -> DVec3 {
+        let places = patch.vertices.iter().filter_map(|&v| self.posed.vertices.get(v as usize));
+        places.sum::<DVec3>() / LANES as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::shape;
+    use crate::scene::material::SKIN_PERMITTIVITY;
+
+    /// Before a larger ball one is not seen: the shadows of skins are those of whatever stands in the light.
+    #[test]
+    fn a_ball_behind_a_larger_one_is_not_seen() {
+        let integrator = Integrator::default();
+        let towards = DVec3::new(0.8, 0.1, 0.3).normalize();
+        let field = |_: DVec3| Phasor3::real(DVec3::Y.reject_from_normalized(towards).normalize());
+        let view = |antenna: DVec3| StillView {
+            antenna,
+            field: &field,
+            wavelength_m: 0.005,
+            permittivity: SKIN_PERMITTIVITY,
+            fineness: Fineness::for_tolerance(0.5),
+        };
+        let front = shape::icosphere(DVec3::splat(0.2), 24);
+        let mut both = front.clone();
+        let small = shape::icosphere(DVec3::splat(0.05), 12);
+        let first = both.vertices.len() as u32;
+        both.vertices.extend(small.vertices.iter().map(|v| *v - towards));
+        both.normals.extend(&small.normals);
+        both.triangles.extend(small.triangles.iter().map(|t| t.map(|v| first + v)));
+        let alone = StillSkin::new(&front);
+        let pair = StillSkin::new(&both);
+        assert_eq!(pair.triangles(), front.triangles.len() + small.triangles.len());
+        for range_m in [4.0, 1e6] {
+            let antenna = towards * range_m;
+            let of = |skin: &StillSkin| skin.integral(&integrator, &view(antenna)).norm() * range_m * range_m;
+            let (one, two) = (of(&alone), of(&pair));
+            assert!(one > 1e-5 && (two / one - 1.0).abs() < 1e-3, "{range_m} m: {one} {two}");
+        }
+    }
+}
