@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
-use super::edge_field::side_from_foot;
+use super::edge_field::side_between;
 use super::edges::SoftEdge;
 use super::environment::Passing;
 use super::flat::{FacetId, Flat, SEAM_M};
@@ -27,6 +27,10 @@ const UNSURE_M: f64 = 5e-5;
 const UNSURE_ON_FACET_M: f64 = 1e-8;
 /// Beside an edge by this much, m, it is looked for a free way past it.
 const BESIDE_M: f64 = 1e-4;
+/// Parts of a field that an edge adds or takes count from this on: Fresnel's integrals are met to no less.
+const LEAST_PART: f64 = 0.003;
+/// Edges near a leg that are made room for at first.
+const USUALLY_NEAR: usize = 64;
 /// Points must lie this far before a facet to be reflected, m.
 const BEFORE_M: f64 = 1e-9;
 
@@ -68,6 +72,21 @@ struct Kept {
     is_whole: bool,
 }
 
+/// What facets, edges and walls leave of an image's field about a point. Fields at points nearby that are past the same things
+/// can be had from it.
+#[derive(Debug, Clone)]
+pub struct Obstruction<'a> {
+    image: Option<&'a Image>,
+    arrivals: Vec<Arrival<'a>>,
+}
+
+impl Obstruction<'_> {
+    /// Part of the field that is left, in magnitude, at most: that of all sequences together.
+    pub fn left(&self) -> f64 {
+        self.arrivals.iter().map(|arrival| arrival.part.norm()).sum()
+    }
+}
+
 /// What is left of a field by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
@@ -100,8 +119,16 @@ struct Passage {
 }
 
 impl Leg {
+    /// Edges farther from the path than this have no part in it, wherever along it they are, m.
     fn reach_m(&self, wavelength_m: f64) -> f64 {
         REACH * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
+    }
+
+    /// The same of edges beside this leg: Fresnel's zones are the widest in the middle of a path.
+    fn own_reach_m(&self, wavelength_m: f64) -> f64 {
+        let d1 = (0.5 * self.total_m).max(self.before_m).min(self.before_m + self.length_m);
+        let (d1, d2) = (d1.max(LEAST_DISTANCE_M), (self.total_m - d1).max(LEAST_DISTANCE_M));
+        REACH * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
     }
 
     /// `None` where an edge is out of reach.
@@ -135,7 +162,7 @@ impl Leg {
         let p = clearance_m * nu_per_m;
         let fade = fade((REACH - nu) / (REACH / 3.0));
         Some(Passage {
-            part: (side_from_foot(p, high) - side_from_foot(p, low)) * fade,
+            part: side_between(p, [low, high]) * fade,
             clearance_m,
             is_behind: -perpendicular.dot(into) > 0.0,
             nearest,
@@ -166,18 +193,30 @@ impl ImagePaths {
     /// Field of an element's image at a point, as [`crate::field::image::BoxRoom::illuminate`] gives it: zero where no path leads
     /// from the one to the other.
     pub fn illuminate(&self, element: &Element, image: usize, point: DVec3) -> Illumination {
-        let position = self.images.get(image).map_or(element.position, |image| image.of(element.position));
+        self.illuminate_past(element, &self.obstruction(image, element.position, point), point)
+    }
+
+    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
+        let image = self.images.get(image);
+        Obstruction { image, arrivals: image.map_or_else(Vec::new, |image| self.valid(image, antenna, point)) }
+    }
+
+    /// Field of an element's image at a point ([`ImagePaths::illuminate`]) past what is known to obstruct it: lengths, directions
+    /// and reflections are those of the point.
+    pub fn illuminate_past(&self, element: &Element, obstruction: &Obstruction, point: DVec3) -> Illumination {
+        let position = obstruction.image.map_or(element.position, |image| image.of(element.position));
         let offset = point - position;
         let distance_m = offset.length().max(1e-6);
         let direction = offset / distance_m;
         let mut field = Phasor3::real(DVec3::ZERO);
-        if let Some(image) = self.images.get(image) {
+        if let Some(image) = obstruction.image.filter(|_| !obstruction.arrivals.is_empty()) {
             let departure = element.radar_from_world * (image.mirror.transpose() * direction);
             let polarisation = image.mirror * element.polarisation;
             let transverse = polarisation - direction * direction.dot(polarisation);
             let launched = Phasor3::real(transverse).scaled(element.pattern.field(departure));
-            for arrival in self.valid(image, element.position, point) {
-                field = sum(field, self.reflected(&arrival, direction, launched).times(arrival.part));
+            for arrival in &obstruction.arrivals {
+                field = sum(field, self.reflected(arrival, direction, launched).times(arrival.part));
             }
         }
         Illumination { source: position, distance_m, direction, field }
@@ -204,8 +243,13 @@ impl ImagePaths {
 
     /// The facets that the strongest way from an antenna to a point by an image meets.
     pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
-        let all = self.valid(self.images.get(image)?, antenna, point);
-        all.into_iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm())).map(|arrival| arrival.sequence)
+        strongest_of(&self.valid(self.images.get(image)?, antenna, point))
+    }
+
+    /// Corners of the strongest way from an antenna to a point past what is known to obstruct it; empty where there is none.
+    pub fn way_past(&self, obstruction: &Obstruction, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        let folded = strongest_of(&obstruction.arrivals).and_then(|sequence| self.folded(sequence, antenna, point));
+        folded.map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
     /// The way from an antenna to a point by an image, whether it is free or not: the first whose points of reflection lie on
@@ -383,10 +427,10 @@ impl ImagePaths {
         let passing = environment.passing([leg.from, to], on);
         let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
         let wavelength_m = environment.wavelength_m();
-        let reach_m = leg.reach_m(wavelength_m);
+        let reach_m = leg.own_reach_m(wavelength_m);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
-        let mut near = Vec::new();
+        let mut near = Vec::with_capacity(USUALLY_NEAR);
         environment.edges_near(leg.from, to, reach_m, &mut near);
         for edge in near.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
             if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m)
@@ -395,7 +439,10 @@ impl ImagePaths {
             {
                 continue;
             }
-            let Some(passage) = leg.past(edge, edge.widest(leg.direction), wavelength_m) else { continue };
+            let passage = leg.past(edge, edge.widest(leg.direction), wavelength_m);
+            let Some(passage) = passage.filter(|passage| passage.part.norm_sqr() >= LEAST_PART * LEAST_PART) else {
+                continue;
+            };
             let beside = passage.nearest + passage.outwards * BESIDE_M;
             if environment.passing([leg.from, beside], [on[0], None]).is_blocked
                 || environment.passing([beside, to], [None, on[1]]).is_blocked
@@ -442,6 +489,12 @@ struct Screen {
     beside: Complex64,
     /// Whether rays meet them.
     is_in_the_way: bool,
+}
+
+/// The facets of the strongest of some arrivals.
+fn strongest_of<'a>(arrivals: &[Arrival<'a>]) -> Option<&'a [FacetId]> {
+    let strongest = arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
+    strongest.map(|arrival| arrival.sequence)
 }
 
 fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {

@@ -7,6 +7,7 @@ use num_complex::Complex64;
 
 use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
 use super::environment::{Environment, EnvironmentError, FacetId};
+use super::illuminate::Obstruction;
 use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
 use crate::scene::Scene;
 use crate::scene::file::SolverFile;
@@ -105,6 +106,24 @@ impl PolygonRoom {
     /// Corners of the way from an antenna to a point by an image, whether it is free or not; empty where there is none.
     pub fn way(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         self.paths.way(number(index), antenna, point)
+    }
+
+    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
+        self.paths.obstruction(number(index), antenna, point)
+    }
+
+    /// Upper bound of the magnitude of an image's field within a distance of a place where nothing is in the way; 0 where
+    /// no facet sends it there.
+    pub fn most_free_field(&self, element: &Element, index: ImageIndex, middle: DVec3, reach_m: f64) -> f64 {
+        let number = number(index);
+        if !self.paths.may_light(number, element.position, middle, reach_m) {
+            return 0.0;
+        }
+        let source = self.paths.images().get(number).map_or(element.position, |image| image.of(element.position));
+        let distance_m = middle.distance(source).max(1e-9);
+        let spread_rad = (reach_m / distance_m).min(1.0).asin();
+        self.paths.most_free_field(element, number, (middle - source) / distance_m, spread_rad)
     }
 
     /// Pairs of images of the antennas by which what lies within a distance of a place may be seen, the direct pair first.
@@ -217,14 +236,6 @@ impl Surroundings {
         match self {
             Surroundings::Box(room) => room.illuminate(element, index, point),
             Surroundings::Polygons(room) => room.paths.illuminate(element, number(index), point),
-        }
-    }
-
-    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
-    pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
-        match self {
-            Surroundings::Box(room) => room.most_field(element, index, direction, spread_rad),
-            Surroundings::Polygons(room) => room.paths.most_field(element, number(index), direction, spread_rad),
         }
     }
 
