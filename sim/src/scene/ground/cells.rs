@@ -9,8 +9,8 @@ use crate::geometry::{Mesh, Plane, planes};
 use crate::scene::Scene;
 use crate::scene::room::{OPEN, WELD_M};
 
-/// Size of a cell, m.
-const CELL_M: f64 = 0.1;
+/// Largest side of a cell, m: cells divide a room evenly.
+const MOST_CELL_M: f64 = 0.1;
 /// Planes are walls that begin below this and end above people's heads, m; floors lie below it.
 const FOOT_M: f64 = 0.3;
 /// Largest vertical part of a wall's unit normal, and least one of a floor's.
@@ -34,6 +34,7 @@ pub(crate) enum Kind {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Cells {
     size_m: DVec2,
+    cell_m: DVec2,
     count: [usize; 2],
     /// Along x, then y.
     kinds: Vec<Kind>,
@@ -44,8 +45,8 @@ impl Cells {
     pub fn of(scene: &Scene) -> Option<Self> {
         let [width_m, depth_m, _] = scene.file.room.size_m;
         let size_m = DVec2::new(width_m, depth_m);
-        let count = [width_m, depth_m].map(|length_m| ((length_m / CELL_M).ceil() as usize).max(1));
-        let mut cells = Cells { size_m, count, kinds: vec![Kind::Outside; count[0] * count[1]] };
+        let count = [width_m, depth_m].map(|length_m| ((length_m / MOST_CELL_M).ceil() as usize).max(1));
+        let mut cells = Cells::new(size_m, count);
         let mut has_floor = vec![false; cells.kinds.len()];
         for piece in scene.meshes.pieces.iter().filter(|piece| piece.surface.material != OPEN) {
             let mut mesh = piece.mesh.clone();
@@ -63,8 +64,14 @@ impl Cells {
         (cells.kinds.iter().any(is_inside) && !cells.kinds.iter().all(is_inside)).then_some(cells)
     }
 
+    /// All of a room outside.
+    fn new(size_m: DVec2, count: [usize; 2]) -> Self {
+        let cell_m = size_m / DVec2::new(count[0] as f64, count[1] as f64);
+        Cells { size_m, cell_m, count, kinds: vec![Kind::Outside; count[0] * count[1]] }
+    }
+
     fn cell(&self, at: DVec2) -> Option<usize> {
-        let [i, j] = [at.x, at.y].map(|x| (x / CELL_M).floor());
+        let [i, j] = (at / self.cell_m).floor().to_array();
         let is_within = i >= 0.0 && j >= 0.0 && i < self.count[0] as f64 && j < self.count[1] as f64;
         is_within.then(|| i as usize + self.count[0] * j as usize)
     }
@@ -103,11 +110,11 @@ impl Cells {
     fn add_floor(&self, triangle: [DVec3; 3], has_floor: &mut [bool]) {
         let [a, b, c] = triangle.map(DVec3::truncate);
         let last = |axis: usize| self.count.get(axis).map_or(0, |count| count - 1);
-        let clamped = |x: f64, axis: usize| ((x / CELL_M).floor().max(0.0) as usize).min(last(axis));
+        let clamped = |x: f64, axis: usize| ((x / self.cell_m[axis]).floor().max(0.0) as usize).min(last(axis));
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         for j in clamped(low.y, 1)..=clamped(high.y, 1) {
             for i in clamped(low.x, 0)..=clamped(high.x, 0) {
-                let middle = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * CELL_M;
+                let middle = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * self.cell_m;
                 let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| (to - from).perp_dot(middle - from));
                 let is_within = sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0);
                 if let (true, Some(slot)) = (is_within, has_floor.get_mut(i + self.count[0] * j)) {
@@ -119,7 +126,7 @@ impl Cells {
 
     /// Marks what lies under a part of an upright plane: from one place along it to another.
     fn add_wall(&mut self, on_plane: DVec3, along: DVec3, [from, to]: [f64; 2]) {
-        let steps = ((to - from) / (0.25 * CELL_M)).ceil().max(1.0) as usize;
+        let steps = ((to - from) / (0.25 * self.cell_m.min_element())).ceil().max(1.0) as usize;
         for step in 0..=steps {
             let place = from + (to - from) * step as f64 / steps as f64;
             let at = (on_plane + along * (place - on_plane.dot(along))).truncate();
@@ -134,8 +141,9 @@ impl Cells {
         let is_free = |kinds: &[Kind], cell: usize| {
             kinds.get(cell) == Some(&Kind::Outside) && has_floor.get(cell).copied().unwrap_or(false)
         };
-        let steps = (self.size_m.length() / (0.5 * CELL_M)).ceil() as usize;
-        let places = (0..=steps).map(|step| radar + ahead * (0.5 * CELL_M * step as f64));
+        let step_m = 0.5 * self.cell_m.min_element();
+        let steps = (self.size_m.length() / step_m).ceil() as usize;
+        let places = (0..=steps).map(|step| radar + ahead * (step_m * step as f64));
         let first = places.filter_map(|at| self.cell(at)).find(|&cell| is_free(&self.kinds, cell));
         let mut open: VecDeque<usize> = first.into_iter().collect();
         while let Some(cell) = open.pop_front() {
@@ -177,7 +185,7 @@ impl Cells {
 
     /// The box of a run of columns over rows, each from the first to behind the last.
     fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> GroundBox {
-        let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * CELL_M).min(self.size_m).to_array();
+        let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
         [at(left, first), at(right, end)]
     }
 }
@@ -237,11 +245,11 @@ mod tests {
     /// Rows of the same extent are one box.
     #[test]
     fn boxes_cover_what_is_no_floor() {
-        let mut kinds = vec![Kind::Inside; 6 * 4];
+        let mut cells = Cells::new(DVec2::new(0.6, 0.4), [6, 4]);
+        cells.kinds.fill(Kind::Inside);
         for (i, j) in [(3, 1), (4, 1), (3, 2), (4, 2), (0, 3), (5, 3)] {
-            kinds[i + 6 * j] = if i == 3 { Kind::Wall } else { Kind::Outside };
+            cells.kinds[i + 6 * j] = if i == 3 { Kind::Wall } else { Kind::Outside };
         }
-        let cells = Cells { size_m: DVec2::new(0.6, 0.4), count: [6, 4], kinds };
         let mut boxes = cells.boxes();
         boxes.sort_by(|a, b| a[0][0].total_cmp(&b[0][0]));
         let expected = [[[0.0, 0.3], [0.1, 0.4]], [[0.3, 0.1], [0.5, 0.3]], [[0.5, 0.3], [0.6, 0.4]]];
