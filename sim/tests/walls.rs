@@ -13,8 +13,8 @@ use radome_sim::actor::body::CHEST;
 use radome_sim::actor::program::Program;
 use rooms::{Quad, obj};
 
-/// An L of two arms of 6 x 4.3 m: its inner corner is at (4.3, 4.3), and what lies beyond both 4.3 m is outside.
-const CORNERS: [[f64; 2]; 6] = [[0.0, 0.0], [6.0, 0.0], [6.0, 4.3], [4.3, 4.3], [4.3, 6.0], [0.0, 6.0]];
+/// A corridor that turns: two arms of 6 x 2 m. Its inner corner is at (2, 2), and what lies beyond both 2 m is outside.
+const CORNERS: [[f64; 2]; 6] = [[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]];
 const HEIGHT_M: f64 = 2.6;
 
 /// A scene with what stands in `[room]` and somebody's steps. The radar is at (0.5, 1, 1.2) and looks along x.
@@ -39,7 +39,7 @@ fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
     let level = |[x, y]: [f64; 2], z: f64, [w, d]: [f64; 2]| -> Quad {
         [[x, y, z], [x + w, y, z], [x + w, y + d, z], [x, y + d, z]]
     };
-    let arms = [([0.0, 0.0], [6.0, 4.3]), ([0.0, 4.3], [4.3, 1.7])];
+    let arms = [([0.0, 0.0], [6.0, 2.0]), ([0.0, 2.0], [2.0, 4.0])];
     let floors = arms.iter().flat_map(|&(at, size)| [level(at, 0.0, size), level(at, HEIGHT_M, size)]);
     let quads: Vec<(Quad, &str)> = (0..6).map(wall).chain(floors).map(|quad| (quad, "concrete")).collect();
     std::fs::write(folder.join("l.obj"), obj(&quads)).expect("written");
@@ -65,13 +65,13 @@ fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
 #[test]
 fn a_walker_in_an_l_crosses_no_wall() {
     let folder = tempfile::tempdir().expect("a folder");
-    let steps = "{ walk_to_m = [5.5, 3.6] }, { walk_to_m = [3.6, 5.5] }, { walk_to_m = [5.5, 3.6] }";
+    let steps = "{ walk_to_m = [5.2, 1.0] }, { walk_to_m = [1.0, 5.2] }, { walk_to_m = [5.2, 1.0] }";
     for (name, scene) in rooms_like_an_l(steps, folder.path()) {
         let way = walked(&scene, 20.0);
         let arrives = |to: [f64; 2]| way.iter().any(|at| (at[0] - to[0]).hypot(at[1] - to[1]) < 0.2);
-        assert!(arrives([5.5, 3.6]) && arrives([3.6, 5.5]), "{name}: {:?}", way.last());
+        assert!(arrives([5.2, 1.0]) && arrives([1.0, 5.2]), "{name}: {:?}", way.last());
         for [x, y] in way {
-            assert!(!(x > 4.2 && y > 4.2), "{name}: in the wall at ({x}, {y})");
+            assert!(!(x > 1.9 && y > 1.9), "{name}: in the wall at ({x}, {y})");
             assert!(x > 0.1 && y > 0.1 && x < 5.9 && y < 5.9, "{name}: out of the room at ({x}, {y})");
         }
     }
@@ -81,7 +81,7 @@ fn a_walker_in_an_l_crosses_no_wall() {
 #[test]
 fn who_is_beyond_a_wall_is_not_in_the_room() {
     let folder = tempfile::tempdir().expect("a folder");
-    for (place, occupancy) in [("[5.2, 5.2]", Occupancy::Empty), ("[1.5, 4.5]", Occupancy::One)] {
+    for (place, occupancy) in [("[4.0, 4.0]", Occupancy::Empty), ("[1.0, 4.0]", Occupancy::One)] {
         let steps = format!("{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}");
         for (name, scene) in rooms_like_an_l(&steps, folder.path()) {
             let simulator = common::simulator(&scene, 1, None);

@@ -35,6 +35,8 @@ const SAME_WALL_M: f64 = 0.01;
 const ALONG: f64 = 0.9994;
 /// A wall covers at least this part of its side of the meshes' bounding box.
 const LEAST_WALL: f64 = 0.3;
+/// Solid walls are no thicker, m.
+const THICKEST_M: f64 = 0.6;
 /// Rooms are no smaller and no larger, m.
 const SIZES_M: [f64; 2] = [0.5, 100.0];
 /// Pieces of furniture that are kept, the largest, and points of each on a square metre.
@@ -340,8 +342,8 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     })
 }
 
-/// The innermost of the large planes at an end of an axis: walls that are solids have an outer one too. If there is none, the
-/// largest area.
+/// The innermost of the large planes at an end of an axis that may be one wall with the outermost: walls that are solids have an
+/// outer plane too, and rooms that are no boxes have walls farther in. If there is none, the largest area.
 fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
     let middle = 0.5 * (low + high)[axis];
     let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
@@ -349,7 +351,10 @@ fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> 
     let largest = faces.iter().filter(at).map(|f| f.area_m2).fold(0.0, f64::max);
     let is_wall = |f: &&Face| f.area_m2 >= LEAST_WALL * across && f.area_m2 >= 0.5 * largest;
     let inner = |f: &&Face| (f.offset_m2 / f.area_m2 - middle).abs();
-    faces.iter().filter(at).filter(is_wall).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
+    let walls = || faces.iter().filter(at).filter(is_wall);
+    let outermost_m = walls().map(|face| inner(&face)).fold(0.0, f64::max);
+    let is_outer = |f: &&Face| inner(f) >= outermost_m - THICKEST_M;
+    walls().filter(is_outer).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
 }
 
 /// What stands within the walls.
