@@ -19,6 +19,8 @@ pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
 pub use side_by_side::Met;
 
+use std::cell::RefCell;
+
 use glam::DVec3;
 use num_complex::Complex64;
 use obstruction::{SharedWays, Way, past_own, past_people, visibility};
@@ -32,7 +34,7 @@ use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, Element, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
-use crate::paths::Surroundings;
+use crate::paths::{EdgesBeside, Surroundings};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
 use crate::slow_time::Key;
@@ -128,7 +130,7 @@ struct Pair {
 
 /// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
 /// heard, then what a person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from
-/// which they scatter.
+/// which they scatter. In rooms of plane faces they are those of one frame: which edges are beside them is found out once.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
@@ -142,6 +144,8 @@ pub struct Paths<'a> {
     places: std::ops::Range<usize>,
     /// Instructions for paths side by side.
     level: KernelLevel,
+    /// In rooms of plane faces, edges beside the ways to each segment, once they are known: `[image][segment]`.
+    beside: RefCell<Vec<EdgesBeside>>,
 }
 
 impl<'a> Paths<'a> {
@@ -170,7 +174,12 @@ impl<'a> Paths<'a> {
         let highlights = pairs.iter().enumerate().flat_map(of_pair).collect();
         let pairs = pairs.iter().map(pair).collect();
         let level = KernelLevel::detect();
-        Paths { stage, motion, me, pairs, images: images.len(), highlights, places: 0..1 + folds, level }
+        let ways = match stage.room {
+            Surroundings::Box(_) => 0,
+            Surroundings::Polygons(_) => images.len() * SEGMENTS,
+        };
+        let (images, beside) = (images.len(), RefCell::new(vec![EdgesBeside::default(); ways]));
+        Paths { stage, motion, me, pairs, images, highlights, places: 0..1 + folds, level, beside }
     }
 
     /// Those of rough folds alone: for a skin, whose highlights are not these.

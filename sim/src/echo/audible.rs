@@ -32,8 +32,10 @@ const BODY_BOUND_M: f64 = 0.25;
 const BODY_REACH_M: f64 = 1.2;
 /// Segments weaker than this part of the threshold of a path alone are not traced: as weak as those that key times ask for.
 pub const HEARD: f64 = 0.5;
-/// Where so much of a field is left it is taken for all that edges can make of it.
-const MOSTLY_LEFT: f64 = 0.5;
+/// Behind a straight edge no more than this part of a field is left.
+const MOST_IN_SHADOW: f64 = 0.5;
+/// What an edge leaves in its shadow grows by this factor within a frame at most where rays do not come there.
+const MOVING: f64 = 2.0;
 /// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
 
@@ -154,7 +156,8 @@ impl SegmentBound {
             let least_per_m = HEARD * stage.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
             for (lit, &index) in lit.iter_mut().zip(&images.indices) {
                 let may_be_heard = lit.most_per_m > least_per_m;
-                lit.most_per_m *= if may_be_heard { left(stage, room, index, lit.source, &at) } else { 0.0 };
+                let least = least_per_m / lit.most_per_m;
+                lit.most_per_m *= if may_be_heard { left(stage, room, index, lit.source, &at, least) } else { 0.0 };
             }
         }
         Some(SegmentBound { at, flattest_m, lit, lsb_m, reach_m, apart_m: images.apart_m })
@@ -203,19 +206,21 @@ impl Lit {
 }
 
 /// Part of an image's field that what is in the way leaves at some of these segments, or at one at some of these instants, at
-/// most. Highlights of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)): nothing is left out that they
-/// have.
-fn left(stage: &Stage, room: &PolygonRoom, index: ImageIndex, source: DVec3, at: &[Ellipsoid]) -> f64 {
-    let mut most = 0.0f64;
-    // In the middle first: what is seen there need not be asked for again.
+/// most. Highlights of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)). Less than a part of the field is
+/// not heard.
+fn left(stage: &Stage, room: &PolygonRoom, index: ImageIndex, source: DVec3, at: &[Ellipsoid], least: f64) -> f64 {
+    let antenna = stage.tx.position;
+    // In the middle first: what rays come to there need not be asked for again.
     let middle = at.len() / 2;
-    for ellipsoid in at.iter().skip(middle).chain(at.iter().take(middle)) {
-        most = most.max(room.obstruction(index, stage.tx.position, facing(ellipsoid, source)).left());
-        if most > MOSTLY_LEFT {
-            return most.max(room.paths().most_by_edges());
-        }
+    let mut all = at.iter().skip(middle).chain(at.iter().take(middle));
+    if all.any(|ellipsoid| room.is_lit(index, antenna, facing(ellipsoid, source))) {
+        return room.paths().most_by_edges();
     }
-    most
+    if least > MOST_IN_SHADOW || !room.counts_in_shadow(index) {
+        return 0.0;
+    }
+    let in_shadow = |ellipsoid: &Ellipsoid| room.obstruction(index, antenna, facing(ellipsoid, source)).left();
+    at.get(middle).map_or(0.0, |ellipsoid| MOVING * in_shadow(ellipsoid))
 }
 
 /// Largest response of the filters to a path of a length in this range, m.
@@ -243,7 +248,7 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
             let offset = centre - source;
             let distance_m = offset.length();
             let most = room.most_free_field(&stage.tx, index, centre, BODY_REACH_M);
-            let left = if most > 0.0 { left(stage, room, index, source, &body) } else { 0.0 };
+            let left = if most > 0.0 { left(stage, room, index, source, &body, 0.0) } else { 0.0 };
             (most * left / (distance_m - BODY_REACH_M).max(0.2), distance_m)
         }
     };

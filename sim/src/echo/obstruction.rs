@@ -1,5 +1,7 @@
 //! What people leave of a path: their own limbs and trunk, and everybody who stands beside one of its legs.
 
+use std::cell::RefCell;
+
 use glam::{DVec2, DVec3};
 
 use super::Snapshot;
@@ -7,7 +9,7 @@ use crate::actor::body::SEGMENTS;
 use crate::field::Phasor3;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, Element, ImageIndex, order};
-use crate::paths::{Obstruction, PolygonRoom, Surroundings};
+use crate::paths::{EdgesBeside, Obstruction, PolygonRoom, Surroundings};
 use crate::shadow::{self, Column, REACH_M};
 use crate::stage::Stage;
 
@@ -122,21 +124,23 @@ pub(super) struct SharedWays<'a> {
     room: &'a PolygonRoom,
     people: &'a [Snapshot],
     me: usize,
+    /// `[image][segment]`: edges beside the ways at any instant.
+    beside: &'a RefCell<Vec<EdgesBeside>>,
     /// `[image][segment]`; none before it is asked for.
     known: Vec<Option<SharedWay<'a>>>,
 }
 
 impl<'a> SharedWays<'a> {
-    /// None are known yet of so many images.
+    /// None are known yet, of as many images and segments as there are edges for.
     pub(super) fn new(
         stage: &'a Stage,
         room: &'a PolygonRoom,
         people: &'a [Snapshot],
         me: usize,
-        images: usize,
+        beside: &'a RefCell<Vec<EdgesBeside>>,
     ) -> Self {
-        let known = (0..images * SEGMENTS).map(|_| None).collect();
-        SharedWays { stage, room, people, me, known }
+        let known = beside.borrow().iter().map(|_| None).collect();
+        SharedWays { stage, room, people, me, beside, known }
     }
 
     /// The way between a segment and an image of a number; `None` where nothing arrives by it.
@@ -146,7 +150,8 @@ impl<'a> SharedWays<'a> {
         if slot.is_none() {
             let (room, antenna) = (self.room, self.stage.tx.position);
             let point = facing(ellipsoid, self.stage.room.image_position(image, antenna));
-            let obstruction = room.obstruction(image, antenna, point);
+            let mut beside = self.beside.borrow_mut();
+            let obstruction = room.obstruction_past(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
             let way = room.paths().way_past(&obstruction, antenna, point);
             let past_people = past_along(self.stage, self.people, self.me, &way);
             *slot = Some(SharedWay { obstruction, past_people });

@@ -99,7 +99,7 @@ impl Paths<'_> {
         let Some(own) = people.get(self.me) else { return met };
         let ways = match &self.stage.room {
             Surroundings::Box(_) => None,
-            Surroundings::Polygons(room) => Some(SharedWays::new(self.stage, room, people, self.me, self.images)),
+            Surroundings::Polygons(room) => Some(SharedWays::new(self.stage, room, people, self.me, &self.beside)),
         };
         let mut instant = Instant { people, own, ways };
         // What lanes leave, folds, and what a person at a desk has besides.

@@ -4,6 +4,8 @@
 //! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it. Where walls let waves
 //! through, each one between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 
+use std::collections::HashMap;
+
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
@@ -31,6 +33,8 @@ const BESIDE_M: f64 = 1e-4;
 const LEAST_PART: f64 = 0.003;
 /// Edges near a leg that are made room for at first.
 const USUALLY_NEAR: usize = 64;
+/// Edges beside a way that is followed are looked for so much farther off, m: a trunk moves by it in most of a frame.
+const MOVED_M: f64 = 0.05;
 /// Points must lie this far before a facet to be reflected, m.
 const BEFORE_M: f64 = 1e-9;
 
@@ -87,6 +91,14 @@ impl Obstruction<'_> {
     }
 }
 
+/// Edges beside the legs of ways to about one place, as they were found for the first of them, by numbers of the sequence and the
+/// leg: while somebody moves by centimetres, the same edges are seen.
+#[derive(Debug, Clone, Default)]
+pub struct EdgesBeside(HashMap<(u32, u32), Vec<u32>>);
+
+/// Edges that are known beside a leg, and the leg's number.
+type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
+
 /// What is left of a field by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
@@ -107,8 +119,10 @@ impl Kept {
 
 /// How a leg passes an edge.
 struct Passage {
-    /// The edge's part of the field, but for its sign.
-    part: Complex64,
+    /// Distance of the leg from the edge, and from the line of the edge, and places of the ends along that: normalised.
+    nu: f64,
+    nu_of_line: f64,
+    along: [f64; 2],
     /// Distance of the leg from the line of the edge, m.
     clearance_m: f64,
     /// Whether the leg passes on the side of what the edge bounds.
@@ -116,6 +130,16 @@ struct Passage {
     /// The nearest point of the edge, m, and the direction across the leg out of what it bounds.
     nearest: DVec3,
     outwards: DVec3,
+}
+
+impl Passage {
+    /// The edge's part of the field, but for its sign.
+    fn part(&self) -> Complex64 {
+        if self.nu >= REACH {
+            return Complex64::ZERO;
+        }
+        side_between(self.nu_of_line, self.along) * fade((REACH - self.nu) / (REACH / 3.0))
+    }
 }
 
 impl Leg {
@@ -131,7 +155,7 @@ impl Leg {
         REACH * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
     }
 
-    /// `None` where an edge is out of reach.
+    /// `None` where an edge is not beside the leg.
     fn past(&self, edge: &SoftEdge, inwards: DVec3, wavelength_m: f64) -> Option<Passage> {
         let &Leg { from, direction, length_m, before_m, total_m } = self;
         let along = |p: DVec3| (p - from).dot(direction);
@@ -150,19 +174,16 @@ impl Leg {
         let (d1, d2) = (d1.max(LEAST_DISTANCE_M), d2.max(LEAST_DISTANCE_M));
         let nu_per_m = (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
         let nu = across(nearest - from).length() * nu_per_m;
-        if nu >= REACH {
-            return None;
-        }
         let perpendicular = foot_a - unit * start;
         let clearance_m = perpendicular.length();
         let into = across(inwards) - unit * across(inwards).dot(unit);
         let goes_on = |end: usize, cut: bool| cut || edge.goes_on.get(end).copied().unwrap_or(false);
         let low = if goes_on(0, cut_a) { f64::NEG_INFINITY } else { start * nu_per_m };
         let high = if goes_on(1, cut_b) { f64::INFINITY } else { end * nu_per_m };
-        let p = clearance_m * nu_per_m;
-        let fade = fade((REACH - nu) / (REACH / 3.0));
         Some(Passage {
-            part: side_between(p, [low, high]) * fade,
+            nu,
+            nu_of_line: clearance_m * nu_per_m,
+            along: [low, high],
             clearance_m,
             is_behind: -perpendicular.dot(into) > 0.0,
             nearest,
@@ -198,8 +219,49 @@ impl ImagePaths {
 
     /// What facets, edges and walls leave of the field of an antenna's image at a point.
     pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
+        self.obstruction_past(image, antenna, point, None)
+    }
+
+    /// The same on a way that is followed: edges beside it are looked for only once.
+    pub fn obstruction_past(
+        &self,
+        image: usize,
+        antenna: DVec3,
+        point: DVec3,
+        known: Option<&mut EdgesBeside>,
+    ) -> Obstruction<'_> {
         let image = self.images.get(image);
-        Obstruction { image, arrivals: image.map_or_else(Vec::new, |image| self.valid(image, antenna, point)) }
+        Obstruction { image, arrivals: image.map_or_else(Vec::new, |image| self.valid(image, antenna, point, known)) }
+    }
+
+    /// Whether rays go from an antenna to a point by an image.
+    pub fn is_lit(&self, image: usize, antenna: DVec3, point: DVec3) -> bool {
+        let Some(image) = self.images.get(image) else { return false };
+        image.sequences.iter().any(|sequence| self.is_free(sequence, antenna, point).unwrap_or(false))
+    }
+
+    /// Whether a ray goes by a sequence of facets; `None` where planes are met from behind.
+    fn is_free(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<bool> {
+        let folded = self.folded(sequence, antenna, point)?;
+        let is_on = |(&facet, &met): (&FacetId, &DVec3)| self.environment.flat(facet).is_some_and(|f| f.contains(met));
+        if !sequence.iter().zip(folded.points().iter().skip(1)).all(is_on) {
+            return Some(false);
+        }
+        let is_clear = |leg: usize| {
+            let on = self.ends_on(sequence, leg, antenna);
+            !self.environment.passing([folded.point(leg), folded.point(leg + 1)], on).is_blocked
+        };
+        Some((0..=sequence.len()).all(is_clear))
+    }
+
+    /// The facets on which a leg of a sequence begins and ends.
+    fn ends_on(&self, sequence: &[FacetId], leg: usize, antenna: DVec3) -> [Option<FacetId>; 2] {
+        let holds = |facet: &FacetId| {
+            let flat = self.environment.flat(*facet);
+            flat.is_some_and(|flat| flat.height(antenna).abs() < super::edges::SAME_M)
+        };
+        let first = if leg == 0 { self.mount.filter(holds) } else { sequence.get(leg - 1).copied() };
+        [first, sequence.get(leg).copied()]
     }
 
     /// Field of an element's image at a point ([`ImagePaths::illuminate`]) past what is known to obstruct it: lengths, directions
@@ -243,7 +305,7 @@ impl ImagePaths {
 
     /// The facets that the strongest way from an antenna to a point by an image meets.
     pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
-        strongest_of(&self.valid(self.images.get(image)?, antenna, point))
+        strongest_of(&self.valid(self.images.get(image)?, antenna, point, None))
     }
 
     /// Corners of the strongest way from an antenna to a point past what is known to obstruct it; empty where there is none.
@@ -271,7 +333,7 @@ impl ImagePaths {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
         let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
-        let Some((kept, crossed)) = self.on_leg(&leg, to, on) else { return 0.0 };
+        let Some((kept, crossed)) = self.on_leg(&leg, to, on, None) else { return 0.0 };
         let through = |&facet: &FacetId| {
             self.environment.flat(facet).map_or(1.0, |flat| {
                 let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
@@ -282,11 +344,18 @@ impl ImagePaths {
     }
 
     /// The sequences of an image by which something arrives, with the part of the field that facets and edges leave.
-    fn valid<'a>(&self, image: &'a Image, antenna: DVec3, point: DVec3) -> Vec<Arrival<'a>> {
+    fn valid<'a>(
+        &self,
+        image: &'a Image,
+        antenna: DVec3,
+        point: DVec3,
+        mut known: Option<&mut EdgesBeside>,
+    ) -> Vec<Arrival<'a>> {
         let mut all: Vec<Arrival> = Vec::new();
         let mut has_whole = false;
-        for sequence in &image.sequences {
-            let Some(arrival) = self.arrival(sequence, antenna, point) else { continue };
+        for (number, sequence) in (0u32..).zip(&image.sequences) {
+            let known = known.as_deref_mut().map(|known| (known, number));
+            let Some(arrival) = self.arrival(sequence, antenna, point, known) else { continue };
             let is_whole = arrival.is_whole;
             // Backwards from the point only one facet is met first: a second free path is the same path on the seam of two.
             if !(is_whole && has_whole) {
@@ -358,7 +427,13 @@ impl ImagePaths {
     }
 
     /// What facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
-    fn arrival<'a>(&self, sequence: &'a [FacetId], antenna: DVec3, point: DVec3) -> Option<Arrival<'a>> {
+    fn arrival<'a>(
+        &self,
+        sequence: &'a [FacetId],
+        antenna: DVec3,
+        point: DVec3,
+        mut known: Option<(&mut EdgesBeside, u32)>,
+    ) -> Option<Arrival<'a>> {
         let folded = self.folded(sequence, antenna, point)?;
         let points = folded.points();
         let total_m: f64 = points.windows(2).map(|w| w[0].distance(w[1])).sum();
@@ -376,15 +451,13 @@ impl ImagePaths {
             weight = weight.and(self.on_facet(facet, &leg, folded.point(i + 1))?);
         }
         let mut before_m = 0.0;
-        let mount = self.mount.filter(|&facet| {
-            self.environment.flat(facet).is_some_and(|flat| flat.height(antenna).abs() < super::edges::SAME_M)
-        });
         let mut crossed = Vec::new();
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
-            let on = [if i == 0 { mount } else { sequence.get(i - 1).copied() }, sequence.get(i).copied()];
-            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on)?;
+            let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
+            let on = self.ends_on(sequence, i, antenna);
+            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on, known)?;
             weight = weight.and(kept);
             crossed.extend(through.into_iter().map(|facet| (i, facet)));
         }
@@ -410,51 +483,79 @@ impl ImagePaths {
             if !is_on && edge.is_beyond(met) {
                 continue;
             }
-            let Some(passage) = unfolded.past(edge, edge.inwards(facet), wavelength_m) else { continue };
+            let passage = unfolded.past(edge, edge.inwards(facet), wavelength_m);
+            let Some(passage) = passage.filter(|passage| passage.nu < REACH) else { continue };
             let is_over = if passage.clearance_m < UNSURE_ON_FACET_M { is_on } else { passage.is_behind };
-            field += if is_over { -passage.part } else { passage.part };
+            field += if is_over { -passage.part() } else { passage.part() };
             is_left |= !is_over;
         }
         is_left.then_some(Kept { field, is_whole: is_on })
     }
 
     /// What is left on a leg past all facets but those on which it ends, and the walls that it goes through.
-    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2]) -> Option<(Kept, Vec<FacetId>)> {
+    fn on_leg(
+        &self,
+        leg: &Leg,
+        to: DVec3,
+        on: [Option<FacetId>; 2],
+        known: KnownBeside,
+    ) -> Option<(Kept, Vec<FacetId>)> {
         let environment = &*self.environment;
         if leg.length_m < BEFORE_M {
             return Some((Kept { field: Complex64::ONE, is_whole: true }, Vec::new()));
         }
         let passing = environment.passing([leg.from, to], on);
-        let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
-        let wavelength_m = environment.wavelength_m();
-        let reach_m = leg.own_reach_m(wavelength_m);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
-        let mut near = Vec::with_capacity(USUALLY_NEAR);
-        environment.edges_near(leg.from, to, reach_m, &mut near);
-        for edge in near.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
-            if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m)
-                || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
-                || !edge.is_outline(leg.from, leg.direction)
-            {
-                continue;
+        let found;
+        let beside: &[u32] = match known {
+            Some((known, number)) => known.0.entry(number).or_insert_with(|| self.edges_beside(leg, to, on, MOVED_M)),
+            None => {
+                found = self.edges_beside(leg, to, on, 0.0);
+                &found
             }
-            let passage = leg.past(edge, edge.widest(leg.direction), wavelength_m);
-            let Some(passage) = passage.filter(|passage| passage.part.norm_sqr() >= LEAST_PART * LEAST_PART) else {
-                continue;
-            };
-            let beside = passage.nearest + passage.outwards * BESIDE_M;
-            if environment.passing([leg.from, beside], [on[0], None]).is_blocked
-                || environment.passing([beside, to], [None, on[1]]).is_blocked
-            {
+        };
+        for edge in beside.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
+            let passage = leg.past(edge, edge.widest(leg.direction), environment.wavelength_m());
+            let Some(passage) = passage else { continue };
+            let part = passage.part();
+            if part.norm_sqr() < LEAST_PART * LEAST_PART {
                 continue;
             }
             let screen = self.screen(edge, leg.direction, &passing);
             let is_behind = if passage.clearance_m < UNSURE_M { screen.is_in_the_way } else { passage.is_behind };
-            field += if is_behind { passage.part * screen.behind } else { -passage.part * screen.beside };
+            field += if is_behind { part * screen.behind } else { -part * screen.beside };
             is_left = true;
         }
         is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
+    }
+
+    /// Edges that diffract beside a leg: on the outline of what they bound, within reach, or so much farther off, and seen from
+    /// both ends.
+    fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<u32> {
+        let environment = &*self.environment;
+        let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
+        let wavelength_m = environment.wavelength_m();
+        let reach_m = leg.own_reach_m(wavelength_m);
+        // Where zones are narrow, at the ends of a path, what is out of reach stays so.
+        let most_nu = REACH * (1.0 + farther_m / reach_m);
+        let mut near = Vec::with_capacity(USUALLY_NEAR);
+        environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
+        near.retain(|&number| {
+            let Some(edge) = environment.soft_edges().get(number as usize) else { return false };
+            if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m + farther_m)
+                || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
+                || !edge.is_outline(leg.from, leg.direction)
+            {
+                return false;
+            }
+            let passage = leg.past(edge, edge.widest(leg.direction), wavelength_m);
+            let Some(passage) = passage.filter(|passage| passage.nu < most_nu) else { return false };
+            let beside = passage.nearest + passage.outwards * BESIDE_M;
+            !environment.passing([leg.from, beside], [on[0], None]).is_blocked
+                && !environment.passing([beside, to], [None, on[1]]).is_blocked
+        });
+        near
     }
 
     /// What the facets at an edge are to a way in a direction.

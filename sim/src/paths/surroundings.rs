@@ -7,7 +7,7 @@ use num_complex::Complex64;
 
 use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
 use super::environment::{Environment, EnvironmentError, FacetId};
-use super::illuminate::Obstruction;
+use super::illuminate::{EdgesBeside, Obstruction};
 use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
 use crate::scene::Scene;
 use crate::scene::file::SolverFile;
@@ -111,6 +111,29 @@ impl PolygonRoom {
     /// What facets, edges and walls leave of the field of an antenna's image at a point.
     pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
         self.paths.obstruction(number(index), antenna, point)
+    }
+
+    /// The same on a way that is followed ([`ImagePaths::obstruction_past`]).
+    pub fn obstruction_past(
+        &self,
+        index: ImageIndex,
+        antenna: DVec3,
+        point: DVec3,
+        known: Option<&mut EdgesBeside>,
+    ) -> Obstruction<'_> {
+        self.paths.obstruction_past(number(index), antenna, point, known)
+    }
+
+    /// Whether rays go from an antenna to a point by an image.
+    pub fn is_lit(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> bool {
+        self.paths.is_lit(number(index), antenna, point)
+    }
+
+    /// Whether an image counts where no ray comes by it, but what edges send there: in rooms of many facets, after one reflection at
+    /// most. Two reflections and an edge leave less than what is lost with paths of three reflections.
+    pub fn counts_in_shadow(&self, index: ImageIndex) -> bool {
+        let order = self.paths.images().get(number(index)).map_or(0, |image| image.order);
+        order < MOST_REFLECTIONS_OF_MANY || self.paths.environment().len() <= MANY_FACETS
     }
 
     /// Upper bound of the magnitude of an image's field within a distance of a place where nothing is in the way; 0 where
