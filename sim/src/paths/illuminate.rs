@@ -12,15 +12,12 @@ use num_complex::Complex64;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edge_field::side_between;
 use super::edges::SoftEdge;
-use super::environment::Passing;
+use super::environment::{Environment, Passing};
 use super::flat::{FacetId, Flat, SEAM_M};
 use crate::field::fresnel::Reflection;
 use crate::field::image::{Element, Illumination};
 use crate::field::{Phasor3, incidence_frame};
 
-/// Edges farther from a way than this have no part in it, in units of the normalised clearance: three radii of the first Fresnel
-/// zone, where a half-plane changes the field by 5 percent. What they add fades out over the last third.
-pub(super) const REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
 /// Distances from an edge to the ends of a path count as at least this, m.
 const LEAST_DISTANCE_M: f64 = 1e-3;
 /// Ways that pass an edge nearer than this are free or blocked as rays say, not as f64 does, m: rays are traced in f32.
@@ -133,26 +130,28 @@ struct Passage {
 }
 
 impl Passage {
-    /// The edge's part of the field, but for its sign.
-    fn part(&self) -> Complex64 {
-        if self.nu >= REACH {
+    /// The edge's part of the field, but for its sign, where edges count up to a normalised clearance.
+    fn part(&self, reach: f64) -> Complex64 {
+        if self.nu >= reach {
             return Complex64::ZERO;
         }
-        side_between(self.nu_of_line, self.along) * fade((REACH - self.nu) / (REACH / 3.0))
+        side_between(self.nu_of_line, self.along) * fade((reach - self.nu) / (reach / 3.0))
     }
 }
 
 impl Leg {
     /// Edges farther from the path than this have no part in it, wherever along it they are, m.
-    fn reach_m(&self, wavelength_m: f64) -> f64 {
-        REACH * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
+    fn reach_m(&self, environment: &Environment) -> f64 {
+        let wavelength_m = environment.wavelength_m();
+        environment.edge_reach() * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
     }
 
     /// The same of edges beside this leg: Fresnel's zones are the widest in the middle of a path.
-    fn own_reach_m(&self, wavelength_m: f64) -> f64 {
+    fn own_reach_m(&self, environment: &Environment) -> f64 {
+        let wavelength_m = environment.wavelength_m();
         let d1 = (0.5 * self.total_m).max(self.before_m).min(self.before_m + self.length_m);
         let (d1, d2) = (d1.max(LEAST_DISTANCE_M), (self.total_m - d1).max(LEAST_DISTANCE_M));
-        REACH * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
+        environment.edge_reach() * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
     }
 
     /// `None` where an edge is not beside the leg.
@@ -468,13 +467,13 @@ impl ImagePaths {
     fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
         let flat = self.environment.flat(facet)?;
         let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
-        if flat.is_far(met, leg.reach_m(self.environment.wavelength_m()) / cosine + UNSURE_M) {
+        if flat.is_far(met, leg.reach_m(&self.environment) / cosine + UNSURE_M) {
             return None;
         }
         let is_on = flat.contains(met);
         // The way goes on behind the mirror: edges may lie beyond the point of reflection.
         let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
-        let wavelength_m = self.environment.wavelength_m();
+        let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
         let mut field = if is_on { Complex64::ONE } else { Complex64::ZERO };
         let mut is_left = is_on;
         for &number in &flat.soft {
@@ -484,9 +483,9 @@ impl ImagePaths {
                 continue;
             }
             let passage = unfolded.past(edge, edge.inwards(facet), wavelength_m);
-            let Some(passage) = passage.filter(|passage| passage.nu < REACH) else { continue };
+            let Some(passage) = passage.filter(|passage| passage.nu < reach) else { continue };
             let is_over = if passage.clearance_m < UNSURE_ON_FACET_M { is_on } else { passage.is_behind };
-            field += if is_over { -passage.part() } else { passage.part() };
+            field += if is_over { -passage.part(reach) } else { passage.part(reach) };
             is_left |= !is_over;
         }
         is_left.then_some(Kept { field, is_whole: is_on })
@@ -518,7 +517,7 @@ impl ImagePaths {
         for edge in beside.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
             let passage = leg.past(edge, edge.widest(leg.direction), environment.wavelength_m());
             let Some(passage) = passage else { continue };
-            let part = passage.part();
+            let part = passage.part(environment.edge_reach());
             if part.norm_sqr() < LEAST_PART * LEAST_PART {
                 continue;
             }
@@ -536,9 +535,9 @@ impl ImagePaths {
         let environment = &*self.environment;
         let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
         let wavelength_m = environment.wavelength_m();
-        let reach_m = leg.own_reach_m(wavelength_m);
+        let reach_m = leg.own_reach_m(environment);
         // Where zones are narrow, at the ends of a path, what is out of reach stays so.
-        let most_nu = REACH * (1.0 + farther_m / reach_m);
+        let most_nu = environment.edge_reach() * (1.0 + farther_m / reach_m);
         let mut near = Vec::with_capacity(USUALLY_NEAR);
         environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
         near.retain(|&number| {

@@ -4,7 +4,6 @@ use glam::{DMat3, DVec3};
 
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::environment::FacetId;
-use super::illuminate::REACH;
 use crate::field::image::Element;
 
 /// Way from an antenna to a ball.
@@ -51,7 +50,7 @@ impl ImagePaths {
         let (sine, wavelength_m) = (reach_m / length_m, self.environment.wavelength_m());
         let spread = (1.0 - sine * sine).sqrt();
         // Beside a facet waves bend by the first Fresnel zones at most.
-        let bent_m = REACH * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
+        let bent_m = self.environment.edge_reach() * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
         let (mut target, mut off_m) = (middle, reach_m);
         for (&facet, &source) in sequence.iter().zip(images.iter().skip(1)).rev() {
             let Some(flat) = self.environment.flat(facet) else { return false };

@@ -55,11 +55,11 @@ pub struct PolygonRoom {
 
 impl PolygonRoom {
     /// Finds the paths of a scene's surfaces.
-    fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element) -> Result<Self, EnvironmentError> {
+    fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element, least_part: f64) -> Result<Self, EnvironmentError> {
         let room = &scene.file().room;
         let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m())?;
         let is_many = environment.len() > MANY_FACETS;
-        let environment = Arc::new(environment.with_transmission(room.transmission));
+        let environment = Arc::new(environment.with_transmission(room.transmission).with_least_part(least_part));
         let asked = room.max_reflections.max(room.max_body_reflections) as usize;
         let options = LaunchOptions {
             max_order: if is_many { asked.min(MOST_REFLECTIONS_OF_MANY) } else { asked },
@@ -183,8 +183,9 @@ fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
 
 impl Surroundings {
     /// The surroundings of a scene's antennas. Floor plans are polygons, and so are rooms of meshes unless these make a box and
-    /// nothing else; a box of six surfaces is one unless the scene asks for rays.
-    pub fn of_scene(scene: &Scene, tx: &Element) -> Self {
+    /// nothing else; a box of six surfaces is one unless the scene asks for rays. Edges that change a field by less than a part are
+    /// left out.
+    pub fn of_scene(scene: &Scene, tx: &Element, least_part: f64) -> Self {
         let file = &scene.file().room;
         let may_be_box = match file.solver {
             Some(SolverFile::Rays) => false,
@@ -199,7 +200,7 @@ impl Surroundings {
         if may_be_box && is_box(&surfaces, room.size_m, walls) {
             return Surroundings::Box(room);
         }
-        match PolygonRoom::new(scene, &surfaces, tx) {
+        match PolygonRoom::new(scene, &surfaces, tx, least_part) {
             Ok(polygons) => Surroundings::Polygons(Arc::new(polygons)),
             Err(error) => {
                 tracing::error!(scene = scene.name(), %error, "rays cannot be traced: the box around the room is taken");
