@@ -63,8 +63,8 @@ fn what_is_heard_is_kept() {
 }
 
 /// Of somebody at an instant in a room of plane faces, power: of all highlights by pairs of images that geometry does not rule
-/// out, each past what is in its own way; of those that are heard but left out by frames; and of the difference to those that frames have,
-/// which share what is in the way of a segment. Also how many pairs there are and how many are kept.
+/// out, each past what is in its own way; of those that are heard but left out by frames; and of the difference to those that
+/// frames have, which share what is in the way of a segment. Also how many pairs there are and how many are kept.
 fn compared(stage: &Stage, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
     let people = [Snapshot::new(motion, time_s)];
     let middle = people[0].body[CHEST].centre;

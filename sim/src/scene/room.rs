@@ -2,10 +2,10 @@
 //!
 //! Of meshes, the six largest planes along the axes that look at each other make the box around the room; each wall has the
 //! material of the mesh that most of it belongs to. What stands inside the box is furniture, each piece that hangs together: people
-//! walk around its bounding box, and around walls where these are (`ground.rs`). Where paths are found by rays (`[room] solver`), planes of meshes mirror, hide and diffract as they
-//! are, and pieces without planes scatter from points. Where the images of the box are taken, walls reflect as a whole, and all
-//! pieces scatter from points on their bounding boxes, with the mean cross-section of a convex body turned at random, a quarter of
-//! its area, times what its material reflects.
+//! walk around its bounding box, and around walls where these are (`ground.rs`). Where paths are found by rays (`[room] solver`),
+//! planes of meshes mirror, hide and diffract as they are, and pieces without planes scatter from points. Where the images of the
+//! box are taken, walls reflect as a whole, and all pieces scatter from points on their bounding boxes, with the mean cross-section
+//! of a convex body turned at random, a quarter of its area, times what its material reflects.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
