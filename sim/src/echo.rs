@@ -21,9 +21,11 @@ pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
 pub use side_by_side::Met;
 
+use std::cell::RefCell;
+
 use glam::DVec3;
 use num_complex::Complex64;
-use obstruction::{Way, past_people, visibility};
+use obstruction::{SharedWays, Way, past_own, past_people, visibility};
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
@@ -31,9 +33,9 @@ use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::{BoxRoom, ImageIndex};
+use crate::field::image::{BoxRoom, Element, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
-use crate::paths::Surroundings;
+use crate::paths::{EdgesBeside, Surroundings};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
 use crate::slow_time::Key;
@@ -130,7 +132,7 @@ struct Pair {
 
 /// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
 /// heard, then what a person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from
-/// which they scatter.
+/// which they scatter. In rooms of plane faces they are those of one frame: which edges are beside them is found out once.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
@@ -144,6 +146,8 @@ pub struct Paths<'a> {
     places: std::ops::Range<usize>,
     /// Instructions for paths side by side.
     level: KernelLevel,
+    /// In rooms of plane faces, edges beside the ways to each segment, once they are known: `[image][segment]`.
+    beside: RefCell<Vec<EdgesBeside>>,
 }
 
 impl<'a> Paths<'a> {
@@ -172,7 +176,12 @@ impl<'a> Paths<'a> {
         let highlights = pairs.iter().enumerate().flat_map(of_pair).collect();
         let pairs = pairs.iter().map(pair).collect();
         let level = KernelLevel::detect();
-        Paths { stage, motion, me, pairs, images: images.len(), highlights, places: 0..1 + folds, level }
+        let ways = match stage.room {
+            Surroundings::Box(_) => 0,
+            Surroundings::Polygons(_) => images.len() * SEGMENTS,
+        };
+        let (images, beside) = (images.len(), RefCell::new(vec![EdgesBeside::default(); ways]));
+        Paths { stage, motion, me, pairs, images, highlights, places: 0..1 + folds, level, beside }
     }
 
     /// Those of rough folds alone: for a skin, whose highlights are not these.
@@ -205,58 +214,69 @@ impl<'a> Paths<'a> {
         out: &mut Vec<Key>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
-        let own = people.get(self.me)?;
+        let mut instant = Instant { people, own: people.get(self.me)?, ways: None };
+        self.trace_at(path, &mut instant, near, out, report)
+    }
+
+    /// The same at an instant at which ways may be shared.
+    fn trace_at(
+        &self,
+        path: usize,
+        instant: &mut Instant,
+        near: Option<DVec3>,
+        out: &mut Vec<Key>,
+        report: &mut EchoReport,
+    ) -> Option<DVec3> {
         let places = self.places.len();
         if let Some(&(number, segment)) = self.highlights.get(path / places) {
             let (pair, place) = (self.pairs.get(number)?, self.places.start + path % places);
-            return self.highlight(pair, (segment, place), own, people, near, out, report);
+            return self.highlight(pair, (segment, place), instant, near, out, report);
         }
         let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
         let besides = path - self.highlights.len() * places;
         let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
         let segment = if besides < bounces { besides } else { CHEST };
         let mut once = Vec::with_capacity(direct.sinks.len());
-        let met = self.highlight(direct, (segment, 0), own, people, near, &mut once, report);
+        let met = self.highlight(direct, (segment, 0), instant, near, &mut once, report);
         match desk.points.get(besides.wrapping_sub(bounces)) {
-            Some(place) => body_point(self.stage, desk, place, people, self.me, &once, out),
+            Some(place) => body_point(self.stage, desk, place, instant.people, self.me, &once, out),
             None => once.iter().for_each(|key| out.push(double_bounce(self.stage, desk, segment, key))),
         }
         met
     }
 
     /// The highlight of a segment by a pair of images (place 0), or what folds at a place scatter of it.
-    #[allow(clippy::too_many_arguments)]
     fn highlight(
         &self,
         pair: &Pair,
         (segment, place): (usize, usize),
-        own: &Snapshot,
-        people: &[Snapshot],
+        instant: &mut Instant,
         near: Option<DVec3>,
         out: &mut Vec<Key>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
         let (stage, Pair { there: way_there, back: way_back, sinks, .. }) = (self.stage, pair);
         report.paths += 1;
+        let own = instant.own;
         let ellipsoid = own.body.get(segment)?;
-        let Some(h) = ellipsoid.highlight(way_there.source, way_back.source, near) else {
+        let met = if instant.is_dark(pair, segment) {
+            None
+        } else {
+            ellipsoid.highlight(way_there.source, way_back.source, near)
+        };
+        let Some(h) = met else {
             let delay_s = (way_there.source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
             let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
             out.extend(sinks.iter().map(|_| nothing));
             return None;
         };
-        let first_rx = stage.rx.first()?;
-        let there = stage.room.illuminate(&stage.tx, way_there.image, h.point);
-        let back = stage.room.illuminate(first_rx, way_back.image, h.point);
-        // Where no path leads, nobody can be in its way.
-        let is_lit = there.field.magnitude() > 0.0 && back.field.magnitude() > 0.0;
-        let of_people = |way| if is_lit { visibility(stage, people, self.me, segment, way, h.point) } else { 0.0 };
+        let [(there, left_there), (back, left_back)] = self.seen(pair, segment, h.point, instant)?;
         let weight = inside_room(stage, h.point)
-            * of_people(way_there)
-            * of_people(way_back)
+            * left_there
+            * left_back
             // Grazing highlights fade: forward scattering is not theirs to tell.
             * smooth_step((h.cosine - 0.2) / 0.1);
-        let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
+        let reflected = reflect_at_skin(there, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
@@ -265,7 +285,7 @@ impl<'a> Paths<'a> {
         let person = &self.motion.person;
         let cloth = person.cloth.get(segment).copied().unwrap_or(1.0);
         let field = person.clothing.cloth().map_or(1.0, |cloth| cloth.factor_on(segment, h.unit));
-        let mut amplitude = reflected.received_by(back.field) * (spreading * cloth * field * weight);
+        let mut amplitude = reflected.received_by(back) * (spreading * cloth * field * weight);
         let (mut unit, mut point, mut distance_t, mut towards_t) = (h.unit, h.point, h.distances_m.0, h.towards.0);
         if let Some(folds) = person.clothing.folds() {
             let wavenumber_per_m = std::f64::consts::TAU / stage.wavelength_m;
@@ -295,6 +315,44 @@ impl<'a> Paths<'a> {
             out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
         }
         Some(h.unit)
+    }
+
+    /// Fields of both antennas' images at a point of a segment, each with the part of it that people leave.
+    fn seen(&self, pair: &Pair, segment: usize, point: DVec3, instant: &mut Instant) -> Option<[(Phasor3, f64); 2]> {
+        let (stage, people) = (self.stage, instant.people);
+        let first_rx = stage.rx.first()?;
+        let [there, back] = [(&stage.tx, &pair.there, pair.images[0]), (first_rx, &pair.back, pair.images[1])];
+        if let Some(ways) = &mut instant.ways {
+            let mut shared = |(element, way, number): (&Element, &Way, usize)| {
+                let (field, past_people) = ways.field((number, way.image), element, segment, point)?;
+                Some((field, past_people * past_own(stage, instant.own, segment, way.source, point)))
+            };
+            return Some([shared(there)?, shared(back)?]);
+        }
+        let fields = [there, back].map(|(element, way, _)| stage.room.illuminate(element, way.image, point).field);
+        // Where no path leads, nobody can be in its way.
+        let is_lit = fields.iter().all(|field| field.magnitude() > 0.0);
+        let left = |way: &Way| if is_lit { visibility(stage, people, self.me, segment, way, point) } else { 0.0 };
+        let [of_there, of_back] = fields;
+        Some([(of_there, left(there.1)), (of_back, left(back.1))])
+    }
+}
+
+/// Everybody at an instant at which somebody's paths are met.
+struct Instant<'a> {
+    people: &'a [Snapshot],
+    /// Who the paths are by way of.
+    own: &'a Snapshot,
+    /// What is in the ways to segments, where highlights share it: in rooms of plane faces.
+    ways: Option<SharedWays<'a>>,
+}
+
+impl Instant<'_> {
+    /// Whether nothing of one of the images is known to arrive at a segment.
+    fn is_dark(&mut self, pair: &Pair, segment: usize) -> bool {
+        let Some(ways) = &mut self.ways else { return false };
+        let ends = [(pair.images[0], pair.there.image), (pair.images[1], pair.back.image)];
+        ends.into_iter().any(|(number, image)| ways.of(number, image, segment).is_none())
     }
 }
 

@@ -81,6 +81,13 @@ pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -
     2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
 }
 
+/// Part of a field that may be missed where paths so far below the noise are left out: half a decibel of it at 10 dB, as
+/// [`threshold_lsb`] has it.
+fn least_part(margin_db: f64) -> f64 {
+    let tolerance_db = 0.5 * 10f64.powf(0.05 * (10.0 - margin_db));
+    10f64.powf(0.05 * tolerance_db) - 1.0
+}
+
 /// Phases at which a slow drift's waves begin, rad.
 pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
     let mut rng = generator(seed, Purpose::Drift, of);
@@ -113,7 +120,7 @@ impl Stage {
             .collect();
         let base = lsb_per_unit_amplitude(receiver, waveform);
         let max_body = scene.file().room.max_body_reflections;
-        let room = Surroundings::of_scene(scene, &tx);
+        let room = Surroundings::of_scene(scene, &tx, least_part(margin_db));
         let body_pairs = match &room {
             Surroundings::Box(_) => lattice_pairs(max_body),
             Surroundings::Polygons(_) => Vec::new(),

@@ -1,6 +1,9 @@
 //! Segments that an image pair cannot make heard are left out before they are traced: none that can be heard is among them.
 
-use radome_sim::actor::body::SEGMENTS;
+use std::collections::HashMap;
+
+use num_complex::Complex64;
+use radome_sim::actor::body::{CHEST, SEGMENTS};
 use radome_sim::actor::motion::Motion;
 use radome_sim::actor::program::Program;
 use radome_sim::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths};
@@ -56,6 +59,90 @@ fn what_is_heard_is_kept() {
         let [all, kept, heard] = sums;
         assert!(heard > 0, "{name}: somebody is there");
         assert!(kept < all, "{name}: {kept} of {all} kept");
+    }
+}
+
+/// Of somebody at an instant in a room of plane faces, power: of all highlights by pairs of images that geometry does not rule
+/// out, each past what is in its own way; of those that are heard but left out by frames; and of the difference to those that
+/// frames have, which share what is in the way of a segment. Also how many pairs there are and how many are kept.
+fn compared(stage: &Stage, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
+    let people = [Snapshot::new(motion, time_s)];
+    let middle = people[0].body[CHEST].centre;
+    let reach = |e: &radome_sim::field::highlight::Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
+    let reach_m = people[0].body.iter().map(reach).fold(0.0, f64::max);
+    let mut pairs = stage.pairs_near(middle, reach_m).into_owned();
+    let kept = audible_paths(stage, motion, &[time_s; 3]);
+    let counts = [pairs.len(), kept.len()];
+    pairs.retain(|(p, q)| !only_direct || *p == [0; 3] || *q == [0; 3]);
+
+    let of_frame = Paths::new(stage, motion, 0, &kept);
+    let highlights =
+        kept.iter().flat_map(|kept| (0..SEGMENTS).filter(move |&s| kept.has(s)).map(move |s| (kept.pair, s)));
+    let highlights: Vec<_> = highlights.collect();
+    assert_eq!(of_frame.count(), highlights.len(), "nobody of these wears folds or sits at a desk");
+    let asked: Vec<_> = (0..highlights.len()).map(|path| (path, None)).collect();
+    let met = of_frame.meet(&asked, &people, &mut EchoReport::default());
+    let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));
+    let shared: HashMap<_, Complex64> = highlights.into_iter().zip(amplitudes).collect();
+
+    let each = Paths::new(stage, motion, 0, &pairs);
+    let mut powers = [0.0; 3];
+    for (number, &pair) in pairs.iter().enumerate() {
+        for segment in 0..SEGMENTS {
+            let mut keys = Vec::new();
+            each.trace(number * SEGMENTS + segment, &people, None, &mut keys, &mut EchoReport::default());
+            let own = keys.first().map_or(Complex64::ZERO, |key| key.amplitude);
+            powers[0] += own.norm_sqr();
+            match shared.get(&(pair, segment)) {
+                Some(shared) => powers[2] += (own - shared).norm_sqr(),
+                None if own.norm() > HEARD * stage.threshold_lsb => powers[1] += own.norm_sqr(),
+                None => {}
+            }
+        }
+    }
+    (powers, counts)
+}
+
+/// Of the power of all paths, dB.
+fn db(part: f64, all: f64) -> f64 {
+    10.0 * (part / all).max(1e-30).log10()
+}
+
+/// Half a decibel is 6 percent of an amplitude, -24.6 dB: what is left out and what sharing changes is less.
+#[test]
+fn faces_in_the_way_leave_out_what_is_not_heard() {
+    for name in ["cupboard", "half-open-door", "glass-wall", "l-corridor"] {
+        let scene = common::scene(name).drawn(1).expect("a scene");
+        let stage = Stage::new(&scene, 1, 10.0);
+        let program = Program::new(&scene, 1, None);
+        let mut sums = [0.0; 3];
+        for i in 0..8 {
+            let time_s = 0.3 + 0.7 * f64::from(i);
+            for (_, motion) in program.between(time_s, time_s) {
+                let (powers, _) = compared(&stage, &motion, time_s, false);
+                sums.iter_mut().zip(powers).for_each(|(sum, power)| *sum += power);
+            }
+        }
+        let [all, left_out, apart] = sums;
+        assert!(all > 0.0, "{name}: somebody is there");
+        assert!(db(left_out, all) < -24.6, "{name}: {:.1} dB left out", db(left_out, all));
+        assert!(db(apart, all) < -24.6, "{name}: {:.1} dB apart", db(apart, all));
+    }
+}
+
+/// Of an office's thousands of pairs of images few are seen.
+#[test]
+fn in_an_office_few_images_are_seen() {
+    let scene = common::scene("open-plan").drawn(1).expect("a scene");
+    let stage = Stage::new(&scene, 1, 10.0);
+    let program = Program::new(&scene, 1, None);
+    for time_s in [1.0, 4.0] {
+        for (_, motion) in program.between(time_s, time_s) {
+            let ([all, left_out, apart], [pairs, kept]) = compared(&stage, &motion, time_s, true);
+            assert!(kept < pairs / 4, "at {time_s} s {kept} of {pairs} kept");
+            assert!(db(left_out, all) < -24.6, "at {time_s} s {:.1} dB left out", db(left_out, all));
+            assert!(db(apart, all) < -24.6, "at {time_s} s {:.1} dB apart", db(apart, all));
+        }
     }
 }
 

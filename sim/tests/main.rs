@@ -21,3 +21,4 @@ mod surfaces;
 mod sway;
 mod tracks;
 mod transmission;
+mod walls;

@@ -10,11 +10,12 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::clothing::Clothing;
 use super::gait::Style;
 use super::motion::{AtDesk, Bed, BodyPoint, Motion, MotionBuilder, Person, Steps};
-use super::route::{Block, Ground};
+use super::route::Ground;
 use super::wander;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
+use crate::scene::ground::{blocks, walls};
 
 /// The people of a scene over all time.
 #[derive(Debug)]
@@ -52,20 +53,22 @@ impl Program {
                 size_m: [file.room.size_m[0], file.room.size_m[1]],
                 radar: ([file.radar.position_m[0], file.radar.position_m[1]], file.radar.azimuth_deg.to_radians()),
                 people: file.people.clone(),
-                ground: ground(file),
+                ground: ground(scene),
                 doors: file.door.clone(),
                 seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
         } else if let Some(wandering) = &file.people.wander {
-            program.fixed = wander::everybody(file, wandering, seed, people).into_iter().map(Arc::new).collect();
+            program.fixed =
+                wander::everybody(file, wandering, blocks(scene), seed, people).into_iter().map(Arc::new).collect();
         } else if let Some(desk) = &file.people.desk {
             program.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
         } else {
             let all = file.people.actor.iter().enumerate();
             let count = people.unwrap_or(usize::MAX);
             let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
-            let one = |(i, a)| Arc::new(scripted(file, a, steps(i), seed, i as u64));
+            let ground = ground(scene);
+            let one = |(i, a)| Arc::new(scripted(file, ground.as_ref(), a, steps(i), seed, i as u64));
             program.fixed = all.take(count).map(one).collect();
         }
         program
@@ -88,27 +91,19 @@ impl Program {
     }
 }
 
-/// What stands in people's way, as boxes on the ground plan: furniture, and of a floor plan its partitions and what lies outside.
-pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
-    /// What hangs above this, and what is lower than that, is in nobody's way, m.
-    const OVERHEAD_M: f64 = 1.9;
-    const CARPET_M: f64 = 0.05;
-    let in_the_way = file.furniture.iter().filter(|f| {
-        let [bottom, top] = [f.position_m[2], f.position_m[2] + f.size_m[2]];
-        bottom < OVERHEAD_M && top > CARPET_M
-    });
-    let block = |f: &crate::scene::file::FurnitureFile| {
-        let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);
-        [[x, y], [x + w, y + d]]
+/// Where people may walk; `None` where they walk straight. Walls are in everybody's way, furniture where the scene says how far
+/// people keep off it.
+fn ground(scene: &Scene) -> Option<Ground> {
+    /// Hips keep so far from walls where the scene says nothing else, m.
+    const OFF_WALLS_M: f64 = 0.3;
+    let [width, depth, _] = scene.file().room.size_m;
+    let walls = walls(scene);
+    let has_walls = !walls.is_empty();
+    let ground = match scene.file().people.keep_off_m {
+        Some(keep_off_m) => Some(Ground::new([width, depth], blocks(scene), keep_off_m)),
+        None => has_walls.then(|| Ground::new([width, depth], walls, OFF_WALLS_M)),
     };
-    let of_plan = file.room.plan.as_ref().map(crate::scene::ground::boxes).unwrap_or_default();
-    in_the_way.map(block).chain(of_plan).collect()
-}
-
-/// Where people may walk; `None` where they walk straight.
-fn ground(file: &SceneFile) -> Option<Ground> {
-    let [width, depth, _] = file.room.size_m;
-    file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], blocks(file), keep_off_m))
+    ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
 }
 
 /// Applies the scene's gait and clothes to a person.
@@ -142,7 +137,14 @@ fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
 const OUTSIDE_M: f64 = -0.75;
 const INSIDE_M: f64 = 0.6;
 
-fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
+fn scripted(
+    file: &SceneFile,
+    ground: Option<&Ground>,
+    actor: &ActorFile,
+    steps: Steps,
+    seed: u64,
+    index: u64,
+) -> Motion {
     let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
     let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
     person.steps = steps;
@@ -150,7 +152,6 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
     person.style.stride = actor.stride.unwrap_or(person.style.stride);
     person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
     let size_m = [file.room.size_m[0], file.room.size_m[1]];
-    let ground = ground(file);
     let bed = |number: Option<usize>| {
         file.bed.get(number.unwrap_or(0)).map(|bed| Bed {
             position_m: bed.position_m,
@@ -178,7 +179,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
     for (number, step) in actor.step.iter().enumerate() {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         if let (Some(to), true) = (step.walk_to_m, number > 0) {
-            builder = go(builder, ground.as_ref(), to, speed);
+            builder = go(builder, ground, to, speed);
         }
         if let Some(duration_s) = step.stand_s {
             builder = builder.stand(duration_s);
@@ -188,12 +189,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
                 Some(seat) if seat.back_m > 0.0 => {
                     let heading = seat.heading_deg.to_radians();
                     let before = ahead(seat.position_m, heading, seat.back_m);
-                    go(builder, ground.as_ref(), before, speed).sit_back(
-                        heading,
-                        seat.height_m,
-                        seat.back_m,
-                        duration_s,
-                    )
+                    go(builder, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
                 }
                 Some(seat) => builder.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
                 None => builder.sit(facing, 0.45, duration_s),
@@ -207,7 +203,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
                 builder.lying(&bed, duration_s)
             } else {
                 let before = bed.stand_m(&builder.person().build);
-                go(builder, ground.as_ref(), before, speed).lie(&bed, duration_s)
+                go(builder, ground, before, speed).lie(&bed, duration_s)
             };
         }
         if let Some(degrees) = step.face_deg {
@@ -217,7 +213,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
             builder = builder.walk_to(at_door(size_m, door, INSIDE_M, 0.0), speed);
         }
         if let Some(door) = step.leave_door.and_then(door) {
-            builder = go(builder, ground.as_ref(), at_door(size_m, door, INSIDE_M, 0.0), speed);
+            builder = go(builder, ground, at_door(size_m, door, INSIDE_M, 0.0), speed);
             builder = builder.walk_to(at_door(size_m, door, OUTSIDE_M, 0.0), speed);
             is_gone = true;
         }

@@ -12,12 +12,22 @@ pub(super) struct Ground {
     size_m: [f64; 2],
     blocks: Vec<Block>,
     keep_off_m: f64,
+    /// Whether some blocks are walls, which people pass closer by rather than go through.
+    has_walls: bool,
 }
+
+/// Parts of the distance that ways keep off, one after another, where there are walls and no way is found farther off.
+const NEARER: [f64; 3] = [1.0, 0.5, 0.1];
 
 impl Ground {
     /// A room with blocks, from which, as from the walls, hips keep so far.
     pub fn new(size_m: [f64; 2], blocks: Vec<Block>, keep_off_m: f64) -> Self {
-        Ground { size_m, blocks, keep_off_m }
+        Ground { size_m, blocks, keep_off_m, has_walls: false }
+    }
+
+    /// The same, some of whose blocks are walls: where no way keeps off as far as asked, ways lead closer by.
+    pub fn among_walls(self) -> Self {
+        Ground { has_walls: true, ..self }
     }
 
     /// Whether somebody may stand there.
@@ -29,36 +39,50 @@ impl Ground {
     /// Corners of a way between two places, the last one included. Near a block at which it begins or ends it keeps off only as
     /// far as it can. Straight where there is no way around.
     pub fn route(&self, from: [f64; 2], to: [f64; 2]) -> Vec<[f64; 2]> {
+        let tries = if self.has_walls { NEARER.len() } else { 1 };
+        let way = NEARER.iter().take(tries).find_map(|part| self.way(from, to, part * self.keep_off_m));
+        way.unwrap_or_else(|| vec![to])
+    }
+
+    /// A way that keeps so far off; `None` where there is none.
+    fn way(&self, from: [f64; 2], to: [f64; 2], keep_off_m: f64) -> Option<Vec<[f64; 2]>> {
         let kept: Vec<Block> = self
             .blocks
             .iter()
             .filter_map(|block| {
                 // Along the axes, as blocks are grown: ends beside a corner stay outside.
                 let room = clearance_m(block, from).min(clearance_m(block, to));
-                let margin = self.keep_off_m.min(room - BESIDE_M);
+                let margin = keep_off_m.min(room - BESIDE_M);
                 (room > 0.0).then(|| grown(block, margin.max(0.0)))
             })
             .collect();
         let open = |a: [f64; 2], b: [f64; 2]| !kept.iter().any(|block| crosses(block, a, b));
         if open(from, to) {
-            return vec![to];
+            return Some(vec![to]);
         }
         let mut places = vec![from, to];
         for [low, high] in kept.iter().map(|block| grown(block, BESIDE_M)) {
             places.extend(
                 [[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]].into_iter().filter(|p| {
                     // Bodies fit between walls and corners that are half as far.
-                    let margin = 0.5 * self.keep_off_m;
+                    let margin = 0.5 * keep_off_m;
                     (0..2).all(|i| p[i] >= margin && p[i] <= self.size_m[i] - margin)
                 }),
             );
         }
+        // Nobody comes to a corner within another block.
+        let is_within = |[low, high]: &Block, at: &[f64; 2]| (0..2).all(|i| at[i] > low[i] && at[i] < high[i]);
+        let mut number = 0;
+        places.retain(|at| {
+            number += 1;
+            number <= 2 || !kept.iter().any(|block| is_within(block, at))
+        });
         shortest(&places, open)
     }
 }
 
-/// The shortest way from the first place to the second by others: Dijkstra's.
-fn shortest(places: &[[f64; 2]], open: impl Fn([f64; 2], [f64; 2]) -> bool) -> Vec<[f64; 2]> {
+/// The shortest way from the first place to the second by others, if there is one: Dijkstra's.
+fn shortest(places: &[[f64; 2]], open: impl Fn([f64; 2], [f64; 2]) -> bool) -> Option<Vec<[f64; 2]>> {
     let mut best = vec![(f64::INFINITY, 0usize); places.len()];
     let mut done = vec![false; places.len()];
     best[0].0 = 0.0;
@@ -78,14 +102,17 @@ fn shortest(places: &[[f64; 2]], open: impl Fn([f64; 2], [f64; 2]) -> bool) -> V
             }
         }
     }
+    if !best[1].0.is_finite() {
+        return None;
+    }
     let mut way = vec![places[1]];
     let mut at = best[1].1;
-    while best[1].0.is_finite() && at != 0 {
+    while at != 0 {
         way.push(places[at]);
         at = best[at].1;
     }
     way.reverse();
-    way
+    Some(way)
 }
 
 fn grown([low, high]: &Block, by: f64) -> Block {

@@ -24,7 +24,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::low::Crouch;
 use super::motion::{Moment, Motion, Person, Small};
-use super::program::{blocks, draw, dressed};
+use super::program::{draw, dressed};
 use super::route::{Block, Ground};
 use crate::random::{Purpose, generator};
 use crate::scene::file::{SceneFile, SeatFile, WanderFile};
@@ -66,14 +66,21 @@ fn person(setting: &Setting, identity: [u64; 2]) -> Person {
     dressed(person, &setting.people, setting.seed)
 }
 
-/// Everybody who wanders in a scene, somebody beyond the far wall last; `people` says how many are in the room instead of the seed.
-pub(super) fn everybody(scene: &SceneFile, file: &WanderFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
+/// Everybody who wanders in a scene among blocks, somebody beyond the far wall last; `people` says how many are in the room instead
+/// of the seed.
+pub(super) fn everybody(
+    scene: &SceneFile,
+    file: &WanderFile,
+    blocks: Vec<Block>,
+    seed: u64,
+    people: Option<usize>,
+) -> Vec<Motion> {
     let mut rng = generator(seed, Purpose::Wander, [u64::MAX, 0]);
     // Not used: without it, all later draws and so the people of every seed would be others.
     let _: f64 = rng.random();
     let count = rng.random_range(0..=file.max_people);
     let slots = people.unwrap_or(count);
-    let group = Arc::new(Group::new(room(scene, file, seed), slots));
+    let group = Arc::new(Group::new(room(scene, file, blocks, seed), slots));
     let mut all = motions(&group, slots);
     all.extend(passer_by(scene, file, seed, &mut rng));
     all
@@ -84,12 +91,11 @@ fn motions(group: &Arc<Group>, slots: usize) -> Vec<Motion> {
     (0..slots).map(|slot| motion(group, slot, [0.0; 2])).collect()
 }
 
-/// Ground of a scene's room.
-fn room(scene: &SceneFile, file: &WanderFile, seed: u64) -> Setting {
+/// Ground of a scene's room with blocks in it.
+fn room(scene: &SceneFile, file: &WanderFile, mut blocks: Vec<Block>, seed: u64) -> Setting {
     let size_m = [scene.room.size_m[0], scene.room.size_m[1]];
     let radar_m = [scene.radar.position_m[0], scene.radar.position_m[1]];
     let keep_off_m = scene.people.keep_off_m.unwrap_or(KEEP_OFF_M);
-    let mut blocks: Vec<Block> = blocks(scene);
     let nearest_m = file.range_m[0];
     if nearest_m > 0.0 {
         // Hips keep off a block by more than it takes to keep off the radar.

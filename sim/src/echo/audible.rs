@@ -2,7 +2,8 @@
 //!
 //! Highlights of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
 //! images' fields over all of the segment ([`BoxRoom::most_field`]), of the highlight's strength ([`Ellipsoid::bound`]), of skin and
-//! clothes, and of the filters. What it leaves out is nowhere as loud as a path that is followed through a frame.
+//! clothes, and of the filters. In rooms of plane faces counts, too, what is in the way of a segment. What it leaves out is nowhere
+//! as loud as a path that is followed through a frame.
 //!
 //! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
 
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
+use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
 use crate::actor::body::{CHEST, SEGMENTS};
 use crate::actor::clothing::Cloth;
@@ -20,7 +22,7 @@ use crate::actor::motion::Motion;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::ImageIndex;
-use crate::paths::Surroundings;
+use crate::paths::{PolygonRoom, Surroundings};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 
@@ -30,6 +32,10 @@ const BODY_BOUND_M: f64 = 0.25;
 const BODY_REACH_M: f64 = 1.2;
 /// Segments weaker than this part of the threshold of a path alone are not traced: as weak as those that key times ask for.
 pub const HEARD: f64 = 0.5;
+/// Behind a straight edge no more than this part of a field is left.
+const MOST_IN_SHADOW: f64 = 0.5;
+/// What an edge leaves in its shadow grows by this factor within a frame at most where rays do not come there.
+const MOVING: f64 = 2.0;
 /// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
 
@@ -137,17 +143,31 @@ impl SegmentBound {
         let largest = |of: &dyn Fn(&Ellipsoid) -> f64| at.iter().map(of).fold(0.0, f64::max);
         let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
-        let lit = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
+        let mut lit: Vec<Lit> = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
         let person = &motion.person;
         let cloth =
             person.cloth.get(segment).copied().unwrap_or(1.0) * person.clothing.cloth().map_or(1.0, Cloth::most);
         let aperture = stage.wavelength_m / (4.0 * PI);
         let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
+        if let Surroundings::Polygons(room) = &stage.room {
+            let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
+            // Weaker images are not heard even beside the strongest, and need not be looked for.
+            let by_edges = room.paths().most_by_edges();
+            let least_per_m = HEARD * stage.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
+            for (lit, &index) in lit.iter_mut().zip(&images.indices) {
+                let may_be_heard = lit.most_per_m > least_per_m;
+                let least = least_per_m / lit.most_per_m;
+                lit.most_per_m *= if may_be_heard { left(stage, room, index, lit.source, &at, least) } else { 0.0 };
+            }
+        }
         Some(SegmentBound { at, flattest_m, lit, lsb_m, reach_m, apart_m: images.apart_m })
     }
 
     fn is_heard(&self, stage: &Stage, [there, back]: [usize; 2]) -> bool {
         let (Some(there), Some(back)) = (self.lit.get(there), self.lit.get(back)) else { return false };
+        if there.most_per_m * back.most_per_m == 0.0 {
+            return false;
+        }
         let length_m = there.distance_m + back.distance_m;
         let passed = passed(stage, length_m - 2.0 * self.reach_m, length_m + 2.0 * self.reach_m);
         let per_m = self.lsb_m * there.most_per_m * back.most_per_m * passed;
@@ -167,19 +187,40 @@ impl SegmentBound {
 }
 
 impl Lit {
+    /// All that comes within a distance of a place where nothing is in the way.
     fn new(stage: &Stage, index: ImageIndex, middle: DVec3, reach_m: f64) -> Self {
         let source = stage.room.image_position(index, stage.tx.position);
         let offset = middle - source;
         let distance_m = offset.length();
         let nearest_m = (distance_m - reach_m).max(LEAST_DISTANCE_M);
-        let field = if distance_m > reach_m {
-            let spread_rad = (reach_m / distance_m).asin();
-            stage.room.most_field(&stage.tx, index, offset / distance_m, spread_rad)
-        } else {
-            1.0
+        let field = match &stage.room {
+            _ if distance_m <= reach_m => 1.0,
+            Surroundings::Polygons(room) => room.most_free_field(&stage.tx, index, middle, reach_m),
+            Surroundings::Box(room) => {
+                let spread_rad = (reach_m / distance_m).asin();
+                room.most_field(&stage.tx, index, offset / distance_m, spread_rad)
+            }
         };
         Lit { source, distance_m, most_per_m: field / nearest_m }
     }
+}
+
+/// Part of an image's field that what is in the way leaves at some of these segments, or at one at some of these instants, at
+/// most. Highlights of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)). Less than a part of the field is
+/// not heard.
+fn left(stage: &Stage, room: &PolygonRoom, index: ImageIndex, source: DVec3, at: &[Ellipsoid], least: f64) -> f64 {
+    let antenna = stage.tx.position;
+    // In the middle first: what rays come to there need not be asked for again.
+    let middle = at.len() / 2;
+    let mut all = at.iter().skip(middle).chain(at.iter().take(middle));
+    if all.any(|ellipsoid| room.is_lit(index, antenna, facing(ellipsoid, source))) {
+        return room.paths().most_by_edges();
+    }
+    if least > MOST_IN_SHADOW || !room.counts_in_shadow(index) {
+        return 0.0;
+    }
+    let in_shadow = |ellipsoid: &Ellipsoid| room.obstruction(index, antenna, facing(ellipsoid, source)).left();
+    at.get(middle).map_or(0.0, |ellipsoid| MOVING * in_shadow(ellipsoid))
 }
 
 /// Largest response of the filters to a path of a length in this range, m.
@@ -202,23 +243,28 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
             (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
         }
         // The trunk may be hidden where an arm is not.
-        room => {
-            let offset = centre - room.image_position(index, stage.tx.position);
+        Surroundings::Polygons(room) => {
+            let source = stage.room.image_position(index, stage.tx.position);
+            let offset = centre - source;
             let distance_m = offset.length();
-            let spread_rad = (BODY_REACH_M / distance_m).min(1.0).asin();
-            let most = room.most_field(&stage.tx, index, offset.normalize_or_zero(), spread_rad);
-            (most / (distance_m - BODY_REACH_M).max(0.2), distance_m)
+            let most = room.most_free_field(&stage.tx, index, centre, BODY_REACH_M);
+            let left = if most > 0.0 { left(stage, room, index, source, &body, 0.0) } else { 0.0 };
+            (most * left / (distance_m - BODY_REACH_M).max(0.2), distance_m)
         }
     };
-    let audible = |&(p, q): &(ImageIndex, ImageIndex)| {
+    let pairs = pairs_of(stage, &[body]);
+    let images = Images::new(stage, &pairs);
+    let reaches: Vec<(f64, f64)> = images.indices.iter().map(|&index| reach(index)).collect();
+    let audible = |&(p, q): &(ImageIndex, ImageIndex), numbers: [usize; 2]| {
         if stage.room.order(p) + stage.room.order(q) == 0 {
             return true;
         }
-        let ((a, r), (b, s)) = (reach(p), reach(q));
+        let [(a, r), (b, s)] = numbers.map(|number| reaches.get(number).copied().unwrap_or_default());
         let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
         lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
     };
-    pairs_of(stage, &[body]).iter().filter(|pair| audible(pair)).copied().collect()
+    let numbered = pairs.iter().zip(&images.pairs);
+    numbered.filter(|&(pair, &numbers)| audible(pair, numbers)).map(|(pair, _)| *pair).collect()
 }
 
 /// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest

@@ -1,11 +1,15 @@
 //! Obstruction of a path by people: their own limbs and trunk, and everybody who stands beside one of its legs.
 
+use std::cell::RefCell;
+
 use glam::{DVec2, DVec3};
 
 use super::Snapshot;
+use crate::actor::body::SEGMENTS;
+use crate::field::Phasor3;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::{BoxRoom, ImageIndex, order};
-use crate::paths::Surroundings;
+use crate::field::image::{BoxRoom, Element, ImageIndex, order};
+use crate::paths::{EdgesBeside, Obstruction, PolygonRoom, Surroundings};
 use crate::shadow::{self, Column, REACH_M};
 use crate::stage::Stage;
 
@@ -42,18 +46,18 @@ pub(super) fn visibility(
     way: &Way,
     point: DVec3,
 ) -> f64 {
-    let &Way { image, source, antenna } = way;
     let Some(own) = people.get(me) else { return 0.0 };
-    let wavelength_m = stage.wavelength_m;
-    let mut weight = 1.0;
-    // The leg that touches the body, in the unfolded room (long enough: bodies are far smaller than rooms).
-    if segment >= 3 {
-        weight *= shadow::past(point, source, &own.trunk, wavelength_m);
-        if let Some(other) = opposite(segment).and_then(|i| own.body.get(i)) {
-            weight *= shadow::past(point, source, &limb_column(other), wavelength_m);
-        }
+    past_own(stage, own, segment, way.source, point) * past_people(stage, people, me, way.image, way.antenna, point)
+}
+
+/// Field that somebody's own trunk and limbs leave on the way between a point of a segment and an image: on the leg that touches
+/// the body, in the unfolded room (long enough: bodies are far smaller than rooms).
+pub(super) fn past_own(stage: &Stage, own: &Snapshot, segment: usize, source: DVec3, point: DVec3) -> f64 {
+    if segment < 3 {
+        return 1.0;
     }
-    weight * past_people(stage, people, me, image, antenna, point)
+    let other = opposite(segment).and_then(|i| own.body.get(i)).map(limb_column);
+    [Some(own.trunk), other].iter().flatten().map(|c| shadow::past(point, source, c, stage.wavelength_m)).product()
 }
 
 /// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
@@ -66,25 +70,108 @@ pub(super) fn past_people(
     antenna: DVec3,
     point: DVec3,
 ) -> f64 {
-    let past = |last: usize, leg: usize, from: DVec3, to: DVec3| -> f64 {
-        let others = people.iter().enumerate().filter(|(i, _)| *i != me || leg != last);
-        others.map(|(_, other)| shadow::past(from, to, &other.column, stage.wavelength_m)).product()
-    };
-    let mut weight = 1.0;
     match &stage.room {
         Surroundings::Box(room) => {
-            let last = order(image) as usize;
-            room.each_leg(image, antenna, point, |leg, from, to| weight *= past(last, leg, from, to));
+            let (last, mut weight) = (order(image) as usize, 1.0);
+            let others = Others { stage, people, me };
+            room.each_leg(image, antenna, point, |leg, from, to| weight *= others.past(leg == last, from, to));
+            weight
         }
-        Surroundings::Polygons(room) => {
-            let way = room.way(image, antenna, point);
-            let last = way.len().saturating_sub(2);
-            for (leg, ends) in way.windows(2).enumerate() {
-                weight *= past(last, leg, ends[0], ends[1]);
-            }
-        }
+        Surroundings::Polygons(room) => past_along(stage, people, me, &room.way(image, antenna, point)),
     }
-    weight
+}
+
+/// The same on a way with these corners, from an antenna to the point.
+fn past_along(stage: &Stage, people: &[Snapshot], me: usize, way: &[DVec3]) -> f64 {
+    let (last, others) = (way.len().saturating_sub(2), Others { stage, people, me });
+    way.windows(2).enumerate().map(|(leg, ends)| others.past(leg == last, ends[0], ends[1])).product()
+}
+
+/// People who may stand beside a leg.
+struct Others<'a> {
+    stage: &'a Stage,
+    people: &'a [Snapshot],
+    me: usize,
+}
+
+impl Others<'_> {
+    /// Field that they leave on a leg: on the last one, that touches the body, all but the own body.
+    fn past(&self, is_last: bool, from: DVec3, to: DVec3) -> f64 {
+        let others = self.people.iter().enumerate().filter(|(i, _)| *i != self.me || !is_last);
+        others.map(|(_, other)| shadow::past(from, to, &other.column, self.stage.wavelength_m)).product()
+    }
+}
+
+/// Point of a segment that stands for all of it where it is asked what is in the way to an image: where a plane wave from there
+/// would be mirrored back. Highlights lie within the segment's own radius of it, and first Fresnel zones are as wide.
+pub(super) fn facing(segment: &Ellipsoid, source: DVec3) -> DVec3 {
+    let normal = segment.axes.transpose() * (source - segment.centre);
+    segment.surface((normal * segment.semi_axes_m).normalize_or_zero())
+}
+
+/// What is in the way between an image and a segment.
+pub(super) struct SharedWay<'a> {
+    /// Facets, edges and walls.
+    pub(super) obstruction: Obstruction<'a>,
+    /// Part of the field that people leave.
+    pub(super) past_people: f64,
+}
+
+/// What is in the ways between images and somebody's segments at an instant, in a room of plane faces. It is asked for once for
+/// all highlights of a segment and for all antennas, which are some millimetres apart.
+pub(super) struct SharedWays<'a> {
+    stage: &'a Stage,
+    room: &'a PolygonRoom,
+    people: &'a [Snapshot],
+    me: usize,
+    /// `[image][segment]`: edges beside the ways at any instant.
+    beside: &'a RefCell<Vec<EdgesBeside>>,
+    /// `[image][segment]`; none before it is asked for.
+    known: Vec<Option<SharedWay<'a>>>,
+}
+
+impl<'a> SharedWays<'a> {
+    /// None are known yet, of as many images and segments as there are edges for.
+    pub(super) fn new(
+        stage: &'a Stage,
+        room: &'a PolygonRoom,
+        people: &'a [Snapshot],
+        me: usize,
+        beside: &'a RefCell<Vec<EdgesBeside>>,
+    ) -> Self {
+        let known = beside.borrow().iter().map(|_| None).collect();
+        SharedWays { stage, room, people, me, beside, known }
+    }
+
+    /// The way between a segment and an image of a number; `None` where nothing arrives by it.
+    pub(super) fn of(&mut self, number: usize, image: ImageIndex, segment: usize) -> Option<&SharedWay<'a>> {
+        let body = &self.people.get(self.me)?.body;
+        let (ellipsoid, slot) = (body.get(segment)?, self.known.get_mut(number * SEGMENTS + segment)?);
+        if slot.is_none() {
+            let (room, antenna) = (self.room, self.stage.tx.position);
+            let point = facing(ellipsoid, self.stage.room.image_position(image, antenna));
+            let mut beside = self.beside.borrow_mut();
+            let obstruction = room.obstruction_past(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
+            let way = room.paths().way_past(&obstruction, antenna, point);
+            let past_people = past_along(self.stage, self.people, self.me, &way);
+            *slot = Some(SharedWay { obstruction, past_people });
+        }
+        slot.as_ref().filter(|way| way.obstruction.left() > 0.0)
+    }
+
+    /// Field of an image of an element at a point of a segment, and the part of it that people leave.
+    pub(super) fn field(
+        &mut self,
+        (number, image): (usize, ImageIndex),
+        element: &Element,
+        segment: usize,
+        point: DVec3,
+    ) -> Option<(Phasor3, f64)> {
+        let room = self.room;
+        let way = self.of(number, image, segment)?;
+        let lit = room.paths().illuminate_past(element, &way.obstruction, point);
+        Some((lit.field, way.past_people))
+    }
 }
 
 /// Added to distances at which columns are left out, for rounding, m.

@@ -10,9 +10,9 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
-use super::obstruction::{Bystanders, limb_column, opposite};
+use super::obstruction::{Bystanders, SharedWays, limb_column, opposite};
 use super::path_rows::{Drift, HeardRows, WideFields, heard, launched, reflected};
-use super::{EchoReport, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
+use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
 use crate::actor::body::SEGMENTS;
 use crate::field::Phasor3;
 use crate::field::highlight::LEAST_COSINE;
@@ -96,11 +96,17 @@ impl Paths<'_> {
                 }
             }
         }
+        let Some(own) = people.get(self.me) else { return met };
+        let ways = match &self.stage.room {
+            Surroundings::Box(_) => None,
+            Surroundings::Polygons(room) => Some(SharedWays::new(self.stage, room, people, self.me, &self.beside)),
+        };
+        let mut instant = Instant { people, own, ways };
         // What lanes leave, folds, and what a person at a desk has besides.
         let mut keys = Vec::with_capacity(RECEIVERS);
         for (met, &(path, near)) in met.iter_mut().zip(asked).filter(|(met, _)| met.receivers == 0) {
             keys.clear();
-            let place = self.trace(path, people, near, &mut keys, report);
+            let place = self.trace_at(path, &mut instant, near, &mut keys, report);
             *met = Met::new(&keys, place);
         }
         met

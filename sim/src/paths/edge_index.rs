@@ -69,14 +69,15 @@ impl EdgeIndex {
     /// Numbers of all edges whose boxes come within a distance, m, of a straight way, ascending.
     pub fn near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         found.clear();
-        let (way, grown) = (to - from, DVec3::splat(distance_m));
+        let grown = DVec3::splat(distance_m);
+        let per_m = (to - from).to_array().map(|way| (way.abs() >= 1e-12).then(|| 1.0 / way));
         let mut open = [0u32; DEEPEST];
         let mut count = usize::from(!self.nodes.is_empty());
         while count > 0 {
             count -= 1;
             let number = open.get(count).copied().unwrap_or_default();
             let Some(node) = self.nodes.get(number as usize) else { continue };
-            if !meets(node.low - grown, node.high + grown, from, way) {
+            if !meets(node.low - grown, node.high + grown, from, &per_m) {
                 continue;
             }
             if node.count > 0 {
@@ -95,17 +96,17 @@ impl EdgeIndex {
     }
 }
 
-/// Whether a straight way from a point comes into a box.
-fn meets(low: DVec3, high: DVec3, from: DVec3, way: DVec3) -> bool {
+/// Whether a straight way from a point comes into a box. Of the way are given the inverses of its components, where it has them.
+fn meets(low: DVec3, high: DVec3, from: DVec3, per_m: &[Option<f64>; 3]) -> bool {
     let (mut enters, mut leaves) = (0.0f64, 1.0f64);
-    for axis in 0..3 {
-        if way[axis].abs() < 1e-12 {
+    for (axis, per_m) in per_m.iter().enumerate() {
+        let Some(per_m) = per_m else {
             if from[axis] < low[axis] || from[axis] > high[axis] {
                 return false;
             }
             continue;
-        }
-        let (a, b) = ((low[axis] - from[axis]) / way[axis], (high[axis] - from[axis]) / way[axis]);
+        };
+        let (a, b) = ((low[axis] - from[axis]) * per_m, (high[axis] - from[axis]) * per_m);
         (enters, leaves) = (enters.max(a.min(b)), leaves.min(a.max(b)));
     }
     enters <= leaves

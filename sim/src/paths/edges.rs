@@ -83,12 +83,24 @@ impl SoftEdge {
         self.goes_on[0] && part < 0.0 || self.goes_on[1] && part > 1.0
     }
 
-    /// Whether any of it is within a distance, m, of a straight way.
+    /// Whether any of it may be within a distance, m, of a straight way: beside that, or beyond an end of what is beside it.
     pub(super) fn is_near(&self, from: DVec3, direction: DVec3, length_m: f64, distance_m: f64) -> bool {
         let along = (self.middle - from).dot(direction).clamp(0.0, length_m);
         let apart = self.middle.distance_squared(from + direction * along);
         let reach = self.reach_m + distance_m;
-        apart <= reach * reach
+        if apart > reach * reach {
+            return false;
+        }
+        // Seen along the way, from the way's own place.
+        let [a, b] = self.ends.map(|end| end - from);
+        let (at_a, at_b) = (a.dot(direction), b.dot(direction));
+        if at_a.max(at_b) <= 0.0 || at_a.min(at_b) >= length_m {
+            return false;
+        }
+        let foot = a - direction * at_a;
+        let step = b - direction * at_b - foot;
+        let part = (-foot.dot(step) / step.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        (foot + step * part).length_squared() <= distance_m * distance_m
     }
 }
 

@@ -13,6 +13,11 @@ use crate::trace::{Body, Build, Ray, Surface, World};
 const COPLANAR_M: f64 = 1e-7;
 /// Sine of the angle up to which two planes are parallel.
 const PARALLEL: f64 = 1e-6;
+/// Edges farther from a way than this have no part in it, in units of the normalised clearance: three radii of the first Fresnel
+/// zone, where a half-plane changes the field by 5 percent. What they add fades out over the last third.
+const MOST_REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
+/// However much may be missed, edges within the first Fresnel zone count.
+const LEAST_REACH: f64 = std::f64::consts::SQRT_2;
 /// The one body of the world.
 const BODY: u32 = 0;
 
@@ -33,6 +38,8 @@ pub struct Environment {
     edge_index: EdgeIndex,
     /// Whether waves go through walls.
     transmission: bool,
+    /// Normalised clearance from which on edges have no part in a way.
+    edge_reach: f64,
     world: World,
     facet_of_triangle: Vec<FacetId>,
     /// Facets of each plane.
@@ -99,6 +106,7 @@ impl Environment {
             soft_edges,
             edge_index,
             transmission: false,
+            edge_reach: MOST_REACH,
             world,
             facet_of_triangle,
             planes,
@@ -110,6 +118,19 @@ impl Environment {
     pub fn with_transmission(mut self, transmission: bool) -> Self {
         self.transmission = transmission;
         self
+    }
+
+    /// The same environment without edges that change a field by less than this part. At a normalised clearance `nu` the edge of
+    /// a half-plane changes it by `1 / (pi sqrt(2) nu)` at most.
+    pub fn with_least_part(mut self, part: f64) -> Self {
+        let reach = std::f64::consts::FRAC_1_PI * std::f64::consts::FRAC_1_SQRT_2 / part.max(1e-9);
+        self.edge_reach = reach.clamp(LEAST_REACH, MOST_REACH);
+        self
+    }
+
+    /// Normalised clearance from which on edges have no part in a way.
+    pub(super) fn edge_reach(&self) -> f64 {
+        self.edge_reach
     }
 
     /// Whether waves go through walls.

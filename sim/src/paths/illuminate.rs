@@ -4,11 +4,13 @@
 //! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it. Where walls let waves
 //! through, each one between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 
+use std::collections::HashMap;
+
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
-use super::edge_field::side_from_foot;
+use super::edge_field::side_between;
 use super::edges::SoftEdge;
 use super::environment::{Environment, Passing};
 use super::flat::{FacetId, Flat, SEAM_M};
@@ -16,9 +18,6 @@ use crate::field::fresnel::Reflection;
 use crate::field::image::{Element, Illumination};
 use crate::field::{Phasor3, incidence_frame};
 
-/// Edges farther from a way than this have no part in it, in units of the normalised clearance: three radii of the first Fresnel
-/// zone, where a half-plane changes the field by 5 percent. What they add fades out over the last third.
-pub(super) const REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
 /// Distances from an edge to the ends of a path count as at least this, m.
 const LEAST_DISTANCE_M: f64 = 1e-3;
 /// Ways that pass an edge nearer than this are free or blocked as rays say, not as f64 does, m: rays are traced in f32.
@@ -27,6 +26,12 @@ const UNSURE_M: f64 = 5e-5;
 const UNSURE_ON_FACET_M: f64 = 1e-8;
 /// Beside an edge by this much, m, it is looked for a free way past it.
 const BESIDE_M: f64 = 1e-4;
+/// Parts of a field that an edge adds or takes count from this on: Fresnel's integrals are met to no less.
+const LEAST_PART: f64 = 0.003;
+/// Edges near a leg that are made room for at first.
+const USUALLY_NEAR: usize = 64;
+/// Edges beside a way that is followed are looked for so much farther off, m: a trunk moves by it in most of a frame.
+const MOVED_M: f64 = 0.05;
 /// Points must lie this far before a facet to be reflected, m.
 const BEFORE_M: f64 = 1e-9;
 
@@ -68,6 +73,29 @@ struct Kept {
     is_whole: bool,
 }
 
+/// What facets, edges and walls leave of an image's field about a point. Fields at points nearby that are past the same things
+/// can be had from it.
+#[derive(Debug, Clone)]
+pub struct Obstruction<'a> {
+    image: Option<&'a Image>,
+    arrivals: Vec<Arrival<'a>>,
+}
+
+impl Obstruction<'_> {
+    /// Part of the field that is left, in magnitude, at most: that of all sequences together.
+    pub fn left(&self) -> f64 {
+        self.arrivals.iter().map(|arrival| arrival.part.norm()).sum()
+    }
+}
+
+/// Edges beside the legs of ways to about one place, as they were found for the first of them, by numbers of the sequence and the
+/// leg: while somebody moves by centimetres, the same edges are seen.
+#[derive(Debug, Clone, Default)]
+pub struct EdgesBeside(HashMap<(u32, u32), Vec<u32>>);
+
+/// Edges that are known beside a leg, and the leg's number.
+type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
+
 /// What is left of a field by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
@@ -88,8 +116,10 @@ impl Kept {
 
 /// Passage of a leg by an edge.
 struct Passage {
-    /// The edge's part of the field, but for its sign.
-    part: Complex64,
+    /// Distance of the leg from the edge, and from the line of the edge, and places of the ends along that: normalised.
+    nu: f64,
+    nu_of_line: f64,
+    along: [f64; 2],
     /// Distance of the leg from the line of the edge, m.
     clearance_m: f64,
     /// Whether the leg passes on the side of what the edge bounds.
@@ -99,12 +129,32 @@ struct Passage {
     outwards: DVec3,
 }
 
+impl Passage {
+    /// The edge's part of the field, but for its sign, where edges count up to a normalised clearance.
+    fn part(&self, reach: f64) -> Complex64 {
+        if self.nu >= reach {
+            return Complex64::ZERO;
+        }
+        side_between(self.nu_of_line, self.along) * fade((reach - self.nu) / (reach / 3.0))
+    }
+}
+
 impl Leg {
-    fn reach_m(&self, wavelength_m: f64) -> f64 {
-        REACH * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
+    /// Edges farther from the path than this have no part in it, wherever along it they are, m.
+    fn reach_m(&self, environment: &Environment) -> f64 {
+        let wavelength_m = environment.wavelength_m();
+        environment.edge_reach() * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
     }
 
-    /// `None` where an edge is out of reach.
+    /// The same of edges beside this leg: Fresnel's zones are the widest in the middle of a path.
+    fn own_reach_m(&self, environment: &Environment) -> f64 {
+        let wavelength_m = environment.wavelength_m();
+        let d1 = (0.5 * self.total_m).max(self.before_m).min(self.before_m + self.length_m);
+        let (d1, d2) = (d1.max(LEAST_DISTANCE_M), (self.total_m - d1).max(LEAST_DISTANCE_M));
+        environment.edge_reach() * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
+    }
+
+    /// `None` where an edge is not beside the leg.
     fn past(&self, edge: &SoftEdge, inwards: DVec3, wavelength_m: f64) -> Option<Passage> {
         let &Leg { from, direction, length_m, before_m, total_m } = self;
         let along = |p: DVec3| (p - from).dot(direction);
@@ -123,19 +173,16 @@ impl Leg {
         let (d1, d2) = (d1.max(LEAST_DISTANCE_M), d2.max(LEAST_DISTANCE_M));
         let nu_per_m = (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
         let nu = across(nearest - from).length() * nu_per_m;
-        if nu >= REACH {
-            return None;
-        }
         let perpendicular = foot_a - unit * start;
         let clearance_m = perpendicular.length();
         let into = across(inwards) - unit * across(inwards).dot(unit);
         let goes_on = |end: usize, cut: bool| cut || edge.goes_on.get(end).copied().unwrap_or(false);
         let low = if goes_on(0, cut_a) { f64::NEG_INFINITY } else { start * nu_per_m };
         let high = if goes_on(1, cut_b) { f64::INFINITY } else { end * nu_per_m };
-        let p = clearance_m * nu_per_m;
-        let fade = fade((REACH - nu) / (REACH / 3.0));
         Some(Passage {
-            part: (side_from_foot(p, high) - side_from_foot(p, low)) * fade,
+            nu,
+            nu_of_line: clearance_m * nu_per_m,
+            along: [low, high],
             clearance_m,
             is_behind: -perpendicular.dot(into) > 0.0,
             nearest,
@@ -166,17 +213,70 @@ impl ImagePaths {
     /// Field of an element's image at a point, as [`crate::field::image::BoxRoom::illuminate`] gives it: zero where no path leads
     /// from the one to the other.
     pub fn illuminate(&self, element: &Element, image: usize, point: DVec3) -> Illumination {
-        let position = self.images.get(image).map_or(element.position, |image| image.of(element.position));
+        self.illuminate_past(element, &self.obstruction(image, element.position, point), point)
+    }
+
+    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
+        self.obstruction_past(image, antenna, point, None)
+    }
+
+    /// The same on a way that is followed: edges beside it are looked for only once.
+    pub fn obstruction_past(
+        &self,
+        image: usize,
+        antenna: DVec3,
+        point: DVec3,
+        known: Option<&mut EdgesBeside>,
+    ) -> Obstruction<'_> {
+        let image = self.images.get(image);
+        Obstruction { image, arrivals: image.map_or_else(Vec::new, |image| self.valid(image, antenna, point, known)) }
+    }
+
+    /// Whether rays go from an antenna to a point by an image.
+    pub fn is_lit(&self, image: usize, antenna: DVec3, point: DVec3) -> bool {
+        let Some(image) = self.images.get(image) else { return false };
+        image.sequences.iter().any(|sequence| self.is_free(sequence, antenna, point).unwrap_or(false))
+    }
+
+    /// Whether a ray goes by a sequence of facets; `None` where planes are met from behind.
+    fn is_free(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<bool> {
+        let folded = self.folded(sequence, antenna, point)?;
+        let is_on = |(&facet, &met): (&FacetId, &DVec3)| self.environment.flat(facet).is_some_and(|f| f.contains(met));
+        if !sequence.iter().zip(folded.points().iter().skip(1)).all(is_on) {
+            return Some(false);
+        }
+        let is_clear = |leg: usize| {
+            let on = self.ends_on(sequence, leg, antenna);
+            !self.environment.passing([folded.point(leg), folded.point(leg + 1)], on).is_blocked
+        };
+        Some((0..=sequence.len()).all(is_clear))
+    }
+
+    /// The facets on which a leg of a sequence begins and ends.
+    fn ends_on(&self, sequence: &[FacetId], leg: usize, antenna: DVec3) -> [Option<FacetId>; 2] {
+        let holds = |facet: &FacetId| {
+            let flat = self.environment.flat(*facet);
+            flat.is_some_and(|flat| flat.height(antenna).abs() < super::edges::SAME_M)
+        };
+        let first = if leg == 0 { self.mount.filter(holds) } else { sequence.get(leg - 1).copied() };
+        [first, sequence.get(leg).copied()]
+    }
+
+    /// Field of an element's image at a point ([`ImagePaths::illuminate`]) past what is known to obstruct it: lengths, directions
+    /// and reflections are those of the point.
+    pub fn illuminate_past(&self, element: &Element, obstruction: &Obstruction, point: DVec3) -> Illumination {
+        let position = obstruction.image.map_or(element.position, |image| image.of(element.position));
         let offset = point - position;
         let distance_m = offset.length().max(1e-6);
         let direction = offset / distance_m;
         let mut field = Phasor3::real(DVec3::ZERO);
-        if let Some(image) = self.images.get(image) {
+        if let Some(image) = obstruction.image.filter(|_| !obstruction.arrivals.is_empty()) {
             let departure = element.radar_from_world * (image.mirror.transpose() * direction);
             let polarisation = image.mirror * element.polarisation;
             let transverse = polarisation - direction * direction.dot(polarisation);
             let launched = Phasor3::real(transverse).scaled(element.pattern.field(departure));
-            for arrival in self.valid(image, element.position, point) {
+            for arrival in &obstruction.arrivals {
                 let arrived = self.environment.reflected(arrival.sequence, &arrival.crossed, direction, launched);
                 field = sum(field, arrived.times(arrival.part));
             }
@@ -205,8 +305,13 @@ impl ImagePaths {
 
     /// The facets that the strongest way from an antenna to a point by an image meets.
     pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
-        let all = self.valid(self.images.get(image)?, antenna, point);
-        all.into_iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm())).map(|arrival| arrival.sequence)
+        strongest_of(&self.valid(self.images.get(image)?, antenna, point, None))
+    }
+
+    /// Corners of the strongest way from an antenna to a point past what is known to obstruct it; empty where there is none.
+    pub fn way_past(&self, obstruction: &Obstruction, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        let folded = strongest_of(&obstruction.arrivals).and_then(|sequence| self.folded(sequence, antenna, point));
+        folded.map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
     /// The way from an antenna to a point by an image, whether it is free or not: the first whose points of reflection lie on
@@ -228,7 +333,7 @@ impl ImagePaths {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
         let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
-        let Some((kept, crossed)) = self.on_leg(&leg, to, on) else { return 0.0 };
+        let Some((kept, crossed)) = self.on_leg(&leg, to, on, None) else { return 0.0 };
         let through = |&facet: &FacetId| {
             self.environment.flat(facet).map_or(1.0, |flat| {
                 let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
@@ -239,11 +344,18 @@ impl ImagePaths {
     }
 
     /// The sequences of an image by which something arrives, with the part of the field that facets and edges leave.
-    fn valid<'a>(&self, image: &'a Image, antenna: DVec3, point: DVec3) -> Vec<Arrival<'a>> {
+    fn valid<'a>(
+        &self,
+        image: &'a Image,
+        antenna: DVec3,
+        point: DVec3,
+        mut known: Option<&mut EdgesBeside>,
+    ) -> Vec<Arrival<'a>> {
         let mut all: Vec<Arrival> = Vec::new();
         let mut has_whole = false;
-        for sequence in &image.sequences {
-            let Some(arrival) = self.arrival(sequence, antenna, point) else { continue };
+        for (number, sequence) in (0u32..).zip(&image.sequences) {
+            let known = known.as_deref_mut().map(|known| (known, number));
+            let Some(arrival) = self.arrival(sequence, antenna, point, known) else { continue };
             let is_whole = arrival.is_whole;
             // Backwards from the point only one facet is met first: a second free path is the same path on the seam of two.
             if !(is_whole && has_whole) {
@@ -285,7 +397,13 @@ impl ImagePaths {
     }
 
     /// Share that facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
-    fn arrival<'a>(&self, sequence: &'a [FacetId], antenna: DVec3, point: DVec3) -> Option<Arrival<'a>> {
+    fn arrival<'a>(
+        &self,
+        sequence: &'a [FacetId],
+        antenna: DVec3,
+        point: DVec3,
+        mut known: Option<(&mut EdgesBeside, u32)>,
+    ) -> Option<Arrival<'a>> {
         let folded = self.folded(sequence, antenna, point)?;
         let points = folded.points();
         let total_m: f64 = points.windows(2).map(|w| w[0].distance(w[1])).sum();
@@ -303,15 +421,13 @@ impl ImagePaths {
             weight = weight.and(self.on_facet(facet, &leg, folded.point(i + 1))?);
         }
         let mut before_m = 0.0;
-        let mount = self.mount.filter(|&facet| {
-            self.environment.flat(facet).is_some_and(|flat| flat.height(antenna).abs() < super::edges::SAME_M)
-        });
         let mut crossed = Vec::new();
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
-            let on = [if i == 0 { mount } else { sequence.get(i - 1).copied() }, sequence.get(i).copied()];
-            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on)?;
+            let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
+            let on = self.ends_on(sequence, i, antenna);
+            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on, known)?;
             weight = weight.and(kept);
             crossed.extend(through.into_iter().map(|facet| (i, facet)));
         }
@@ -322,13 +438,13 @@ impl ImagePaths {
     fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
         let flat = self.environment.flat(facet)?;
         let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
-        if flat.is_far(met, leg.reach_m(self.environment.wavelength_m()) / cosine + UNSURE_M) {
+        if flat.is_far(met, leg.reach_m(&self.environment) / cosine + UNSURE_M) {
             return None;
         }
         let is_on = flat.contains(met);
         // The way goes on behind the mirror: edges may lie beyond the point of reflection.
         let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
-        let wavelength_m = self.environment.wavelength_m();
+        let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
         let mut field = if is_on { Complex64::ONE } else { Complex64::ZERO };
         let mut is_left = is_on;
         for &number in &flat.soft {
@@ -337,48 +453,79 @@ impl ImagePaths {
             if !is_on && edge.is_beyond(met) {
                 continue;
             }
-            let Some(passage) = unfolded.past(edge, edge.inwards(facet), wavelength_m) else { continue };
+            let passage = unfolded.past(edge, edge.inwards(facet), wavelength_m);
+            let Some(passage) = passage.filter(|passage| passage.nu < reach) else { continue };
             let is_over = if passage.clearance_m < UNSURE_ON_FACET_M { is_on } else { passage.is_behind };
-            field += if is_over { -passage.part } else { passage.part };
+            field += if is_over { -passage.part(reach) } else { passage.part(reach) };
             is_left |= !is_over;
         }
         is_left.then_some(Kept { field, is_whole: is_on })
     }
 
     /// Share that is left on a leg past all facets but those on which it ends, and the walls that it goes through.
-    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2]) -> Option<(Kept, Vec<FacetId>)> {
+    fn on_leg(
+        &self,
+        leg: &Leg,
+        to: DVec3,
+        on: [Option<FacetId>; 2],
+        known: KnownBeside,
+    ) -> Option<(Kept, Vec<FacetId>)> {
         let environment = &*self.environment;
         if leg.length_m < BEFORE_M {
             return Some((Kept { field: Complex64::ONE, is_whole: true }, Vec::new()));
         }
         let passing = environment.passing([leg.from, to], on);
-        let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
-        let wavelength_m = environment.wavelength_m();
-        let reach_m = leg.reach_m(wavelength_m);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
-        let mut near = Vec::new();
-        environment.edges_near(leg.from, to, reach_m, &mut near);
-        for edge in near.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
-            if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m)
-                || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
-                || !edge.is_outline(leg.from, leg.direction)
-            {
-                continue;
+        let found;
+        let beside: &[u32] = match known {
+            Some((known, number)) => known.0.entry(number).or_insert_with(|| self.edges_beside(leg, to, on, MOVED_M)),
+            None => {
+                found = self.edges_beside(leg, to, on, 0.0);
+                &found
             }
-            let Some(passage) = leg.past(edge, edge.widest(leg.direction), wavelength_m) else { continue };
-            let beside = passage.nearest + passage.outwards * BESIDE_M;
-            if environment.passing([leg.from, beside], [on[0], None]).is_blocked
-                || environment.passing([beside, to], [None, on[1]]).is_blocked
-            {
+        };
+        for edge in beside.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
+            let passage = leg.past(edge, edge.widest(leg.direction), environment.wavelength_m());
+            let Some(passage) = passage else { continue };
+            let part = passage.part(environment.edge_reach());
+            if part.norm_sqr() < LEAST_PART * LEAST_PART {
                 continue;
             }
             let screen = self.screen(edge, leg.direction, &passing);
             let is_behind = if passage.clearance_m < UNSURE_M { screen.is_in_the_way } else { passage.is_behind };
-            field += if is_behind { passage.part * screen.behind } else { -passage.part * screen.beside };
+            field += if is_behind { part * screen.behind } else { -part * screen.beside };
             is_left = true;
         }
         is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
+    }
+
+    /// Edges that diffract beside a leg: on the outline of what they bound, within reach, or so much farther off, and seen from
+    /// both ends.
+    fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<u32> {
+        let environment = &*self.environment;
+        let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
+        let wavelength_m = environment.wavelength_m();
+        let reach_m = leg.own_reach_m(environment);
+        // Where zones are narrow, at the ends of a path, what is out of reach stays so.
+        let most_nu = environment.edge_reach() * (1.0 + farther_m / reach_m);
+        let mut near = Vec::with_capacity(USUALLY_NEAR);
+        environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
+        near.retain(|&number| {
+            let Some(edge) = environment.soft_edges().get(number as usize) else { return false };
+            if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m + farther_m)
+                || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
+                || !edge.is_outline(leg.from, leg.direction)
+            {
+                return false;
+            }
+            let passage = leg.past(edge, edge.widest(leg.direction), wavelength_m);
+            let Some(passage) = passage.filter(|passage| passage.nu < most_nu) else { return false };
+            let beside = passage.nearest + passage.outwards * BESIDE_M;
+            !environment.passing([leg.from, beside], [on[0], None]).is_blocked
+                && !environment.passing([beside, to], [None, on[1]]).is_blocked
+        });
+        near
     }
 
     /// Screen that the facets at an edge form for a way in a direction.
@@ -451,6 +598,12 @@ struct Screen {
     beside: Complex64,
     /// Whether rays meet them.
     is_in_the_way: bool,
+}
+
+/// The facets of the strongest of some arrivals.
+fn strongest_of<'a>(arrivals: &[Arrival<'a>]) -> Option<&'a [FacetId]> {
+    let strongest = arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
+    strongest.map(|arrival| arrival.sequence)
 }
 
 fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {

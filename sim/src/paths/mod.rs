@@ -28,4 +28,5 @@ mod triangulate;
 pub use discovery::{DiscoveryReport, Image, ImagePaths, LaunchOptions, MAX_ORDER};
 pub use edges::SoftEdge;
 pub use environment::{Environment, EnvironmentError, Facet, FacetId};
+pub use illuminate::{EdgesBeside, Obstruction};
 pub use surroundings::{PolygonRoom, Surroundings};

@@ -4,7 +4,6 @@ use glam::{DMat3, DVec3};
 
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::environment::FacetId;
-use super::illuminate::REACH;
 use crate::field::image::Element;
 
 /// Way from an antenna to a ball.
@@ -21,12 +20,21 @@ impl ImagePaths {
     pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64, max_order: usize) -> Vec<usize> {
         let cone = Cone { antenna, middle, reach_m };
         let images = self.images.iter().enumerate().take_while(|(_, image)| image.order <= max_order);
-        let lights = |image: &Image| image.order == 0 || image.sequences.iter().any(|s| self.may_light(s, &cone));
-        images.filter(|(_, image)| lights(image)).map(|(number, _)| number).collect()
+        images.filter(|(_, image)| self.image_may_light(image, &cone)).map(|(number, _)| number).collect()
+    }
+
+    /// Whether an image may light what lies within a distance of a place, as [`ImagePaths::images_near`] has it.
+    pub fn may_light(&self, image: usize, antenna: DVec3, middle: DVec3, reach_m: f64) -> bool {
+        let cone = Cone { antenna, middle, reach_m };
+        self.images.get(image).is_some_and(|image| self.image_may_light(image, &cone))
+    }
+
+    fn image_may_light(&self, image: &Image, cone: &Cone) -> bool {
+        image.order == 0 || image.sequences.iter().any(|sequence| self.sequence_may_light(sequence, cone))
     }
 
     /// Whether waves by a sequence of facets may come into a ball.
-    fn may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
+    fn sequence_may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
         let &Cone { antenna, middle, reach_m } = cone;
         let mut images = [antenna; MAX_ORDER + 1];
         let mut image = antenna;
@@ -42,7 +50,7 @@ impl ImagePaths {
         let (sine, wavelength_m) = (reach_m / length_m, self.environment.wavelength_m());
         let spread = (1.0 - sine * sine).sqrt();
         // Beside a facet waves bend by the first Fresnel zones at most.
-        let bent_m = REACH * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
+        let bent_m = self.environment.edge_reach() * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
         let (mut target, mut off_m) = (middle, reach_m);
         for (&facet, &source) in sequence.iter().zip(images.iter().skip(1)).rev() {
             let Some(flat) = self.environment.flat(facet) else { return false };
@@ -69,14 +77,18 @@ impl ImagePaths {
         true
     }
 
-    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it, but for
-    /// what edges add: those of a small mirror double a field at most, where it is a first Fresnel zone.
-    pub fn most_field(&self, element: &Element, image: usize, direction: DVec3, spread_rad: f64) -> f64 {
+    /// Factor by which edges make a field larger, at most: those of a small mirror double it, where it is a first Fresnel zone.
+    pub fn most_by_edges(&self) -> f64 {
+        if self.environment.soft_edges().is_empty() { 1.0 } else { 2.0 }
+    }
+
+    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it, where
+    /// nothing is in the way and facets have no end.
+    pub fn most_free_field(&self, element: &Element, image: usize, direction: DVec3, spread_rad: f64) -> f64 {
         let Some(image) = self.images.get(image) else { return 0.0 };
         let departure = element.radar_from_world * (image.mirror.transpose() * direction);
-        let by_edges = if self.environment.soft_edges().is_empty() { 1.0 } else { 2.0 };
         let mirrored = image.sequences.iter().map(|s| self.most_mirrored(s, direction, spread_rad)).fold(0.0, f64::max);
-        element.pattern.most_within(departure, spread_rad) * mirrored * by_edges
+        element.pattern.most_within(departure, spread_rad) * mirrored
     }
 
     /// Upper bound of the reflections of a sequence together.
@@ -133,13 +145,14 @@ mod tests {
                 for image in 0..paths.images().len() {
                     let offset = middle - paths.images()[image].of(antenna.position);
                     let spread_rad = (reach_m / offset.length()).min(1.0).asin();
-                    let most = paths.most_field(&antenna, image, offset.normalize(), spread_rad);
+                    let free = paths.most_free_field(&antenna, image, offset.normalize(), spread_rad);
                     for _ in 0..8 {
                         let aside = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
                         let point = middle + aside.clamp_length_max(1.0) * reach_m;
                         let field = paths.illuminate(&antenna, image, point).field.magnitude();
                         assert!(field == 0.0 || near.contains(&image), "{seed} {image} {middle} {reach_m}: {field}");
-                        assert!(field <= most + 1e-9, "{seed} {image}: {field} {most}");
+                        let left = paths.obstruction(image, antenna.position, point).left().min(paths.most_by_edges());
+                        assert!(field <= free * left + 1e-9, "{seed} {image}: {field} {free} {left}");
                         lit += usize::from(field > 0.0);
                     }
                 }

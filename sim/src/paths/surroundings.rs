@@ -7,6 +7,7 @@ use num_complex::Complex64;
 
 use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
 use super::environment::{Environment, EnvironmentError, FacetId};
+use super::illuminate::{EdgesBeside, Obstruction};
 use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
 use crate::scene::Scene;
 use crate::scene::file::SolverFile;
@@ -54,11 +55,11 @@ pub struct PolygonRoom {
 
 impl PolygonRoom {
     /// Finds the paths of a scene's surfaces.
-    fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element) -> Result<Self, EnvironmentError> {
+    fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element, least_part: f64) -> Result<Self, EnvironmentError> {
         let room = &scene.file().room;
         let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m())?;
         let is_many = environment.len() > MANY_FACETS;
-        let environment = Arc::new(environment.with_transmission(room.transmission));
+        let environment = Arc::new(environment.with_transmission(room.transmission).with_least_part(least_part));
         let asked = room.max_reflections.max(room.max_body_reflections) as usize;
         let options = LaunchOptions {
             max_order: if is_many { asked.min(MOST_REFLECTIONS_OF_MANY) } else { asked },
@@ -107,6 +108,47 @@ impl PolygonRoom {
         self.paths.way(number(index), antenna, point)
     }
 
+    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
+        self.paths.obstruction(number(index), antenna, point)
+    }
+
+    /// The same on a way that is followed ([`ImagePaths::obstruction_past`]).
+    pub fn obstruction_past(
+        &self,
+        index: ImageIndex,
+        antenna: DVec3,
+        point: DVec3,
+        known: Option<&mut EdgesBeside>,
+    ) -> Obstruction<'_> {
+        self.paths.obstruction_past(number(index), antenna, point, known)
+    }
+
+    /// Whether rays go from an antenna to a point by an image.
+    pub fn is_lit(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> bool {
+        self.paths.is_lit(number(index), antenna, point)
+    }
+
+    /// Whether an image counts where no ray comes by it, but what edges send there: in rooms of many facets, after one reflection at
+    /// most. Two reflections and an edge leave less than what is lost with paths of three reflections.
+    pub fn counts_in_shadow(&self, index: ImageIndex) -> bool {
+        let order = self.paths.images().get(number(index)).map_or(0, |image| image.order);
+        order < MOST_REFLECTIONS_OF_MANY || self.paths.environment().len() <= MANY_FACETS
+    }
+
+    /// Upper bound of the magnitude of an image's field within a distance of a place where nothing is in the way; 0 where
+    /// no facet sends it there.
+    pub fn most_free_field(&self, element: &Element, index: ImageIndex, middle: DVec3, reach_m: f64) -> f64 {
+        let number = number(index);
+        if !self.paths.may_light(number, element.position, middle, reach_m) {
+            return 0.0;
+        }
+        let source = self.paths.images().get(number).map_or(element.position, |image| image.of(element.position));
+        let distance_m = middle.distance(source).max(1e-9);
+        let spread_rad = (reach_m / distance_m).min(1.0).asin();
+        self.paths.most_free_field(element, number, (middle - source) / distance_m, spread_rad)
+    }
+
     /// Pairs of images of the antennas by which what lies within a distance of a place may be seen, the direct pair first.
     pub fn pairs_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<(ImageIndex, ImageIndex)> {
         let near = self.paths.images_near(antenna, middle, reach_m, self.max_body_reflections);
@@ -141,8 +183,9 @@ fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
 
 impl Surroundings {
     /// The surroundings of a scene's antennas. Floor plans are polygons, and so are rooms of meshes unless these make a box and
-    /// nothing else; a box of six surfaces is one unless the scene asks for rays.
-    pub fn of_scene(scene: &Scene, tx: &Element) -> Self {
+    /// nothing else; a box of six surfaces is one unless the scene asks for rays. Edges that change a field by less than a part are
+    /// left out.
+    pub fn of_scene(scene: &Scene, tx: &Element, least_part: f64) -> Self {
         let file = &scene.file().room;
         let may_be_box = match file.solver {
             Some(SolverFile::Rays) => false,
@@ -157,7 +200,7 @@ impl Surroundings {
         if may_be_box && is_box(&surfaces, room.size_m, walls) {
             return Surroundings::Box(room);
         }
-        match PolygonRoom::new(scene, &surfaces, tx) {
+        match PolygonRoom::new(scene, &surfaces, tx, least_part) {
             Ok(polygons) => Surroundings::Polygons(Arc::new(polygons)),
             Err(error) => {
                 tracing::error!(scene = scene.name(), %error, "rays cannot be traced: the box around the room is taken");
@@ -217,14 +260,6 @@ impl Surroundings {
         match self {
             Surroundings::Box(room) => room.illuminate(element, index, point),
             Surroundings::Polygons(room) => room.paths.illuminate(element, number(index), point),
-        }
-    }
-
-    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
-    pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
-        match self {
-            Surroundings::Box(room) => room.most_field(element, index, direction, spread_rad),
-            Surroundings::Polygons(room) => room.paths.most_field(element, number(index), direction, spread_rad),
         }
     }
 

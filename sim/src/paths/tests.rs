@@ -122,6 +122,31 @@ fn the_field_beside_a_corner_is_that_of_a_half_plane() {
     }
 }
 
+/// What edges are left out for a part of the field changes it by no more, on either side of a corner.
+#[test]
+fn edges_that_are_left_out_change_little() {
+    let antenna = DVec3::new(1.0, 0.3, 1.5);
+    let [all, some @ ..] = [0.0, 0.059, 0.122].map(|part| {
+        let environment = Environment::new(l_corridor(), K).expect("facets").with_least_part(part);
+        (part, ImagePaths::discover(Arc::new(environment), antenna, &LaunchOptions::default()))
+    });
+    let (mut most, mut changed) = (0.0f64, 0);
+    for step in -150..=150 {
+        let point = DVec3::new(7.0, 2.34 - 0.004 * f64::from(step), 1.5);
+        let field = |paths: &ImagePaths| {
+            let field = paths.illuminate(&isotropic(antenna), 0, point).field;
+            Complex64::new(field.re.z, field.im.z)
+        };
+        for (part, paths) in &some {
+            let apart = (field(paths) - field(&all.1)).norm();
+            assert!(apart <= *part, "{apart} for {part} at {point}");
+            most = most.max(apart);
+            changed += usize::from(apart > 0.0);
+        }
+    }
+    assert!(most > 0.05 && changed > 50, "{most} {changed}");
+}
+
 /// A mirror that ends fades as its own edge says: half the field where the point of reflection lies on the edge.
 #[test]
 fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {

@@ -18,6 +18,7 @@ use crate::receiver::noise::{NoiseShaper, channel_density_lsb2};
 use crate::receiver::phase_noise::PhaseRates;
 use crate::receiver::spurs::Spurs;
 use crate::scene::Scene;
+use crate::scene::ground::Floor;
 use crate::stage::Stage;
 use crate::sway::SwayingReflectors;
 use crate::synthesis::Synthesiser;
@@ -68,6 +69,8 @@ pub(crate) struct Renderer {
     pub(crate) scene: Scene,
     pub(crate) options: SimulateOptions,
     program: Program,
+    /// Where people count as in the room.
+    floor: Floor,
     stage: Stage,
     /// Points of the walls that each segment of a body takes.
     points_a_segment: usize,
@@ -115,6 +118,7 @@ impl Renderer {
             scene: scene.clone(),
             options,
             program: Program::new(scene, options.seed, options.people),
+            floor: Floor::of(scene),
             points_a_segment: diffuse::points_a_segment(stage.wall_points.len(), options.tolerance_db),
             sway: SwayingReflectors::new(scene, &stage, options.seed),
             turns: ChirpTurns::new(scene, options.seed),

@@ -33,7 +33,6 @@ impl Renderer {
         start_s: f64,
         body: impl Fn(usize, usize) -> Option<[Ellipsoid; SEGMENTS]>,
     ) -> Truth {
-        let size = self.stage.room.size_m();
         let (mut count, mut transition) = (0, false);
         for (person, motion) in motions.iter().enumerate() {
             let (mut in_room, mut outside) = (false, false);
@@ -43,10 +42,9 @@ impl Renderer {
                     continue;
                 }
                 for segment in body(person, time).iter().flatten() {
-                    let half = half_extent(segment);
-                    let (low, high) = (segment.centre - half, segment.centre + half);
-                    in_room |= high.x > 0.0 && high.y > 0.0 && low.x < size.x && low.y < size.y;
-                    outside |= low.x < 0.0 || low.y < 0.0 || high.x > size.x || high.y > size.y;
+                    let [is_in, is_out] = self.floor.meets(segment.centre, half_extent(segment));
+                    in_room |= is_in;
+                    outside |= is_out;
                 }
             }
             count += usize::from(in_room);
@@ -59,7 +57,6 @@ impl Renderer {
     pub(crate) fn people(&self, index: u64) -> Vec<PersonState> {
         let t = self.start_s(index) + 0.5 * self.active_s();
         let radar = self.scene.radar_position();
-        let size = self.stage.room.size_m();
         let state = |(slot, motion): (usize, Arc<Motion>)| {
             let at = |t: f64| motion.body(t)[CHEST].centre;
             let h = 5e-4;
@@ -67,7 +64,7 @@ impl Renderer {
             let offset = position - radar;
             let in_room = motion.body(t).iter().any(|s| {
                 let half = half_extent(s);
-                (s.centre + half).min_element() > 0.0 && s.centre.x - half.x < size.x && s.centre.y - half.y < size.y
+                s.centre.z + half.z > 0.0 && self.floor.meets(s.centre, half)[0]
             });
             PersonState {
                 slot,

@@ -1,8 +1,14 @@
-//! What of a floor plan is in people's way: all that lies outside of its walls, and its partitions but for their doorways.
+//! Which part of the ground plan a room is, and what is in people's way in it: furniture, all that lies outside of its walls, its
+//! partitions but for their doorways, and door leaves. Of rooms from files it is where a floor leads to the radar without a wall
+//! between ([`cells`]).
 
-use glam::DVec2;
+mod cells;
 
-use super::file::{OpeningFile, PartitionFile, PlanFile};
+use glam::{DVec2, DVec3};
+
+use super::Scene;
+use super::file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
+use cells::{Cells, Kind};
 
 /// A box on the ground plan: low and high corner, m.
 pub(crate) type GroundBox = [[f64; 2]; 2];
@@ -16,11 +22,117 @@ const HEAD_M: f64 = 1.9;
 const OPEN_DEG: f64 = 45.0;
 /// Lines nearer to each other than this are one, m.
 const SAME_M: f64 = 1e-6;
+/// Pieces of meshes that are larger than this on the ground plan and higher than people are walls, which may stand around the
+/// floor of the room, m.
+const LARGE_M: f64 = 1.5;
 
-/// What of a plan people walk around. Door leaves are not among it.
-pub(crate) fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
-    let corners: Vec<DVec2> = plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect();
-    let mut boxes = outside(&corners);
+/// Which part of the ground plan a room is.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Floor {
+    /// All of the box around it, of this size, m.
+    Box([f64; 2]),
+    /// What these walls enclose, m.
+    Plan(Vec<DVec2>),
+    /// Cells of a grid.
+    Cells(Cells),
+}
+
+impl Floor {
+    /// The floor of a scene's room.
+    pub fn of(scene: &Scene) -> Self {
+        let room = &scene.file.room;
+        let all = || Floor::Box([room.size_m[0], room.size_m[1]]);
+        match &room.plan {
+            Some(plan) => Floor::Plan(corners(plan)),
+            None if room.mesh.is_empty() => all(),
+            None => Cells::of(scene).map_or_else(all, Floor::Cells),
+        }
+    }
+
+    /// Of what reaches so far along the axes from a place, m: whether some is in the room, and whether some is outside.
+    pub fn meets(&self, centre: DVec3, half: DVec3) -> [bool; 2] {
+        let across = [DVec2::ZERO, DVec2::X * half.x, DVec2::Y * half.y];
+        let places = || across.into_iter().flat_map(|off| [centre.truncate() + off, centre.truncate() - off]);
+        match self {
+            Floor::Box([width_m, depth_m]) => {
+                let (low, high) = (centre - half, centre + half);
+                let is_in = high.x > 0.0 && high.y > 0.0 && low.x < *width_m && low.y < *depth_m;
+                [is_in, low.x < 0.0 || low.y < 0.0 || high.x > *width_m || high.y > *depth_m]
+            }
+            Floor::Plan(walls) => [true, false].map(|is_in| places().any(|at| encloses(walls, at) == is_in)),
+            Floor::Cells(cells) => [Kind::Inside, Kind::Outside].map(|kind| places().any(|at| cells.kind(at) == kind)),
+        }
+    }
+}
+
+/// What people walk around: furniture and walls.
+pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
+    /// What is lower than this is in nobody's way, m.
+    const CARPET_M: f64 = 0.05;
+    let (has_meshes, of_meshes) = (!scene.meshes.pieces.is_empty(), scene.meshes.own_furniture);
+    let in_the_way = scene.file.furniture.iter().enumerate().filter(|(number, f)| {
+        let [bottom, top] = [f.position_m[2], f.position_m[2] + f.size_m[2]];
+        let is_wall = has_meshes && *number >= of_meshes && top > HEAD_M && f.size_m[0].max(f.size_m[1]) > LARGE_M;
+        bottom < HEAD_M && top > CARPET_M && !is_wall
+    });
+    let block = |(_, f): (usize, &FurnitureFile)| {
+        let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);
+        [[x, y], [x + w, y + d]]
+    };
+    in_the_way.map(block).chain(walls(scene)).collect()
+}
+
+/// What of a room itself people walk around; nothing in a box.
+pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
+    match (Floor::of(scene), &scene.file.room.plan) {
+        (_, Some(plan)) => [boxes(plan), leaves(plan)].concat(),
+        (Floor::Cells(cells), None) => cells.boxes(),
+        _ => Vec::new(),
+    }
+}
+
+fn corners(plan: &PlanFile) -> Vec<DVec2> {
+    plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
+}
+
+/// Boxes around the leaves of a plan's doors.
+fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
+    let mut boxes = Vec::new();
+    let corners = corners(plan);
+    let sides: Vec<[DVec2; 2]> = corners.iter().zip(corners.iter().cycle().skip(1)).map(|(&a, &b)| [a, b]).collect();
+    let twice_area_m2: f64 = sides.iter().map(|[a, b]| a.perp_dot(*b)).sum();
+    for opening in &plan.opening {
+        if let (Some(wall), Some(door)) = (opening.wall.and_then(|wall| sides.get(wall)), &opening.door) {
+            let [hinge, end] = leaf(wall, opening, door, twice_area_m2.signum());
+            add_line(hinge, end, &mut boxes);
+        }
+    }
+    for partition in &plan.partition {
+        let line = [partition.from_m, partition.to_m].map(DVec2::from_array);
+        for opening in &partition.opening {
+            if let Some(door) = &opening.door {
+                let [hinge, end] = leaf(&line, opening, door, 1.0);
+                add_line(hinge, end, &mut boxes);
+            }
+        }
+    }
+    boxes
+}
+
+/// Hinge and end of a door leaf, which opens to the left of the way along its wall (1) or to the right (-1).
+fn leaf([from, to]: &[DVec2; 2], opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> [DVec2; 2] {
+    let along = (*to - *from).normalize_or_zero();
+    let at = |place_m: f64| *from + along * place_m;
+    let (hinge, shut, turn) = match door.hinge {
+        HingeFile::From => (at(opening.from_m), at(opening.to_m), left),
+        HingeFile::To => (at(opening.to_m), at(opening.from_m), -left),
+    };
+    [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
+}
+
+/// What of a plan people walk around, but for door leaves.
+fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
+    let mut boxes = outside(&corners(plan));
     for partition in &plan.partition {
         add_partition(partition, &mut boxes);
     }
@@ -128,6 +240,22 @@ mod tests {
         let holds =
             |x: f64, y: f64| all.iter().any(|[low, high]| x > low[0] && x < high[0] && y > low[1] && y < high[1]);
         assert!(holds(3.6, 2.6) && !holds(1.0, 1.0) && !holds(0.4, 2.2));
+    }
+
+    /// A leaf of 0.9 m at 45 degrees, hung where the opening begins, swings to the left of the way along its partition.
+    #[test]
+    fn door_leaves_are_in_the_way() {
+        let found = leaves(&plan(
+            "corners_m = [[0.0, 0.0], [7.0, 0.0], [7.0, 4.0], [0.0, 4.0]]\n[[partition]]\nfrom_m = [3.5, 0.0]\n\
+             to_m = [3.5, 4.0]\nmaterial = \"glass\"\n[[partition.opening]]\nfrom_m = 1.5\nto_m = 2.4\nhead_m = 2.0\n\
+             door = { hinge = \"from\", open_deg = 45.0, material = \"wood\" }\n",
+        ));
+        let reach_m = 0.9 * 0.5f64.sqrt();
+        let low = found.iter().map(|[low, _]| low[0]).fold(f64::INFINITY, f64::min);
+        let high = found.iter().map(|[_, high]| high[1]).fold(0.0, f64::max);
+        assert!((low - (3.5 - reach_m)).abs() < 1e-9 && (high - (1.5 + reach_m)).abs() < 1e-9, "{found:?}");
+        // The leaf lies in the line x + y = 5, and each box around a part of it.
+        assert!(found.iter().all(|[low, high]| low[0] + low[1] <= 5.0 && high[0] + high[1] >= 5.0), "{found:?}");
     }
 
     #[test]

@@ -2,10 +2,10 @@
 //!
 //! Of meshes, the six largest planes along the axes that look at each other make the box around the room; each wall has the
 //! material of the mesh that most of it belongs to. What stands inside the box is furniture, each piece that hangs together: people
-//! walk around its bounding box. Where paths are found by rays (`[room] solver`), planes of meshes mirror, hide and diffract as they
-//! are, and pieces without planes scatter from points. Where the images of the box are taken, walls reflect as a whole, and all
-//! pieces scatter from points on their bounding boxes, with the mean cross-section of a convex body turned at random, a quarter of
-//! its area, times what its material reflects.
+//! walk around its bounding box, and around walls where these are (`ground.rs`). Where paths are found by rays (`[room] solver`),
+//! planes of meshes mirror, hide and diffract as they are, and pieces without planes scatter from points. Where the images of the
+//! box are taken, walls reflect as a whole, and all pieces scatter from points on their bounding boxes, with the mean cross-section
+//! of a convex body turned at random, a quarter of its area, times what its material reflects.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -32,6 +32,8 @@ const SAME_WALL_M: f64 = 0.01;
 const ALONG: f64 = 0.9994;
 /// A wall covers at least this part of its side of the meshes' bounding box.
 const LEAST_WALL: f64 = 0.3;
+/// Solid walls are no thicker, m.
+const THICKEST_M: f64 = 0.6;
 /// Rooms are no smaller and no larger, m.
 const SIZES_M: [f64; 2] = [0.5, 100.0];
 /// Pieces of furniture that are kept, the largest, and points of each on a square metre.
@@ -331,8 +333,8 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     })
 }
 
-/// The innermost of the large planes at an end of an axis: walls that are solids have an outer one too. If there is none, the
-/// largest area.
+/// The innermost of the large planes at an end of an axis that may be one wall with the outermost: walls that are solids have an
+/// outer plane too, and rooms that are no boxes have walls farther in. If there is none, the largest area.
 fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
     let middle = 0.5 * (low + high)[axis];
     let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
@@ -340,7 +342,10 @@ fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> 
     let largest = faces.iter().filter(at).map(|f| f.area_m2).fold(0.0, f64::max);
     let is_wall = |f: &&Face| f.area_m2 >= LEAST_WALL * across && f.area_m2 >= 0.5 * largest;
     let inner = |f: &&Face| (f.offset_m2 / f.area_m2 - middle).abs();
-    faces.iter().filter(at).filter(is_wall).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
+    let walls = || faces.iter().filter(at).filter(is_wall);
+    let outermost_m = walls().map(|face| inner(&face)).fold(0.0, f64::max);
+    let is_outer = |f: &&Face| inner(f) >= outermost_m - THICKEST_M;
+    walls().filter(is_outer).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
 }
 
 /// Furniture within the walls.

@@ -12,6 +12,7 @@ use super::table::Group;
 use super::{motions, room};
 use crate::field::highlight::Ellipsoid;
 use crate::scene::Scene;
+use crate::scene::ground::blocks;
 
 const SIZE_M: [f64; 2] = [5.0, 4.0];
 const RADAR_M: [f64; 2] = [0.2, 2.0];
@@ -314,7 +315,7 @@ fn an_hour_is_short_work() {
     let scene = scene("");
     let file = scene.file();
     let wander = file.people.wander.as_ref().expect("wander");
-    let group = Arc::new(Group::new(room(file, wander, 1), 2));
+    let group = Arc::new(Group::new(room(file, wander, blocks(&scene), 1), 2));
     let both = motions(&group, 2);
     assert_eq!(both.len(), 2);
     for motion in &both {

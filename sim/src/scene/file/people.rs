@@ -51,7 +51,7 @@ pub struct PeopleFile {
     #[serde(default)]
     pub turn_rate_deg_per_s: Option<f64>,
     /// Distance that hips keep from furniture and walls, m: ways lead around what stands in the room, and nobody paces to places nearer
-    /// to it. If absent, ways are straight.
+    /// to it. If absent, ways are straight but around the walls and door leaves of floor plans and files.
     #[serde(default)]
     pub keep_off_m: Option<f64>,
     /// Stride over the average one of such a body at such a speed. Drawn for each person. Default [1, 1].

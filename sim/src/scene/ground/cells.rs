@@ -1,0 +1,264 @@
+//! The ground plan of a room from files in cells: where there is a floor that leads to the radar without a wall between.
+
+use std::collections::VecDeque;
+
+use glam::{DVec2, DVec3};
+
+use super::{GroundBox, HEAD_M, SILL_M};
+use crate::geometry::{Mesh, Plane, planes};
+use crate::scene::Scene;
+use crate::scene::material::OPEN;
+use crate::scene::room::WELD_M;
+
+/// Largest side of a cell, m: cells divide a room evenly.
+const MOST_CELL_M: f64 = 0.1;
+/// Planes are walls that begin below this and end above people's heads, m; floors lie below it.
+const FOOT_M: f64 = 0.3;
+/// Largest vertical part of a wall's unit normal, and least one of a floor's.
+const UPRIGHT: f64 = 0.05;
+const LEVEL: f64 = 0.95;
+/// Walls so near to the sides of the box around the room are these sides, m.
+const ON_SIDE_M: f64 = 0.05;
+
+/// A cell of the ground plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// No floor, or none that leads to the radar.
+    Outside,
+    /// A wall.
+    Wall,
+    /// Floor of the room.
+    Inside,
+}
+
+/// Cells of a ground plan.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Cells {
+    size_m: DVec2,
+    cell_m: DVec2,
+    count: [usize; 2],
+    /// Along x, then y.
+    kinds: Vec<Kind>,
+}
+
+impl Cells {
+    /// The cells of a scene's meshes; `None` where all of the box around the room is floor, or none of it.
+    pub fn of(scene: &Scene) -> Option<Self> {
+        let [width_m, depth_m, _] = scene.file.room.size_m;
+        let size_m = DVec2::new(width_m, depth_m);
+        let count = [width_m, depth_m].map(|length_m| ((length_m / MOST_CELL_M).ceil() as usize).max(1));
+        let mut cells = Cells::new(size_m, count);
+        let mut has_floor = vec![false; cells.kinds.len()];
+        for piece in scene.meshes.pieces.iter().filter(|piece| piece.surface.material != OPEN) {
+            let mut mesh = piece.mesh.clone();
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex -= scene.meshes.corner);
+            for plane in planes(&mesh, WELD_M).planes {
+                cells.add(&mesh, &plane, &mut has_floor);
+            }
+        }
+        if !has_floor.contains(&true) {
+            has_floor.fill(true);
+        }
+        let azimuth_rad = scene.file.radar.azimuth_deg.to_radians();
+        cells.flood(scene.radar_position().truncate(), DVec2::from_angle(azimuth_rad), &has_floor);
+        let is_inside = |kind: &Kind| *kind == Kind::Inside;
+        (cells.kinds.iter().any(is_inside) && !cells.kinds.iter().all(is_inside)).then_some(cells)
+    }
+
+    /// All of a room outside.
+    fn new(size_m: DVec2, count: [usize; 2]) -> Self {
+        let cell_m = size_m / DVec2::new(count[0] as f64, count[1] as f64);
+        Cells { size_m, cell_m, count, kinds: vec![Kind::Outside; count[0] * count[1]] }
+    }
+
+    fn cell(&self, at: DVec2) -> Option<usize> {
+        let [i, j] = (at / self.cell_m).floor().to_array();
+        let is_within = i >= 0.0 && j >= 0.0 && i < self.count[0] as f64 && j < self.count[1] as f64;
+        is_within.then(|| i as usize + self.count[0] * j as usize)
+    }
+
+    /// What there is at a place.
+    pub fn kind(&self, at: DVec2) -> Kind {
+        self.cell(at).and_then(|cell| self.kinds.get(cell)).copied().unwrap_or(Kind::Outside)
+    }
+
+    /// Takes a plane of a mesh for a wall or a floor where it is one.
+    fn add(&mut self, mesh: &Mesh, plane: &Plane, has_floor: &mut [bool]) {
+        let corners = || plane.triangles.iter().filter_map(|&triangle| mesh.corners(triangle as usize));
+        let heights = || corners().flatten().map(|corner| corner.z);
+        let low_m = heights().fold(f64::INFINITY, f64::min);
+        let high_m = heights().fold(f64::NEG_INFINITY, f64::max);
+        let rise = plane.normal.z.abs();
+        if rise > LEVEL && high_m < FOOT_M {
+            corners().for_each(|triangle| self.add_floor(triangle, has_floor));
+        } else if rise < UPRIGHT && low_m < FOOT_M && high_m > HEAD_M {
+            let along = DVec3::Z.cross(plane.normal).normalize_or_zero();
+            for triangle in corners() {
+                let span = if self.is_on_side(&triangle) { None } else { span_m(&triangle, along) };
+                if let Some(span) = span {
+                    self.add_wall(triangle[0], along, span);
+                }
+            }
+        }
+    }
+
+    /// Whether a triangle is part of a side of the box around the room.
+    fn is_on_side(&self, triangle: &[DVec3; 3]) -> bool {
+        let lies_at = |axis: usize, at: f64| triangle.iter().all(|corner| (corner[axis] - at).abs() < ON_SIDE_M);
+        (0..2).any(|axis| lies_at(axis, 0.0) || lies_at(axis, self.size_m[axis]))
+    }
+
+    fn add_floor(&self, triangle: [DVec3; 3], has_floor: &mut [bool]) {
+        let [a, b, c] = triangle.map(DVec3::truncate);
+        let last = |axis: usize| self.count.get(axis).map_or(0, |count| count - 1);
+        let clamped = |x: f64, axis: usize| ((x / self.cell_m[axis]).floor().max(0.0) as usize).min(last(axis));
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        for j in clamped(low.y, 1)..=clamped(high.y, 1) {
+            for i in clamped(low.x, 0)..=clamped(high.x, 0) {
+                let middle = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * self.cell_m;
+                let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| (to - from).perp_dot(middle - from));
+                let is_within = sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0);
+                if let (true, Some(slot)) = (is_within, has_floor.get_mut(i + self.count[0] * j)) {
+                    *slot = true;
+                }
+            }
+        }
+    }
+
+    /// Marks what lies under a part of an upright plane: from one place along it to another.
+    fn add_wall(&mut self, on_plane: DVec3, along: DVec3, [from, to]: [f64; 2]) {
+        let steps = ((to - from) / (0.25 * self.cell_m.min_element())).ceil().max(1.0) as usize;
+        for step in 0..=steps {
+            let place = from + (to - from) * step as f64 / steps as f64;
+            let at = (on_plane + along * (place - on_plane.dot(along))).truncate();
+            if let Some(slot) = self.cell(at).and_then(|cell| self.kinds.get_mut(cell)) {
+                *slot = Kind::Wall;
+            }
+        }
+    }
+
+    /// Marks the floor that leads to the radar: to the first floor that is before it.
+    fn flood(&mut self, radar: DVec2, ahead: DVec2, has_floor: &[bool]) {
+        let is_free = |kinds: &[Kind], cell: usize| {
+            kinds.get(cell) == Some(&Kind::Outside) && has_floor.get(cell).copied().unwrap_or(false)
+        };
+        let step_m = 0.5 * self.cell_m.min_element();
+        let steps = (self.size_m.length() / step_m).ceil() as usize;
+        let places = (0..=steps).map(|step| radar + ahead * (step_m * step as f64));
+        let first = places.filter_map(|at| self.cell(at)).find(|&cell| is_free(&self.kinds, cell));
+        let mut open: VecDeque<usize> = first.into_iter().collect();
+        while let Some(cell) = open.pop_front() {
+            if !is_free(&self.kinds, cell) {
+                continue;
+            }
+            if let Some(slot) = self.kinds.get_mut(cell) {
+                *slot = Kind::Inside;
+            }
+            let [columns, rows] = self.count;
+            let (i, j) = (cell % columns, cell / columns);
+            let beside = [
+                (i > 0).then(|| cell - 1),
+                (i + 1 < columns).then(|| cell + 1),
+                (j > 0).then(|| cell - columns),
+                (j + 1 < rows).then(|| cell + columns),
+            ];
+            open.extend(beside.into_iter().flatten().filter(|&next| is_free(&self.kinds, next)));
+        }
+    }
+
+    /// Boxes over all that is no floor of the room: runs along x, those of the same extent in one.
+    pub fn boxes(&self) -> Vec<GroundBox> {
+        let mut boxes: Vec<GroundBox> = Vec::new();
+        // Runs of the row before with the row in which they began.
+        let mut open: Vec<([usize; 2], usize)> = Vec::new();
+        for (j, row) in self.kinds.chunks(self.count[0]).enumerate() {
+            let runs = runs(row);
+            let (kept, ended): (Vec<_>, Vec<_>) = open.into_iter().partition(|(run, _)| runs.contains(run));
+            boxes.extend(ended.into_iter().map(|(run, first)| self.boxed(run, [first, j])));
+            let new = runs.iter().filter(|run| !kept.iter().any(|(other, _)| other == *run)).map(|&run| (run, j));
+            let new: Vec<_> = new.collect();
+            open = kept;
+            open.extend(new);
+        }
+        boxes.extend(open.into_iter().map(|(run, first)| self.boxed(run, [first, self.count[1]])));
+        boxes
+    }
+
+    /// The box of a run of columns over rows, each from the first to behind the last.
+    fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> GroundBox {
+        let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
+        [at(left, first), at(right, end)]
+    }
+}
+
+/// Where in a row there is no floor: first columns and those behind the last.
+fn runs(row: &[Kind]) -> Vec<[usize; 2]> {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for (column, _) in row.iter().enumerate().filter(|(_, kind)| **kind != Kind::Inside) {
+        match runs.last_mut() {
+            Some([_, end]) if *end == column => *end = column + 1,
+            _ => runs.push([column, column + 1]),
+        }
+    }
+    runs
+}
+
+/// Along a direction, the part of a triangle that is at the heights at which people walk, m.
+fn span_m([a, b, c]: &[DVec3; 3], along: DVec3) -> Option<[f64; 2]> {
+    let mut span = [f64::INFINITY, f64::NEG_INFINITY];
+    for (from, to) in [(a, b), (b, c), (c, a)] {
+        let rise = to.z - from.z;
+        let (mut begin, mut end) = (0.0f64, 1.0f64);
+        if rise.abs() > 1e-9 {
+            let [first, second] = [SILL_M, HEAD_M].map(|height_m| (height_m - from.z) / rise);
+            (begin, end) = (begin.max(first.min(second)), end.min(first.max(second)));
+        } else if !(SILL_M..=HEAD_M).contains(&from.z) {
+            continue;
+        }
+        if begin > end {
+            continue;
+        }
+        for part in [begin, end] {
+            let at = from.lerp(*to, part).dot(along);
+            span = [span[0].min(at), span[1].max(at)];
+        }
+    }
+    (span[0] <= span[1]).then_some(span)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A triangle of a wall counts where people are, not over their heads.
+    #[test]
+    fn walls_are_in_the_way_at_walking_height() {
+        let at = |x: f64, z: f64| DVec3::new(x, 2.0, z);
+        let span = |triangle: [DVec3; 3]| span_m(&triangle, DVec3::X);
+        let [_, to] = span([at(1.0, 0.0), at(3.0, 0.0), at(3.0, 2.5)]).expect("a part");
+        assert!((to - 3.0).abs() < 1e-12, "{to}");
+        // Over a door of 2 m.
+        assert_eq!(span([at(1.0, 2.0), at(3.0, 2.0), at(3.0, 2.5)]), None);
+        let [from, to] = span([at(0.0, 1.0), at(4.0, 5.0), at(0.0, 5.0)]).expect("a part");
+        assert!(from.abs() < 1e-12 && (to - 0.9).abs() < 1e-12, "{from} {to}");
+    }
+
+    /// Rows of the same extent are one box.
+    #[test]
+    fn boxes_cover_what_is_no_floor() {
+        let mut cells = Cells::new(DVec2::new(0.6, 0.4), [6, 4]);
+        cells.kinds.fill(Kind::Inside);
+        for (i, j) in [(3, 1), (4, 1), (3, 2), (4, 2), (0, 3), (5, 3)] {
+            cells.kinds[i + 6 * j] = if i == 3 { Kind::Wall } else { Kind::Outside };
+        }
+        let mut boxes = cells.boxes();
+        boxes.sort_by(|a, b| a[0][0].total_cmp(&b[0][0]));
+        let expected = [[[0.0, 0.3], [0.1, 0.4]], [[0.3, 0.1], [0.5, 0.3]], [[0.5, 0.3], [0.6, 0.4]]];
+        assert_eq!(boxes.len(), 3);
+        for (found, expected) in boxes.iter().flatten().flatten().zip(expected.iter().flatten().flatten()) {
+            assert!((found - expected).abs() < 1e-12, "{boxes:?}");
+        }
+        assert_eq!(cells.kind(DVec2::new(0.35, 0.15)), Kind::Wall);
+        assert_eq!(cells.kind(DVec2::new(-0.05, 0.15)), Kind::Outside);
+    }
+}

@@ -1,0 +1,109 @@
+//! People and the walls of rooms that are no boxes: nobody walks through them, and who is beyond them is not in the room.
+
+use std::path::Path;
+
+use radome_dsp::Occupancy;
+use radome_sim::Scene;
+use radome_sim::actor::body::CHEST;
+use radome_sim::actor::program::Program;
+
+use crate::common;
+use crate::surfaces::rooms::{Quad, obj};
+
+/// A corridor that turns: two arms of 6 x 2 m. Its inner corner is at (2, 2), and what lies beyond both 2 m is outside.
+const CORNERS: [[f64; 2]; 6] = [[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]];
+const HEIGHT_M: f64 = 2.6;
+
+/// A scene with what stands in `[room]` and somebody's steps. The radar is at (0.5, 1, 1.2) and looks along x.
+fn made(room: &str, steps: &str, folder: &Path) -> Scene {
+    let hall = common::hall(&format!("[[people.actor]]\nstep = [{steps}]\n"));
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
+}
+
+/// The L as a plan and from a file.
+fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
+    let plan = format!(
+        "floor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n[room.plan]\n\
+         corners_m = {CORNERS:?}\nheight_m = {HEIGHT_M:?}\nwalls = {{ material = \"concrete\" }}\n"
+    );
+    let wall = |i: usize| -> Quad {
+        let ([a, b], [c, d]) = (CORNERS[i], CORNERS[(i + 1) % 6]);
+        [[a, b, 0.0], [c, d, 0.0], [c, d, HEIGHT_M], [a, b, HEIGHT_M]]
+    };
+    let level = |[x, y]: [f64; 2], z: f64, [w, d]: [f64; 2]| -> Quad {
+        [[x, y, z], [x + w, y, z], [x + w, y + d, z], [x, y + d, z]]
+    };
+    let arms = [([0.0, 0.0], [6.0, 2.0]), ([0.0, 2.0], [2.0, 4.0])];
+    let floors = arms.iter().flat_map(|&(at, size)| [level(at, 0.0, size), level(at, HEIGHT_M, size)]);
+    let quads: Vec<(Quad, &str)> = (0..6).map(wall).chain(floors).map(|quad| (quad, "concrete")).collect();
+    std::fs::write(folder.join("l.obj"), obj(&quads)).expect("written");
+    let file =
+        "[[room.mesh]]\nfile = \"l.obj\"\nmaterial = \"concrete\"\nthickness_m = 0.2\nunit = \"m\"\nup = \"z\"\n";
+    [("plan", made(&plan, steps, folder)), ("file", made(file, steps, folder))]
+}
+
+/// Middles of the only person's chest every 50 ms, m.
+fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
+    let program = Program::new(&scene.drawn(1).expect("a scene"), 1, None);
+    let steps = (until_s / 0.05) as usize;
+    let at = |step: usize| {
+        let time_s = 0.05 * step as f64;
+        let (_, motion) = program.between(time_s, time_s).pop().expect("somebody");
+        let middle = motion.body(time_s)[CHEST].centre;
+        [middle.x, middle.y]
+    };
+    (0..steps).map(at).collect()
+}
+
+/// From one arm into the other the straight way leads through both inner walls.
+#[test]
+fn a_walker_in_an_l_crosses_no_wall() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let steps = "{ walk_to_m = [5.2, 1.0] }, { walk_to_m = [1.0, 5.2] }, { walk_to_m = [5.2, 1.0] }";
+    for (name, scene) in rooms_like_an_l(steps, folder.path()) {
+        let way = walked(&scene, 20.0);
+        let arrives = |to: [f64; 2]| way.iter().any(|at| (at[0] - to[0]).hypot(at[1] - to[1]) < 0.2);
+        assert!(arrives([5.2, 1.0]) && arrives([1.0, 5.2]), "{name}: {:?}", way.last());
+        for [x, y] in way {
+            assert!(!(x > 1.9 && y > 1.9), "{name}: in the wall at ({x}, {y})");
+            assert!(x > 0.1 && y > 0.1 && x < 5.9 && y < 5.9, "{name}: out of the room at ({x}, {y})");
+        }
+    }
+}
+
+/// Within the box around the room, but beyond its walls, nobody counts.
+#[test]
+fn who_is_beyond_a_wall_is_not_in_the_room() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (place, occupancy) in [("[4.0, 4.0]", Occupancy::Empty), ("[1.0, 4.0]", Occupancy::One)] {
+        let steps = format!("{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}");
+        for (name, scene) in rooms_like_an_l(&steps, folder.path()) {
+            let simulator = common::simulator(&scene, 1, None);
+            let truth = simulator.truth(5);
+            assert_eq!((truth.occupancy, truth.transition), (occupancy, false), "{name}, at {place}");
+            assert_eq!(simulator.people(5)[0].in_room, occupancy == Occupancy::One, "{name}, at {place}");
+        }
+    }
+}
+
+/// The leaf of the half-open door stands in the line x + y = 5, from its hinge at (3.5, 1.5) 0.9 m into the room.
+#[test]
+fn nobody_walks_through_a_door_leaf() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
+    let text = std::fs::read_to_string(&path).expect("a fixture");
+    let (before, _) = text.split_once("[[people.actor]]").expect("somebody");
+    let text =
+        format!("{before}[[people.actor]]\nstep = [{{ walk_to_m = [3.0, 1.2] }}, {{ walk_to_m = [3.0, 3.0] }}]\n");
+    let way = walked(&Scene::parse(&text, &path).expect("a good scene"), 8.0);
+    let [x, y] = *way.last().expect("steps");
+    assert!((x - 3.0).abs() < 0.2 && (y - 3.0).abs() < 0.2, "({x}, {y})");
+    let end_x = 3.5 - 0.9 * 0.5f64.sqrt();
+    for two in way.windows(2) {
+        let [before, after] = [0, 1].map(|i| two[i][0] + two[i][1] - 5.0);
+        let passes = (before < 0.0) != (after < 0.0);
+        assert!(!passes || two[0][0] < end_x, "through the leaf at {:?}", two[0]);
+    }
+}
