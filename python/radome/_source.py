@@ -99,15 +99,20 @@ class Source(Iterator[Frame]):
         return self
 
     def __next__(self) -> Frame:
+        frame = self.next_frame()
+        if frame is None:
+            raise StopIteration
+        return frame
+
+    def next_frame(self, timeout_s: Optional[float] = None) -> Optional[Frame]:
+        """The next frame, or ``None`` at the end. Raises :class:`TimeoutError` where none comes within ``timeout_s``, s."""
         while True:
-            event = self._next_event()
-            if event is None:
-                raise StopIteration
-            if isinstance(event, Frame):
+            event = self._next_event(timeout_s)
+            if not isinstance(event, Gap):
                 return event
 
-    def _next_event(self) -> Union[Frame, Gap, None]:
-        event = self._native.next_event()
+    def _next_event(self, timeout_s: Optional[float] = None) -> Union[Frame, Gap, None]:
+        event = self._native.next_event(timeout_s)
         if not isinstance(event, dict):
             return event
         gap = Gap(**event)

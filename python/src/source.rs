@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use pyo3::exceptions::PyTimeoutError;
 use pyo3::prelude::*;
 use radome_driver::{BoardIdentity, LabelSpan};
 use radome_dsp::{FrameSource, Gap, SourceEvent};
@@ -21,7 +22,7 @@ const SLICE: Duration = Duration::from_millis(50);
 /// Frames that are read ahead of Python: of files, and of boards, which do not wait.
 const AHEAD: usize = 4;
 const AHEAD_LIVE: usize = 64;
-/// Longest time that a source which is dropped waits for its board to stop.
+/// Longest time that a source which is closed or dropped waits for its thread.
 const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// What a reading thread hands over.
@@ -60,9 +61,9 @@ struct Reader {
 }
 
 impl Reader {
-    fn poll(&mut self) -> Polled {
+    fn poll(&mut self, patience: Duration) -> Polled {
         let Some(items) = self.items.as_ref().filter(|_| !self.is_over) else { return Polled::Over };
-        match items.recv_timeout(SLICE) {
+        match items.recv_timeout(patience) {
             Ok(item) => {
                 self.is_over = matches!(item, Item::End | Item::Failed(_));
                 Polled::Item(item)
@@ -73,11 +74,6 @@ impl Reader {
                 Polled::Item(Item::Failed("the thread that reads the source panicked".into()))
             }
         }
-    }
-
-    /// Whether the thread has ended and has let go of its board or file.
-    fn has_ended(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 }
 
@@ -159,10 +155,10 @@ impl Source {
         self.reader.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn poll(&self) -> Outcome<Polled> {
+    fn poll(&self, patience: Duration) -> Outcome<Polled> {
         self.birthplace.check("the source")?;
         match self.lock().as_mut() {
-            Some(reader) => Ok(reader.poll()),
+            Some(reader) => Ok(reader.poll(patience)),
             None => Err("the source is closed".into()),
         }
     }
@@ -208,11 +204,20 @@ impl Source {
         Ok(Source { reader, waveform, description, is_live, board, labels, frame_count, birthplace })
     }
 
-    /// The next frame, a dict for a gap, or `None` at the end. Waits; Ctrl-C ends the wait.
-    fn next_event<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    /// The next frame, a dict for a gap, or `None` at the end. Waits, for `timeout_s` at most; Ctrl-C ends the wait.
+    #[pyo3(signature = (timeout_s=None))]
+    fn next_event<'py>(&self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let limit = timeout_s.map(Duration::try_from_secs_f64).transpose()?;
+        let began = Instant::now();
         loop {
-            match detached(py, || self.poll())? {
-                Polled::Nothing => py.check_signals()?,
+            let left = limit.map_or(SLICE, |limit| limit.saturating_sub(began.elapsed()).min(SLICE));
+            match detached(py, || self.poll(left))? {
+                Polled::Nothing => {
+                    py.check_signals()?;
+                    if limit.is_some_and(|limit| began.elapsed() >= limit) {
+                        return Err(PyTimeoutError::new_err("no frame came within the time"));
+                    }
+                }
                 Polled::Over | Polled::Item(Item::End) => return Ok(None),
                 Polled::Item(Item::Frame(frame)) => {
                     let frame = Frame { inner: *frame, waveform: self.waveform.clone() };
@@ -224,14 +229,16 @@ impl Source {
         }
     }
 
-    /// Stops the board or lets go of the file. Waits until that is done; Ctrl-C ends the wait.
+    /// Stops the board or lets go of the file, and waits for that for a second at most.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         if !self.birthplace.is_here() {
             return Ok(());
         }
         let Some(mut reader) = py.detach(|| self.lock().take()) else { return Ok(()) };
         drop(reader.items.take());
-        while !reader.has_ended() {
+        let thread = reader.thread.take();
+        let began = Instant::now();
+        while thread.as_ref().is_some_and(|thread| !thread.is_finished()) && began.elapsed() < LONGEST_STOP {
             py.detach(|| thread::sleep(Duration::from_millis(1)));
             py.check_signals()?;
         }

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use radome_driver::RecordingError;
+use radome_driver::chip::{ChipConfiguration, register};
+use radome_driver::protocol::mcu7::SliceLayout;
 use radome_driver::recording::Recording;
 use radome_dsp::{FrameSource, WaveformRequest};
 use radome_models::ModelCard;
@@ -144,6 +146,15 @@ impl Waveform {
     #[getter]
     fn max_velocity_m_per_s(&self) -> f64 {
         self.0.max_velocity_m_per_s()
+    }
+
+    /// Registers of the chip for the waveform: triples of name, address and 24-bit content.
+    fn registers(&self, py: Python<'_>) -> PyResult<Vec<(&'static str, u8, u32)>> {
+        let slice_samples = SliceLayout::for_frame(self.0.shape().codes()).samples;
+        let configuration = ChipConfiguration { waveform: radome_dsp::Waveform::clone(&self.0), slice_samples };
+        let registers = configuration.compile().map_err(|error| raised(py, &error))?;
+        let name = |address: u8| register(address).map_or("", |register| register.name);
+        Ok(registers.iter().map(|r| (name(r.address), r.address, r.value)).collect())
     }
 
     fn __repr__(&self) -> String {
