@@ -17,7 +17,6 @@ from radome.ifxradarsdk.common.exceptions import (
     ErrorNoDevice,
     ErrorNotSupported,
     ErrorParameterOutOfRange,
-    ErrorTemperatureMeasurementFailed,
     ErrorTimeout,
     GeneralError,
 )
@@ -54,7 +53,7 @@ def configuration(**changes):
 
 def test_a_device_measures_what_it_is_told():
     with DeviceFmcw(port=f"emulated:{DESK}") as device:
-        assert len(device.get_board_uuid()) == 36 and device.get_sensor_type() == RadarSensor.BGT60TR13C
+        assert len(device.get_board_uuid()) == 36 and str(device.get_sensor_type()) == "RadarSensor.BGT60TR13C"
         assert device.get_firmware_information()["version_major"] >= 0
         sequence = device.create_simple_sequence(configuration())
         device.set_acquisition_sequence(sequence)
@@ -158,8 +157,8 @@ class TestHardCases:
     def test_a_temperature_that_is_not_known_is_not_made_up(self, recording):
         with DeviceFmcw(port=str(recording)) as device:
             device.get_next_frame()
-            with pytest.raises(ErrorTemperatureMeasurementFailed):
-                device.get_temperature()
+            with pytest.warns(RuntimeWarning, match="temperature"):
+                assert np.isnan(device.get_temperature())
 
     def test_errors_are_of_the_vendors_base_class(self, monkeypatch, recording):
         monkeypatch.setenv("RADOME_SPEED", "1e-6")

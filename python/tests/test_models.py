@@ -211,7 +211,7 @@ class TestHardCases:
         with pytest.raises(radome.RadomeError, match="exists"):
             radome.DatasetWriter(dataset_path, desk_frames[0].waveform, SPEC)
         with pytest.raises(ValueError):
-            radome.Dataset(dataset_path, split="tset")
+            radome.Dataset(dataset_path, split="rest")
         with pytest.raises(FileNotFoundError):
             radome.Dataset(dataset_path / "none")
 

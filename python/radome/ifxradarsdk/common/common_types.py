@@ -9,5 +9,8 @@ class RadarSensor(IntEnum):
     BGT60TR13C = 0
     Unknown_sensor = 4095
 
+    def __str__(self) -> str:
+        return f"RadarSensor.{self.name}"
+
 
 __all__ = ["RadarSensor"]

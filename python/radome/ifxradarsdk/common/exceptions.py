@@ -32,7 +32,7 @@ class ErrorFifoOverflow(GeneralError):
 
 
 class ErrorTemperatureMeasurementFailed(GeneralError):
-    """The source does not report a temperature."""
+    """Never raised here: a temperature that the source does not report is not a number."""
 
 
 class EndOfFrames(GeneralError):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import uuid as uuids
+import warnings
 from pathlib import Path
 from typing import Any, Dict, List, Optional
 
@@ -18,7 +20,6 @@ from ..common.exceptions import (
     ErrorFrameAcquisitionFailed,
     ErrorNoDevice,
     ErrorNotSupported,
-    ErrorTemperatureMeasurementFailed,
     ErrorTimeout,
 )
 from . import _sequence
@@ -216,12 +217,12 @@ class DeviceFmcw:
         }
 
     def get_temperature(self) -> float:
-        """Temperature of the chip at the last frame, degrees Celsius, where the source reports it."""
+        """Temperature of the chip at the last frame, degrees Celsius; not a number, with a warning, where the source does
+        not report it, as boards under radome do not."""
         temperature_c = None if self._last is None else self._last.temperature_c
         if temperature_c is None:
-            raise ErrorTemperatureMeasurementFailed(
-                "the source does not report the chip's temperature", "recordings report it where it was recorded"
-            )
+            warnings.warn("the source does not report the chip's temperature", RuntimeWarning, stacklevel=2)
+            return math.nan
         return temperature_c
 
     # Frames.
