@@ -1,8 +1,8 @@
 """What Python adds to the work of the crates: time of the import, cost of a frame, memory over many frames.
 
 ``target/python-venv/bin/python python/bench/cost.py [FRAMES]`` prints one JSON object. FRAMES (a million) small frames are read for
-the memory. Simulation is timed beside the program (``target/release/radome``), where it is built; maps beside the same call
-without anything of Python around it cannot be, so that their time is to be held against ``radome bench rdm``.
+the memory. Simulation is timed beside the program (``target/release/radome``), where it is built. The time of a map is to be
+compared with that of ``radome bench rdm``.
 """
 
 import json

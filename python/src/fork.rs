@@ -36,10 +36,10 @@ impl Birthplace {
             return Ok(());
         }
         let text = format!(
-            "{what} was made in process {} and does not work in its fork, process {}: a fork has no threads\n\nhint: make it in \
-             the process that uses it, or start processes with multiprocessing's 'spawn' or 'forkserver'",
-            self.0,
-            std::process::id()
+            "{what} does not work in process {}, a fork of process {}: a fork has no threads\n\nhint: start processes with \
+             multiprocessing's 'spawn' or 'forkserver', or open sources and models in the process that uses them",
+            std::process::id(),
+            self.0
         );
         Err(text.into())
     }
