@@ -1,0 +1,76 @@
+"""Paths of a scene."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import List, Optional, Union
+
+from . import _radome
+
+
+@dataclass(frozen=True)
+class Path:
+    """One path from the transmitter to one receiver.
+
+    ``rx`` is the receiving antenna, from 1; ``kind`` is ``walls``, ``furniture`` or ``person``; ``surfaces`` are what
+    the path meets, in order; ``person`` is the slot of the person whom it meets. ``length_m`` in m, ``delay_s`` in s,
+    ``doppler_hz`` in Hz, positive where the path becomes shorter; ``gain_db`` is received over transmitted power, dB;
+    ``phase_rad`` that of the received field, rad, from -pi to pi; ``points_m`` the corners of the path, m, empty where
+    it has no single way.
+    """
+
+    rx: int
+    kind: str
+    surfaces: List[str]
+    person: Optional[int]
+    length_m: float
+    delay_s: float
+    doppler_hz: float
+    gain_db: float
+    phase_rad: float
+    points_m: List[List[float]]
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Paths of a scene at the time ``time_s``, s. ``frequency_hz`` is the frequency of phases and Doppler shifts, Hz;
+    ``people`` are the slots of the people who are there. Iterate over it, or take ``paths``."""
+
+    scene: str
+    seed: int
+    time_s: float
+    frequency_hz: float
+    people: List[int]
+    paths: List[Path]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        return iter(self.paths)
+
+    def __getitem__(self, index: int) -> Path:
+        return self.paths[index]
+
+
+def paths(
+    scene: Union[str, "os.PathLike[str]"],
+    *,
+    time_s: float = 0.0,
+    seed: int = 1,
+    people: Optional[int] = None,
+    person: Optional[int] = None,
+    margin_db: float = 10.0,
+) -> Paths:
+    """Every path from the transmitter to each receiver of a scene at one time.
+
+    :param time_s: time from the first frame on, s
+    :param person: only the paths by way of the person of this slot
+    :param margin_db: paths this far below the noise of a cell of the map are left out, dB
+
+    >>> strongest = max(radome.paths("fixtures/scenes/corridor.toml"), key=lambda path: path.gain_db)
+    """
+    options = {"time_s": time_s, "seed": seed, "people": people, "person": person, "margin_db": margin_db}
+    found = _radome.paths(os.fspath(scene), options)
+    return Paths(**{**found, "paths": [Path(**path) for path in found["paths"]]})

@@ -1,0 +1,5 @@
+"""FMCW devices."""
+
+from .fmcw import DeviceFmcw
+
+__all__ = ["DeviceFmcw"]

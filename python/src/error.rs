@@ -1,0 +1,93 @@
+//! Errors as Python exceptions, and JSON as the form of everything that is not an array.
+
+use std::error::Error;
+use std::io;
+
+use pyo3::prelude::*;
+use radome_driver::{BoardError, RecordingError};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// Any error of the libraries; a text with `\n\nhint: ` is one too.
+pub type Failure = radome_dsp::SourceError;
+
+/// Result of work without the interpreter's lock.
+pub type Outcome<T> = Result<T, Failure>;
+
+/// Does work without the interpreter's lock.
+///
+/// # Errors
+/// The exception of the work's error.
+pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> Outcome<T> + Send) -> PyResult<T> {
+    py.detach(work).map_err(|failure| raised(py, &*failure))
+}
+
+/// Exception for an error: message, hint and causes, as `radome._errors.make` builds it. A Python exception stays what it is.
+pub fn raised(py: Python<'_>, error: &(dyn Error + 'static)) -> PyErr {
+    if let Some(exception) = error.downcast_ref::<PyErr>() {
+        return exception.clone_ref(py);
+    }
+    let mut messages = Vec::new();
+    let mut kind = "";
+    let mut next = Some(error);
+    while let Some(error) = next {
+        messages.push(error.to_string());
+        if kind.is_empty() {
+            kind = kind_of(error);
+        }
+        next = error.source();
+    }
+    match py.import("radome._errors").and_then(|module| module.call_method1("make", (messages, kind))) {
+        Ok(exception) => PyErr::from_value(exception),
+        Err(error) => error,
+    }
+}
+
+/// Exception for a text, which may hold a hint.
+pub fn raised_text(py: Python<'_>, text: String) -> PyErr {
+    let failure: Failure = text.into();
+    raised(py, &*failure)
+}
+
+/// Kind of an error of files, as `radome._errors.make` knows it; empty for other errors.
+fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
+    if let Some(error) = error.downcast_ref::<io::Error>() {
+        return match error.kind() {
+            io::ErrorKind::NotFound => "not_found",
+            io::ErrorKind::PermissionDenied => "permission",
+            io::ErrorKind::AlreadyExists => "exists",
+            _ => "file",
+        };
+    }
+    match error.downcast_ref::<RecordingError>() {
+        Some(RecordingError::Missing { .. }) => return "not_found",
+        Some(RecordingError::Occupied { .. }) => return "exists",
+        _ => {}
+    }
+    match error.downcast_ref::<BoardError>() {
+        Some(BoardError::Absent { .. }) => "not_found",
+        Some(BoardError::PermissionDenied { .. }) => "permission",
+        _ => "",
+    }
+}
+
+/// Python object of a value, by way of JSON.
+///
+/// # Errors
+/// The value has no JSON form.
+pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
+    let text = serde_json::to_string(value).map_err(|error| raised(py, &error))?;
+    py.import("json")?.call_method1("loads", (text,))
+}
+
+/// Value of a Python object, by way of JSON; `what` begins the message of an error.
+///
+/// # Errors
+/// The object has no JSON form, or is not of the type's form.
+pub fn from_python<T: DeserializeOwned>(what: &str, object: &Bound<'_, PyAny>) -> PyResult<T> {
+    let py = object.py();
+    let text: String = py.import("json")?.call_method1("dumps", (object,))?.extract()?;
+    let refused = |error: serde_json::Error| raised_text(py, format!("{what}: {error}"));
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(refused)?;
+    serde_json::from_value(value).map_err(refused)
+}

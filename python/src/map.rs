@@ -1,0 +1,186 @@
+//! Range-Doppler maps.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use numpy::ndarray::ArrayView3;
+use numpy::{IntoPyArray, PyArray1, PyArray3};
+use pyo3::prelude::*;
+use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec};
+
+use crate::error::{Outcome, detached, from_python, raised, raised_text, to_python};
+use crate::frame::{Frame, read_only};
+use crate::waveform::Waveform;
+
+/// Processors that [`rdm`] keeps for the next call.
+const KEPT: usize = 8;
+
+/// Range-Doppler map. It does not change.
+#[pyclass(frozen, module = "radome._radome")]
+pub struct Map {
+    /// The map.
+    pub inner: Rdm,
+}
+
+#[pymethods]
+impl Map {
+    /// Cells in dB, `[rx][doppler][range]`, float32, a read-only view.
+    #[getter]
+    fn db<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let map = &slf.get().inner;
+        let shape = (map.shape.rx, map.shape.doppler, map.shape.range);
+        let view = ArrayView3::from_shape(shape, &map.db).map_err(|error| raised(slf.py(), &error))?;
+        // SAFETY: the class is frozen, so that the cells stay where they are until the map is dropped.
+        unsafe { read_only(&view, slf.clone().into_any()) }
+    }
+
+    /// Range of each range bin, m.
+    #[getter]
+    fn range_m<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let ranges: Vec<f64> = (0..self.inner.shape.range).map(|bin| self.inner.range_m(bin)).collect();
+        ranges.into_pyarray(py)
+    }
+
+    /// Radial velocity of each Doppler bin, m/s, positive when receding.
+    #[getter]
+    fn velocity_m_per_s<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let bins = 0..self.inner.shape.doppler;
+        let velocities: Vec<f64> = bins.map(|bin| self.inner.velocity_m_per_s(bin)).collect();
+        velocities.into_pyarray(py)
+    }
+
+    /// Channels, Doppler bins and range bins.
+    #[getter]
+    fn shape(&self) -> (usize, usize, usize) {
+        let shape = self.inner.shape;
+        (shape.rx, shape.doppler, shape.range)
+    }
+
+    /// Sequence number of the frame, or of the last one that the map is made of.
+    #[getter]
+    fn sequence(&self) -> u64 {
+        self.inner.sequence
+    }
+
+    /// Codes at either end of the ADC.
+    #[getter]
+    fn saturated_samples(&self) -> u32 {
+        self.inner.flags.saturated_samples
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<radome.Map of frame {}, {}>", self.inner.sequence, self.inner.shape)
+    }
+}
+
+/// Specification of a map: the name of a preset, a dict of keys that differ from the default, or the default for `None`.
+///
+/// # Errors
+/// There is no such preset or key.
+pub fn spec(object: Option<&Bound<'_, PyAny>>, waveform: &radome_dsp::Waveform) -> PyResult<RdmSpec> {
+    let Some(object) = object else { return Ok(RdmSpec::default()) };
+    let py = object.py();
+    if let Ok(name) = object.extract::<String>() {
+        return match name.as_str() {
+            "default" => Ok(RdmSpec::default()),
+            "paper" => Ok(RdmSpec::paper()),
+            "sdk" => Ok(RdmSpec::sdk(waveform)),
+            _ => Err(raised_text(
+                py,
+                format!("'{name}' is no kind of map\n\nhint: it is 'default', 'paper', 'sdk' or a dict of keys"),
+            )),
+        };
+    }
+    let given: serde_json::Map<String, serde_json::Value> = from_python("map spec", object)?;
+    let refused = |error: serde_json::Error| raised_text(py, format!("map spec: {error}"));
+    let mut keys = serde_json::to_value(RdmSpec::default()).map_err(refused)?;
+    if let Some(keys) = keys.as_object_mut() {
+        keys.extend(given);
+    }
+    serde_json::from_value(keys).map_err(refused)
+}
+
+/// The next map of a processor; `None` while its window over frames fills.
+pub fn next_map(processor: &mut RdmProcessor, frame: &radome_dsp::Frame) -> Outcome<Option<Rdm>> {
+    let mut map = processor.empty_map();
+    Ok(match processor.process(frame, &mut map)? {
+        MapStatus::Ready => Some(map),
+        MapStatus::WarmingUp { .. } => None,
+    })
+}
+
+/// Maker of maps from a stream of frames, with the state between frames that the spec asks for.
+#[pyclass(frozen, module = "radome._radome")]
+pub struct MapProcessor {
+    processor: Mutex<RdmProcessor>,
+    spec: RdmSpec,
+    waveform: Arc<radome_dsp::Waveform>,
+}
+
+#[pymethods]
+impl MapProcessor {
+    #[new]
+    #[pyo3(signature = (waveform, spec=None))]
+    fn new(py: Python<'_>, waveform: &Bound<'_, Waveform>, spec: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        let waveform = waveform.get().0.clone();
+        let spec = self::spec(spec, &waveform)?;
+        let processor = RdmProcessor::new(&spec, &waveform).map_err(|error| raised(py, &error))?;
+        Ok(MapProcessor { processor: Mutex::new(processor), spec, waveform })
+    }
+
+    /// Map of the next frame; `None` while a window over frames fills.
+    fn __call__(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Option<Map>> {
+        let frame = &frame.get().inner;
+        let map = detached(py, || next_map(&mut self.processor.lock().unwrap_or_else(PoisonError::into_inner), frame))?;
+        Ok(map.map(|inner| Map { inner }))
+    }
+
+    /// Forgets the frames before, as at a gap.
+    fn reset(&self, py: Python<'_>) {
+        py.detach(|| self.processor.lock().unwrap_or_else(PoisonError::into_inner).reset());
+    }
+
+    /// Specification of the maps, a dict.
+    #[getter]
+    fn spec<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.spec)
+    }
+
+    /// Waveform of the frames.
+    #[getter]
+    fn waveform(&self) -> Waveform {
+        Waveform(self.waveform.clone())
+    }
+}
+
+/// A processor for frames of a waveform, taken from those that were kept or made.
+fn processor(spec: &RdmSpec, waveform: &Arc<radome_dsp::Waveform>) -> Outcome<RdmProcessor> {
+    if let Ok(mut kept) = PROCESSORS.try_lock()
+        && let Some(index) = kept.iter().position(|(of, processor)| of == waveform && processor.spec() == spec)
+    {
+        return Ok(kept.swap_remove(index).1);
+    }
+    Ok(RdmProcessor::new(spec, waveform)?)
+}
+
+/// Processors of [`rdm`] that nobody uses. A lock that somebody holds, maybe in the process that this one is a fork of, is not
+/// waited for.
+static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex::new(Vec::new());
+
+/// Map of one frame alone.
+#[pyfunction]
+#[pyo3(signature = (frame, spec=None))]
+pub fn rdm(py: Python<'_>, frame: &Bound<'_, Frame>, spec: Option<&Bound<'_, PyAny>>) -> PyResult<Map> {
+    let Frame { inner: frame, waveform } = frame.get();
+    let spec = self::spec(spec, waveform)?;
+    let map = detached(py, || {
+        let mut processor = processor(&spec, waveform)?;
+        processor.reset();
+        let map = next_map(&mut processor, frame)?;
+        if let Ok(mut kept) = PROCESSORS.try_lock() {
+            kept.truncate(KEPT - 1);
+            kept.push((waveform.clone(), processor));
+        }
+        map.ok_or_else(|| "this map is made of more than one frame\n\nhint: give the frames to a MapProcessor".into())
+    })?;
+    Ok(Map { inner: map })
+}

@@ -1,0 +1,251 @@
+//! Models, and the filter over their predictions.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use numpy::{IntoPyArray, PyArray1};
+use pyo3::prelude::*;
+use radome_driver::RecordingError;
+use radome_driver::recording::{Existing, Partial};
+use radome_dsp::{Rdm, RdmProcessor};
+use radome_models::evaluate::evaluate;
+use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::{Classifier, ModelCard, onnx};
+
+use crate::dataset::Dataset;
+use crate::error::{Failure, Outcome, detached, raised, to_python};
+use crate::fork::Birthplace;
+use crate::frame::Frame;
+use crate::map::{Map, next_map};
+use crate::waveform::Waveform;
+
+/// The model that is part of the package, and its file.
+const BUILT_IN: &str = "room-hqnn";
+static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
+
+/// Probabilities of empty, one and two.
+type Probabilities = [f32; 3];
+
+/// A network by its file, or the built-in one by its name.
+///
+/// # Errors
+/// The file cannot be read or is no model.
+pub fn network(name: &Path) -> Outcome<radome_models::Model> {
+    if name == Path::new(BUILT_IN) && !name.exists() {
+        return Ok(radome_models::Model::from_bytes(name, BUILT_IN_FILE)?);
+    }
+    Ok(radome_models::Model::load(name)?)
+}
+
+fn is_onnx(name: &Path) -> bool {
+    name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
+}
+
+/// The parts that one thread at a time uses.
+struct Work {
+    /// The network; absent after an error that it did not survive.
+    classifier: Option<Classifier>,
+    /// Maps of frames of the waveform that was seen last.
+    maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
+}
+
+/// Trained model. Called with a frame or a map it returns the probabilities of empty, one and two.
+#[pyclass(frozen, module = "radome._radome")]
+pub struct Model {
+    work: Mutex<Work>,
+    card: ModelCard,
+    is_native: bool,
+    birthplace: Birthplace,
+}
+
+impl Model {
+    /// A model that is in memory.
+    pub fn of(model: radome_models::Model) -> Self {
+        Self::of_classifier(Classifier::new(model), true)
+    }
+
+    fn of_classifier(classifier: Classifier, is_native: bool) -> Self {
+        let card = classifier.card().clone();
+        let work = Mutex::new(Work { classifier: Some(classifier), maps: None });
+        Model { work, card, is_native, birthplace: Birthplace::here() }
+    }
+
+    fn lock(&self) -> Outcome<MutexGuard<'_, Work>> {
+        self.birthplace.check("the model")?;
+        Ok(self.work.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn classify(&self, map: &Rdm) -> Outcome<Probabilities> {
+        let mut work = self.lock()?;
+        Ok(work.classifier.as_mut().ok_or_else(lost)?.classify(map)?)
+    }
+
+    /// Probabilities for the next frame; `None` while a window over frames fills, and for frames without a signal.
+    fn judge(&self, frame: &Frame) -> Outcome<Option<Probabilities>> {
+        let mut work = self.lock()?;
+        let Work { classifier, maps } = &mut *work;
+        if maps.as_ref().is_none_or(|(waveform, _)| *waveform != frame.waveform) {
+            self.card.rdm_spec.check_compatible(&frame.waveform, &self.card.waveform)?;
+            let processor = RdmProcessor::new(&self.card.rdm_spec, &frame.waveform)?;
+            *maps = Some((frame.waveform.clone(), processor));
+        }
+        let Some((_, processor)) = maps else { return Ok(None) };
+        if !frame.has_signal() {
+            processor.reset();
+            return Ok(None);
+        }
+        let classifier = classifier.as_mut().ok_or_else(lost)?;
+        let map = next_map(processor, &frame.inner)?;
+        Ok(map.map(|map| classifier.classify(&map)).transpose()?)
+    }
+
+    /// Does something with the network and its card.
+    fn with_network<T>(&self, work: impl FnOnce(&radome_models::Model) -> Outcome<T>) -> Outcome<T> {
+        if !self.is_native {
+            return Err(
+                "the model is an ONNX file\n\nhint: open the .safetensors file that it was exported from".into()
+            );
+        }
+        let mut held = self.lock()?;
+        let classifier = held.classifier.take().ok_or_else(lost)?;
+        let model = classifier.into_model().ok_or_else(lost)?;
+        let result = work(&model);
+        held.classifier = Some(Classifier::new(model));
+        result
+    }
+}
+
+fn lost() -> Failure {
+    "the model was lost to an earlier error\n\nhint: open it again".into()
+}
+
+fn check_free(path: &Path, overwrite: bool) -> Outcome<()> {
+    if !overwrite && path.exists() {
+        return Err(RecordingError::Occupied { path: path.to_owned() }.into());
+    }
+    Ok(())
+}
+
+#[pymethods]
+impl Model {
+    #[new]
+    #[pyo3(signature = (name=PathBuf::from(BUILT_IN)))]
+    fn new(py: Python<'_>, name: PathBuf) -> PyResult<Self> {
+        detached(py, || {
+            if is_onnx(&name) {
+                return Ok(Self::of_classifier(Classifier::load(&name)?, false));
+            }
+            Ok(Self::of(network(&name)?))
+        })
+    }
+
+    fn __call__<'py>(&self, py: Python<'py>, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyArray1<f32>>>> {
+        let probabilities = if let Ok(map) = frame.cast::<Map>() {
+            let map = &map.get().inner;
+            Some(detached(py, || self.classify(map))?)
+        } else {
+            let frame = frame.cast::<Frame>()?.get();
+            detached(py, || self.judge(frame))?
+        };
+        Ok(probabilities.map(|probabilities| probabilities.to_vec().into_pyarray(py)))
+    }
+
+    /// Forgets the frames before, as at a gap.
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        detached(py, || {
+            if let Some((_, processor)) = &mut self.lock()?.maps {
+                processor.reset();
+            }
+            Ok(())
+        })
+    }
+
+    /// Raises an error if the model cannot judge frames of a waveform.
+    fn check_waveform(&self, py: Python<'_>, waveform: &Bound<'_, Waveform>) -> PyResult<()> {
+        let checked = self.card.rdm_spec.check_compatible(&waveform.get().0, &self.card.waveform);
+        checked.map_err(|error| raised(py, &error))
+    }
+
+    /// The filter over probabilities, with the model's settings.
+    fn filter(&self, frame_interval_s: f64) -> Filter {
+        Filter(Mutex::new(OccupancyFilter::new(self.card.smoothing, frame_interval_s)))
+    }
+
+    /// Everything about the model but its numbers, a dict.
+    #[getter]
+    fn card<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.card)
+    }
+
+    /// Waveform that the model is best with.
+    #[getter]
+    fn waveform(&self) -> Waveform {
+        Waveform(Arc::new(self.card.waveform.clone()))
+    }
+
+    /// Specification of the maps that the model needs, a dict.
+    #[getter]
+    fn rdm_spec<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.card.rdm_spec)
+    }
+
+    /// Writes the model file.
+    #[pyo3(signature = (path, *, overwrite=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<()> {
+        detached(py, || {
+            check_free(&path, overwrite)?;
+            self.with_network(|model| Ok(model.save(&path)?))
+        })
+    }
+
+    /// Writes the model as ONNX.
+    #[pyo3(signature = (path, *, overwrite=false))]
+    fn export(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<()> {
+        detached(py, || {
+            let bytes = self.with_network(|model| Ok(onnx::export(model)?))?;
+            let existing = if overwrite { Existing::Replace } else { Existing::Refuse };
+            let partial = Partial::file(&path, existing)?;
+            partial.open()?.write_all(&bytes)?;
+            Ok(partial.finish()?)
+        })
+    }
+
+    /// Scores over the maps of a dataset with these indices, a dict.
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        dataset: &Bound<'py, Dataset>,
+        indices: Vec<usize>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let dataset = &dataset.get().inner;
+        let metrics = detached(py, || {
+            let mut work = self.lock()?;
+            Ok(evaluate(work.classifier.as_mut().ok_or_else(lost)?, dataset, &indices)?)
+        })?;
+        to_python(py, &metrics)
+    }
+
+    fn __repr__(&self) -> String {
+        let [_, rows, columns] = self.card.input_shape;
+        format!("<radome.Model {:?}, maps of {rows} x {columns}>", self.card.network)
+    }
+}
+
+/// Filter over the probabilities of single frames.
+#[pyclass(frozen, module = "radome._radome")]
+pub struct Filter(Mutex<OccupancyFilter>);
+
+#[pymethods]
+impl Filter {
+    /// Takes the probabilities of the frame at `time_s`; returns the filtered ones.
+    fn update<'py>(&self, py: Python<'py>, time_s: f64, probabilities: [f32; 3]) -> Bound<'py, PyArray1<f32>> {
+        let mut filter = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        filter.update(time_s, probabilities).to_vec().into_pyarray(py)
+    }
+
+    /// Forgets all frames.
+    fn reset(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).reset();
+    }
+}

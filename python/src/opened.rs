@@ -1,0 +1,215 @@
+//! The SOURCE grammar of the program, without the program: what a string names, opened as frames.
+
+use std::path::Path;
+use std::time::Duration;
+
+use pyo3::prelude::*;
+use radome_driver::recording::Recording;
+use radome_driver::{
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Mcu7Board,
+    Pace, RealTime, Reconnect, candidates,
+};
+use radome_dsp::{FrameSource, Waveform};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use serde::Deserialize;
+
+use crate::error::{Outcome, detached, to_python};
+use crate::fork;
+
+const NAME_A_WAVEFORM: &str = "hint: give open() a waveform, such as radome.Waveform.load('paper')";
+
+/// Options of a source, as `radome.open` passes them.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    seed: u64,
+    people: Option<usize>,
+    frames: Option<u64>,
+    tolerance_db: Option<f64>,
+    speed: Option<f64>,
+    give_up_after_s: Option<f64>,
+    /// Waveform to program a board with, or to simulate a scene in.
+    #[serde(skip)]
+    pub waveform: Option<Waveform>,
+}
+
+/// Opened source.
+pub struct Opened {
+    /// The frames.
+    pub frames: Box<dyn FrameSource>,
+    /// Whether it cannot wait for slow consumers.
+    pub is_live: bool,
+    /// One line that says what it is.
+    pub description: String,
+    /// The board behind it.
+    pub board: Option<BoardIdentity>,
+    /// Labels of a recording.
+    pub labels: Vec<LabelSpan>,
+}
+
+impl Opened {
+    fn new(frames: Box<dyn FrameSource>, is_live: bool, description: String) -> Self {
+        Opened { frames, is_live, description, board: None, labels: Vec::new() }
+    }
+}
+
+impl Options {
+    /// Positive speed, if one was given.
+    fn speed(&self) -> Option<f64> {
+        self.speed.filter(|speed| *speed > 0.0)
+    }
+
+    fn reconnect(&self) -> Outcome<Reconnect> {
+        let default = Reconnect::default();
+        let give_up_after = match self.give_up_after_s {
+            Some(seconds) => Duration::try_from_secs_f64(seconds)?,
+            None => default.give_up_after,
+        };
+        Ok(Reconnect { give_up_after, ..default })
+    }
+
+    fn simulate(&self) -> SimulateOptions {
+        let default = SimulateOptions::default();
+        SimulateOptions {
+            seed: self.seed,
+            people: self.people,
+            frames: self.frames,
+            tolerance_db: self.tolerance_db.unwrap_or(default.tolerance_db),
+        }
+    }
+}
+
+/// Opens a source.
+///
+/// # Errors
+/// There is no such source, it cannot be read, or a board cannot be programmed.
+pub fn open(spec: &str, options: &Options) -> Outcome<Opened> {
+    if let Some(inner) = spec.strip_prefix("emulated:") {
+        return emulated(inner, options);
+    }
+    if let Some(port) = spec.strip_prefix("serial:") {
+        return board(&Address::Serial(port.into()), options);
+    }
+    if let Some(device) = spec.strip_prefix("usb:") {
+        return board(&Address::Usb(device.parse()?), options);
+    }
+    if let Some(port) = spec.strip_prefix("deepcraft:") {
+        return deepcraft(DeepcraftBoard::open(Path::new(port))?, options);
+    }
+    if spec == "auto" {
+        return board(&the_one_board()?, options);
+    }
+    let mut opened = file(Path::new(spec), options)?;
+    if let Some(speed) = options.speed() {
+        opened.frames = Box::new(RealTime::new(opened.frames, speed));
+    }
+    Ok(opened)
+}
+
+/// A scene, simulated, or a recording; as fast as it goes.
+fn file(path: &Path, options: &Options) -> Outcome<Opened> {
+    if path.extension().is_some_and(|extension| extension == "toml") {
+        return simulation(path, options);
+    }
+    let recording = Recording::open(path)?;
+    if let Some(waveform) = &options.waveform
+        && waveform.shape() != recording.waveform().shape()
+    {
+        let (asked, has) = (waveform.shape(), recording.waveform().shape());
+        return Err(format!(
+            "{}: frames of {asked} were asked for, the recording has {has}\n\nhint: leave the waveform out: a recording has its own",
+            path.display()
+        )
+        .into());
+    }
+    let (labels, board) = (recording.labels()?, recording.header().board);
+    let opened = Opened::new(Box::new(recording), false, format!("recording {}", path.display()));
+    Ok(Opened { labels, board, ..opened })
+}
+
+fn simulation(path: &Path, options: &Options) -> Outcome<Opened> {
+    fork::check_pools("the simulator")?;
+    let scene = match &options.waveform {
+        None => Scene::load(path)?,
+        Some(waveform) => Scene::load_with_waveform(path, &toml::Table::try_from(&waveform.request)?)?,
+    };
+    let simulator = Simulator::new(&scene, options.simulate())?.on_own_threads()?;
+    let description = format!("simulation of {} with seed {}", path.display(), options.seed);
+    Ok(Opened::new(Box::new(simulator), false, description))
+}
+
+/// The same frames through an emulated board and the wire protocol.
+fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
+    let opened = file(Path::new(inner), options)?;
+    let pace = options.speed().map_or(Pace::AsFastAsRead, Pace::RealTime);
+    let source = EmulatedSource::start(opened.frames, EmulatorOptions { pace, ..EmulatorOptions::default() })?;
+    let identity = source.identity().clone();
+    let path = source.board().path().display().to_string();
+    let description = format!("{} emulated on {path}, fed by a {}", identity.name, opened.description);
+    let emulated = Opened::new(Box::new(source), options.speed().is_some(), description);
+    Ok(Opened { board: Some(identity), ..emulated })
+}
+
+fn board(address: &Address, options: &Options) -> Outcome<Opened> {
+    let detected = match address {
+        Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
+        Address::Usb(_) => {
+            let (board, left) = Mcu7Board::open_with_waveform(address)?;
+            Detected::Mcu7(Box::new(board), left)
+        }
+    };
+    match detected {
+        Detected::Mcu7(board, left) => {
+            let waveform = options.waveform.as_ref().or(left.as_ref());
+            let waveform =
+                waveform.ok_or_else(|| format!("the board has not been told a waveform\n\n{NAME_A_WAVEFORM}"))?;
+            let identity = board.identity().clone();
+            let description = format!("{} on {address}", identity.name);
+            let stream = board.start(waveform)?.with_reconnect(options.reconnect()?);
+            Ok(Opened { board: Some(identity), ..Opened::new(Box::new(stream), true, description) })
+        }
+        Detected::Deepcraft(board) => deepcraft(*board, options),
+        Detected::Esp32(stream) => {
+            let stream = stream.with_reconnect(options.reconnect()?);
+            Ok(Opened::new(Box::new(stream), true, format!("ESP32 on {address}")))
+        }
+    }
+}
+
+fn deepcraft(board: DeepcraftBoard, options: &Options) -> Outcome<Opened> {
+    let waveform = options.waveform.clone().or_else(|| board.configured_waveform());
+    let waveform = waveform
+        .ok_or_else(|| format!("the board is set to no waveform that this package understands\n\n{NAME_A_WAVEFORM}"))?;
+    let identity = board.identity().clone();
+    let description = format!("{} on {}", identity.name, board.path().display());
+    let stream = board.start(&waveform)?.with_reconnect(options.reconnect()?);
+    Ok(Opened { board: Some(identity), ..Opened::new(Box::new(stream), true, description) })
+}
+
+/// The only board that discovery finds.
+fn the_one_board() -> Outcome<Address> {
+    let mut found: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
+    match (found.pop(), found.is_empty()) {
+        (Some(address), true) => Ok(address),
+        (Some(_), false) => Err("more than one board is attached\n\nhint: name one of radome.boards()".into()),
+        (None, _) => {
+            Err("no board is attached\n\nhint: without one, open a recording, a scene or 'emulated:SCENE.toml'".into())
+        }
+    }
+}
+
+/// Boards that may be attached: pairs of a SOURCE to open and a dict of what the system says about the device.
+#[pyfunction]
+pub fn boards(py: Python<'_>) -> PyResult<Vec<(String, Bound<'_, PyAny>)>> {
+    let found = detached(py, || Ok(candidates()))?;
+    let mut boards = Vec::new();
+    for candidate in &found {
+        let source = match candidate.address() {
+            Some(Address::Serial(port)) => format!("serial:{}", port.display()),
+            Some(usb @ Address::Usb(_)) => usb.to_string(),
+            None => continue,
+        };
+        boards.push((source, to_python(py, candidate)?));
+    }
+    Ok(boards)
+}

@@ -1,0 +1,37 @@
+//! Paths of a scene.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use radome_sim::Scene;
+use radome_sim::path_list::{PathList, PathListOptions};
+use serde::Deserialize;
+
+use crate::error::{detached, from_python, to_python};
+use crate::fork;
+
+/// Options of a list, as `radome.paths` passes them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Options {
+    time_s: f64,
+    seed: u64,
+    people: Option<usize>,
+    person: Option<usize>,
+    margin_db: f64,
+}
+
+/// Every path of a scene at one time, a dict. `options` is a dict with the keys of `radome.paths`.
+#[pyfunction]
+pub fn paths<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let Options { time_s, seed, people, person, margin_db } = from_python("paths", options)?;
+    let list = detached(py, || {
+        fork::check_pools("the simulator")?;
+        if time_s < 0.0 {
+            return Err(format!("time_s is {time_s}\n\nhint: give seconds from the first frame on").into());
+        }
+        let options = PathListOptions { seed, people, person, time_s, margin_db };
+        Ok(PathList::new(&Scene::load(&scene)?, &options)?)
+    })?;
+    to_python(py, &list)
+}

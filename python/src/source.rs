@@ -1,0 +1,283 @@
+//! Sources of frames: a thread reads, Python takes what it has read.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use pyo3::exceptions::PyTimeoutError;
+use pyo3::prelude::*;
+use radome_driver::{BoardIdentity, LabelSpan};
+use radome_dsp::{FrameSource, Gap, SourceEvent};
+
+use crate::error::{Failure, Outcome, detached, from_python, raised, to_python};
+use crate::fork::Birthplace;
+use crate::frame::Frame;
+use crate::opened::{self, Opened, Options};
+use crate::waveform::Waveform;
+
+/// Time for which a wait keeps Python from its signals.
+const SLICE: Duration = Duration::from_millis(50);
+/// Frames that are read ahead of Python: of files, and of boards, which do not wait.
+const AHEAD: usize = 4;
+const AHEAD_LIVE: usize = 64;
+/// Longest time that a source which is closed or dropped waits for its thread.
+const LONGEST_STOP: Duration = Duration::from_secs(1);
+
+/// What a reading thread hands over.
+enum Item {
+    Frame(Box<radome_dsp::Frame>),
+    Gap(Gap),
+    End,
+    Failed(Failure),
+}
+
+/// Result of waiting for a slice of time.
+enum Polled {
+    Item(Item),
+    Nothing,
+    Over,
+}
+
+/// What is known of a source once it is open, and its items.
+struct Start {
+    waveform: Arc<radome_dsp::Waveform>,
+    description: String,
+    is_live: bool,
+    board: Option<BoardIdentity>,
+    labels: Vec<LabelSpan>,
+    frame_count: Option<u64>,
+    items: Receiver<Item>,
+}
+
+/// Reading thread with its items.
+struct Reader {
+    items: Option<Receiver<Item>>,
+    thread: Option<JoinHandle<()>>,
+    is_live: bool,
+    is_over: bool,
+    birthplace: Birthplace,
+}
+
+impl Reader {
+    fn poll(&mut self, patience: Duration) -> Polled {
+        let Some(items) = self.items.as_ref().filter(|_| !self.is_over) else { return Polled::Over };
+        match items.recv_timeout(patience) {
+            Ok(item) => {
+                self.is_over = matches!(item, Item::End | Item::Failed(_));
+                Polled::Item(item)
+            }
+            Err(RecvTimeoutError::Timeout) => Polled::Nothing,
+            Err(RecvTimeoutError::Disconnected) => {
+                self.is_over = true;
+                Polled::Item(Item::Failed("the thread that reads the source panicked".into()))
+            }
+        }
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        let (items, thread) = (self.items.take(), self.thread.take());
+        if !self.birthplace.is_here() {
+            // The thread is in another process, and so is whoever holds the channel's locks.
+            std::mem::forget((items, thread));
+            return;
+        }
+        drop(items);
+        let began = Instant::now();
+        while self.is_live && thread.as_ref().is_some_and(|t| !t.is_finished()) && began.elapsed() < LONGEST_STOP {
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+/// Reads a source until it ends or nobody listens any more.
+fn read(mut source: Box<dyn FrameSource>, is_live: bool, items: &SyncSender<Item>) {
+    let shape = source.waveform().shape();
+    loop {
+        let mut frame = radome_dsp::Frame::zeroed(shape);
+        let event = catch_unwind(AssertUnwindSafe(|| source.next_frame(&mut frame)));
+        let item = match event {
+            Ok(Ok(SourceEvent::Frame)) => {
+                if is_live && frame.host_time_ns == 0 {
+                    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+                    frame.host_time_ns = now.map_or(0, |now| now.as_nanos() as u64);
+                }
+                Item::Frame(Box::new(frame))
+            }
+            Ok(Ok(SourceEvent::Gap(gap))) => Item::Gap(gap),
+            Ok(Ok(SourceEvent::End)) => Item::End,
+            Ok(Err(failure)) => Item::Failed(failure),
+            Err(_) => Item::Failed("the source panicked".into()),
+        };
+        let is_last = matches!(item, Item::End | Item::Failed(_));
+        if items.send(item).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+/// Opens a source, says what it is, and reads it.
+fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start>>) {
+    let Opened { frames, is_live, description, board, labels } = match opened::open(spec, options) {
+        Ok(opened) => opened,
+        Err(failure) => {
+            // Nobody listens any more: then nobody asks for the error.
+            let _ = start.send(Err(failure));
+            return;
+        }
+    };
+    let (sender, items) = sync_channel(if is_live { AHEAD_LIVE } else { AHEAD });
+    let (waveform, frame_count) = (Arc::new(frames.waveform().clone()), frames.frame_count());
+    let known = Start { waveform, description, is_live, board, labels, frame_count, items };
+    if start.send(Ok(known)).is_ok() {
+        read(frames, is_live, &sender);
+    }
+}
+
+/// Opened source of frames.
+#[pyclass(frozen, module = "radome._radome")]
+pub struct Source {
+    reader: Mutex<Option<Reader>>,
+    waveform: Arc<radome_dsp::Waveform>,
+    description: String,
+    is_live: bool,
+    board: Option<BoardIdentity>,
+    labels: Vec<LabelSpan>,
+    frame_count: Option<u64>,
+    birthplace: Birthplace,
+}
+
+impl Source {
+    fn lock(&self) -> MutexGuard<'_, Option<Reader>> {
+        self.reader.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn poll(&self, patience: Duration) -> Outcome<Polled> {
+        self.birthplace.check("the source")?;
+        match self.lock().as_mut() {
+            Some(reader) => Ok(reader.poll(patience)),
+            None => Err("the source is closed".into()),
+        }
+    }
+}
+
+/// Waits until the source is open or cannot be opened; Ctrl-C ends the wait.
+fn wait_for_start(py: Python<'_>, start: &Mutex<Receiver<Outcome<Start>>>) -> PyResult<Start> {
+    loop {
+        let started =
+            detached(py, || match start.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(SLICE) {
+                Ok(started) => started.map(Some),
+                Err(RecvTimeoutError::Timeout) => Ok(None),
+                Err(RecvTimeoutError::Disconnected) => Err("opening the source panicked".into()),
+            })?;
+        match started {
+            Some(start) => return Ok(start),
+            None => py.check_signals()?,
+        }
+    }
+}
+
+#[pymethods]
+impl Source {
+    /// Opens a SOURCE. `options` is a dict with the keys of `radome.open`.
+    #[staticmethod]
+    #[pyo3(signature = (spec, waveform, options))]
+    fn open(
+        py: Python<'_>,
+        spec: String,
+        waveform: Option<&Bound<'_, Waveform>>,
+        options: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
+        let mut options: Options = from_python("open", options)?;
+        options.waveform = waveform.map(|waveform| radome_dsp::Waveform::clone(&waveform.get().0));
+        let (sender, receiver) = sync_channel(1);
+        let thread = thread::Builder::new().name("radome-source".to_owned());
+        let thread = thread.spawn(move || open_and_read(&spec, &options, &sender))?;
+        let Start { waveform, description, is_live, board, labels, frame_count, items } =
+            wait_for_start(py, &Mutex::new(receiver))?;
+        let birthplace = Birthplace::here();
+        let reader = Reader { items: Some(items), thread: Some(thread), is_live, is_over: false, birthplace };
+        let reader = Mutex::new(Some(reader));
+        Ok(Source { reader, waveform, description, is_live, board, labels, frame_count, birthplace })
+    }
+
+    /// The next frame, a dict for a gap, or `None` at the end. Waits, for `timeout_s` at most; Ctrl-C ends the wait.
+    #[pyo3(signature = (timeout_s=None))]
+    fn next_event<'py>(&self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let limit = timeout_s.map(Duration::try_from_secs_f64).transpose()?;
+        let began = Instant::now();
+        loop {
+            let left = limit.map_or(SLICE, |limit| limit.saturating_sub(began.elapsed()).min(SLICE));
+            match detached(py, || self.poll(left))? {
+                Polled::Nothing => {
+                    py.check_signals()?;
+                    if limit.is_some_and(|limit| began.elapsed() >= limit) {
+                        return Err(PyTimeoutError::new_err("no frame came within the time"));
+                    }
+                }
+                Polled::Over | Polled::Item(Item::End) => return Ok(None),
+                Polled::Item(Item::Frame(frame)) => {
+                    let frame = Frame { inner: *frame, waveform: self.waveform.clone() };
+                    return Ok(Some(Bound::new(py, frame)?.into_any()));
+                }
+                Polled::Item(Item::Gap(gap)) => return to_python(py, &gap).map(Some),
+                Polled::Item(Item::Failed(failure)) => return Err(raised(py, &*failure)),
+            }
+        }
+    }
+
+    /// Stops the board or lets go of the file, and waits for that for a second at most.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        if !self.birthplace.is_here() {
+            return Ok(());
+        }
+        let Some(mut reader) = py.detach(|| self.lock().take()) else { return Ok(()) };
+        drop(reader.items.take());
+        let thread = reader.thread.take();
+        let began = Instant::now();
+        while thread.as_ref().is_some_and(|thread| !thread.is_finished()) && began.elapsed() < LONGEST_STOP {
+            py.detach(|| thread::sleep(Duration::from_millis(1)));
+            py.check_signals()?;
+        }
+        Ok(())
+    }
+
+    /// Waveform of all frames.
+    #[getter]
+    fn waveform(&self) -> Waveform {
+        Waveform(self.waveform.clone())
+    }
+
+    /// One line that says what the source is.
+    #[getter]
+    fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// Whether the source is a board, which does not wait for slow readers.
+    #[getter]
+    fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    /// Identity of the board, a dict; `None` without one.
+    #[getter]
+    fn board<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.board)
+    }
+
+    /// Labels of the recording, a list of dicts.
+    #[getter]
+    fn labels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.labels)
+    }
+
+    /// Frames in total; `None` where the source does not know.
+    #[getter]
+    fn frame_count(&self) -> Option<u64> {
+        self.frame_count
+    }
+}

@@ -1,0 +1,102 @@
+//! Training.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+
+use pyo3::prelude::*;
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::{EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
+use radome_sim::bounded_file::named_by_spec;
+use serde_json::json;
+
+use crate::dataset::Dataset;
+use crate::error::{Failure, Outcome, detached, from_python, raised_text, to_python};
+use crate::fork;
+use crate::model::Model;
+
+/// What unwinds a training that Python stops: the exception.
+struct Stopped(PyErr);
+
+/// Settings of a training from a TOML file.
+fn read_spec(path: &Path) -> Outcome<TrainSpec> {
+    let text = read_text(path, TEXT_LIMIT_BYTES)?;
+    let refused = |error: toml::de::Error| format!("{} is no training spec: {}", path.display(), error.message());
+    let mut spec: TrainSpec = toml::from_str(&text).map_err(refused)?;
+    if let Some(weights) = &spec.weights {
+        spec.weights = Some(named_by_spec(path.parent().unwrap_or(Path::new("")), weights)?);
+    }
+    Ok(spec)
+}
+
+/// Settings: a path of a TOML file, or a dict of keys that differ from the defaults.
+fn spec(py: Python<'_>, given: &Bound<'_, PyAny>, network: Option<&str>) -> PyResult<TrainSpec> {
+    let mut spec: TrainSpec = match given.extract::<PathBuf>() {
+        Ok(path) => detached(py, || read_spec(&path))?,
+        Err(_) => from_python("training", given)?,
+    };
+    if let Some(name) = network {
+        let Some(NetworkSpec { kind, head, .. }) = NetworkSpec::named(name) else {
+            return Err(raised_text(py, format!("there is no network '{name}'\n\nhint: radome.networks() lists them")));
+        };
+        (spec.network, spec.head) = (kind, head);
+    }
+    Ok(spec)
+}
+
+/// Tells Python of an epoch, and looks for Ctrl-C.
+fn tell(py: Python<'_>, epoch: &EpochReport, report: Option<&Py<PyAny>>) -> PyResult<()> {
+    if let Some(report) = report {
+        report.call1(py, (to_python(py, epoch)?,))?;
+    }
+    py.check_signals()
+}
+
+/// Trains a network; returns the model and a dict with history and scores. `report` is called with a dict after each epoch.
+/// Ctrl-C and an exception of `report` end the training behind the epoch; with a checkpoint the next call goes on there.
+#[pyfunction]
+#[pyo3(signature = (dataset, settings, network=None, checkpoint=None, report=None))]
+pub fn train<'py>(
+    py: Python<'py>,
+    dataset: &Bound<'py, Dataset>,
+    settings: &Bound<'py, PyAny>,
+    network: Option<&str>,
+    checkpoint: Option<PathBuf>,
+    report: Option<Py<PyAny>>,
+) -> PyResult<(Model, Bound<'py, PyAny>)> {
+    let spec = spec(py, settings, network)?;
+    let dataset = &dataset.get().inner;
+    let outcome = detached(py, || {
+        fork::check_pools("training")?;
+        let run = || {
+            train_with_checkpoint(dataset, &spec, checkpoint.as_deref(), &mut |epoch| {
+                let told = Python::attach(|py| tell(py, &epoch, report.as_ref()));
+                if let Err(exception) = told {
+                    // The training has no other way to end between epochs.
+                    resume_unwind(Box::new(Stopped(exception)));
+                }
+            })
+        };
+        match catch_unwind(AssertUnwindSafe(run)) {
+            Ok(outcome) => Ok(outcome?),
+            Err(payload) => Err(stopped(payload)),
+        }
+    })?;
+    let TrainOutcome { model, history, validation, test, warnings } = outcome;
+    let scores = json!({ "history": history, "validation": validation, "test": test, "warnings": warnings });
+    Ok((Model::of(model), to_python(py, &scores)?))
+}
+
+/// The exception that stopped a training; any other panic goes on.
+fn stopped(payload: Box<dyn Any + Send>) -> Failure {
+    match payload.downcast::<Stopped>() {
+        Ok(stopped) => stopped.0.into(),
+        Err(payload) => resume_unwind(payload),
+    }
+}
+
+/// Networks that can be trained, a list of dicts.
+#[pyfunction]
+pub fn networks(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    to_python(py, &radome_models::networks())
+}

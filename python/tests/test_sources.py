@@ -1,0 +1,221 @@
+"""Frames of simulations, recordings and emulated boards."""
+
+import errno
+import gc
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import numpy as np
+import pytest
+
+import radome
+from conftest import DESK, FIXTURES
+
+
+def test_a_seed_gives_the_same_frames_and_another_others(desk_frames):
+    with radome.simulate(DESK, frames=10, seed=3, people=1) as source:
+        again = list(source)
+    with radome.simulate(DESK, frames=1, seed=4, people=1) as source:
+        other = next(source)
+    assert [frame.sequence for frame in again] == list(range(10))
+    assert all(np.array_equal(a.codes, b.codes) for a, b in zip(desk_frames, again))
+    assert not np.array_equal(desk_frames[0].codes, other.codes)
+    assert {frame.truth for frame in again} == {"one"}
+
+
+def test_a_frame_is_what_its_waveform_says(desk_frames):
+    frame = desk_frames[1]
+    assert frame.codes.shape == frame.shape == frame.waveform.shape == (3, 8, 64)
+    assert frame.codes.dtype == np.uint16 and frame.codes.max() <= 4095
+    assert frame.time_s == pytest.approx(frame.waveform.frame_interval_s, rel=1e-6)
+    assert frame.has_signal and frame.temperature_c is None
+
+
+def test_codes_are_one_memory_that_cannot_be_written_to(desk_frames):
+    codes = desk_frames[0].codes
+    assert np.shares_memory(codes, desk_frames[0].codes)
+    with pytest.raises(ValueError):
+        codes[0, 0, 0] = 1
+    with pytest.raises(ValueError):
+        codes.flags.writeable = True
+
+
+def test_a_recording_gives_back_frames_gaps_and_labels(recording, desk_frames):
+    with radome.open(recording) as source:
+        events = list(source.events())
+        labels = [source.label_of(event) for event in events if isinstance(event, radome.Frame)]
+        assert source.labels[0].who == "me"
+        assert source.frames_lost == 2 and source.gaps == [radome.Gap(3, 2, "packet_lost")]
+    assert [type(event).__name__ for event in events] == ["Frame"] * 3 + ["Gap"] + ["Frame"] * 5
+    frames = [event for event in events if isinstance(event, radome.Frame)]
+    kept = desk_frames[:3] + desk_frames[5:]
+    assert [frame.sequence for frame in frames] == [frame.sequence for frame in kept]
+    assert all(np.array_equal(a.codes, b.codes) for a, b in zip(frames, kept))
+    assert labels == ["one"] * 5 + ["empty"] * 3
+
+
+def test_an_emulated_board_gives_the_frames_of_its_scene(desk_frames):
+    with radome.open(f"emulated:{DESK}", frames=10, seed=3, people=1) as source:
+        frames = list(source)
+        assert source.board["chip"] == "BGT60TR13C"
+    assert [frame.sequence for frame in frames] == list(range(10))
+    assert all(np.array_equal(a.codes, b.codes) for a, b in zip(frames, desk_frames))
+    assert all(frame.truth == "one" for frame in frames)
+
+
+def test_formats_of_the_vendor_are_written_and_read(tmp_path, desk_frames):
+    for name in ["desk.txt", "desk"]:
+        with radome.Recorder(tmp_path / name, desk_frames[0].waveform) as recorder:
+            for frame in desk_frames:
+                recorder.write(frame)
+        assert recorder.report["frames"] == 10 and recorder.report["omitted"]
+        with radome.open(tmp_path / name) as source:
+            assert all(np.array_equal(a.codes, b.codes) for a, b in zip(source, desk_frames))
+
+
+def test_a_recording_that_fails_leaves_no_file(tmp_path, desk_frames):
+    path = tmp_path / "half.mcap"
+    with pytest.raises(RuntimeError):
+        with radome.Recorder(path, desk_frames[0].waveform) as recorder:
+            recorder.write(desk_frames[0])
+            raise RuntimeError("stop")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_waveforms_change_and_travel(desk_frames):
+    waveform = desk_frames[0].waveform
+    other = waveform.replace(samples_per_chirp=32)
+    assert other.shape == (3, 8, 32) and other != waveform
+    assert pickle.loads(pickle.dumps(waveform)) == waveform
+    assert radome.Waveform.load("paper").shape == (3, 128, 256)
+    assert any(name == "MAIN" for name, _, _ in waveform.registers())
+    with radome.open(DESK, waveform=other, frames=1) as source:
+        assert next(source).shape == (3, 8, 32)
+
+
+def test_paths_lie_on_their_lengths():
+    found = radome.paths(FIXTURES / "scenes" / "corridor.toml", people=0, margin_db=40.0)
+    assert len(found) > 10 and {path.kind for path in found} == {"walls", "furniture"}
+    for path in found:
+        corners = np.array(path.points_m)
+        length_m = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+        assert length_m == pytest.approx(path.length_m, abs=0.02)
+        assert path.delay_s == pytest.approx(path.length_m / 299_792_458.0, rel=1e-12)
+
+
+class TestHardCases:
+    def test_a_frame_is_kept_beyond_its_source(self, desk_frames):
+        source = radome.simulate(DESK, frames=3, seed=3, people=1)
+        codes = [frame.codes for frame in source]
+        source.close()
+        del source
+        gc.collect()
+        assert all(np.array_equal(a, b.codes) for a, b in zip(codes, desk_frames))
+
+    def test_a_closed_source_says_so(self):
+        source = radome.simulate(DESK, frames=3)
+        source.close()
+        source.close()
+        with pytest.raises(radome.RadomeError, match="closed"):
+            next(source)
+
+    def test_a_source_at_its_end_stays_there(self):
+        with radome.simulate(DESK, frames=2, people=0) as source:
+            assert len(list(source)) == 2
+            assert list(source) == [] and source.next_frame() is None
+
+    def test_two_threads_share_a_source(self):
+        seen = []
+        with radome.simulate(DESK, frames=60, people=0) as source:
+            threads = [threading.Thread(target=lambda: seen.extend(f.sequence for f in source)) for _ in range(2)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(60.0)
+        assert sorted(seen) == list(range(60))
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+    @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+    def test_a_fork_is_told_that_the_source_is_not_its_own(self, recording):
+        with radome.open(recording) as source, radome.simulate(DESK, frames=50) as simulation:
+            next(simulation)
+            child = os.fork()
+            if child == 0:
+                code = 1
+                try:
+                    for of_parent in (source, simulation):
+                        with pytest.raises(radome.RadomeError, match="fork") as error:
+                            next(of_parent)
+                        assert "spawn" in error.value.hint
+                        of_parent.close()
+                    # What the child opens itself is its own.
+                    with radome.open(recording) as own:
+                        assert len(list(own)) == 8
+                    code = 0
+                finally:
+                    os._exit(code)
+            _, status = os.waitpid(child, 0)
+            assert os.waitstatus_to_exitcode(status) == 0
+            assert next(source).sequence == 0
+
+    def test_a_wait_ends_in_time(self):
+        with radome.open(DESK, frames=2, speed=1e-6) as source:
+            next(source)
+            with pytest.raises(TimeoutError):
+                source.next_frame(timeout_s=0.1)
+
+    def test_ctrl_c_ends_the_wait_for_a_frame(self):
+        script = f"""
+            import radome
+            with radome.open({str(DESK)!r}, frames=2, speed=1e-6) as source:
+                next(source)
+                print("waiting", flush=True)
+                try:
+                    next(source)
+                except KeyboardInterrupt:
+                    print("interrupted", flush=True)
+        """
+        command = [sys.executable, "-c", textwrap.dedent(script)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout.readline() == "waiting\n"
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=60)[0] == "interrupted\n"
+            assert process.returncode == 0
+
+    def test_a_missing_file_is_pythons_own_error(self, tmp_path):
+        with pytest.raises(FileNotFoundError) as error:
+            radome.open(tmp_path / "none.mcap")
+        assert isinstance(error.value, radome.RadomeError) and error.value.errno == errno.ENOENT
+        with pytest.raises(OSError):
+            radome.open(f"serial:{tmp_path}/none")
+
+    def test_an_error_has_hint_and_cause(self, tmp_path):
+        scene = tmp_path / "bad.toml"
+        scene.write_text("format = 1\n")
+        with pytest.raises(radome.RadomeError, match="bad.toml"):
+            radome.simulate(scene)
+        with pytest.raises(radome.RadomeError) as error:
+            radome.simulate(tmp_path / "scene.json")
+        assert error.value.hint is not None and error.value.hint in str(error.value)
+        with pytest.raises(FileNotFoundError) as missing:
+            radome.Model(tmp_path / "none.safetensors")
+        assert missing.value.__cause__ is not None
+
+    def test_a_recording_is_not_replaced_unless_asked(self, recording, desk_frames):
+        with pytest.raises(FileExistsError):
+            radome.Recorder(recording, desk_frames[0].waveform)
+
+    def test_a_recording_has_its_own_waveform(self, recording):
+        with pytest.raises(radome.RadomeError, match="recording has"):
+            radome.open(recording, waveform="paper")
+
+    def test_an_impossible_waveform_names_the_quantity(self, desk_frames):
+        with pytest.raises(radome.RadomeError, match="sample_rate_hz"):
+            desk_frames[0].waveform.replace(sample_rate_hz=1.0)
+        with pytest.raises(radome.RadomeError, match="colour"):
+            desk_frames[0].waveform.replace(colour=1)
