@@ -5,29 +5,19 @@
 //! once, so that a step over all maps takes milliseconds, and the minimum hardly depends on the seed.
 
 use candle_core::{Device, Tensor};
-use serde::{Deserialize, Serialize};
 
 use super::data::Data;
 use super::error::TrainError;
 use super::head_start::is_trained;
 use super::minimise::minimise;
 use super::parameter_vector::ParameterVector;
+use super::spec::FullBatch;
 use super::start::collect;
 use crate::layer::{backward, softmax};
 use crate::network::{Mode, Network, Parameter};
 
 /// Least gain of a step, as a share of the loss.
 const LEAST_GAIN: f64 = 1e-7;
-
-/// Settings of the minimisation over all training maps.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FullBatch {
-    /// Steps at most.
-    pub steps: usize,
-    /// Weight in the loss of the sum of the squares of all weights of dense layers, for descriptors of deviation 1.
-    pub weight_penalty: f64,
-}
 
 /// Whether an array is the weights of a dense layer or a kernel, which decay and are penalised; biases, constants of
 /// normalisations and angles are not.

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::augmentation::Augmentation;
 use super::error::TrainError;
-use super::full_batch::FullBatch;
 use crate::dataset::SplitSpec;
 use crate::kernel::KernelLevel;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -32,6 +31,16 @@ pub enum LatentStandardisation {
         /// Weight of the newest batch, in (0, 1].
         momentum: f32,
     },
+}
+
+/// Settings of the minimisation over all training maps.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FullBatch {
+    /// Steps at most.
+    pub steps: usize,
+    /// Weight in the loss of the sum of the squares of all weights of dense layers, for descriptors of deviation 1.
+    pub weight_penalty: f64,
 }
 
 /// Settings of a training: with the data, they decide its result.

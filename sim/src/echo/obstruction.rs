@@ -117,8 +117,9 @@ pub(super) struct SharedWay<'a> {
     pub(super) past_people: f64,
 }
 
-/// What is in the ways between images and somebody's segments at an instant, in a room of plane faces. It is asked for once for
-/// all highlights of a segment and for all antennas, which are some millimetres apart.
+/// What is in the ways between images and somebody's segments at an instant, in a room of plane faces. Where no edge is beside the
+/// way it is asked for once for all highlights of a segment and for all antennas, which are some millimetres apart; beside edges
+/// it changes within a segment, and every highlight has its own.
 pub(super) struct SharedWays<'a> {
     stage: &'a Stage,
     room: &'a PolygonRoom,
@@ -167,10 +168,18 @@ impl<'a> SharedWays<'a> {
         segment: usize,
         point: DVec3,
     ) -> Option<(Phasor3, f64)> {
-        let room = self.room;
+        let (room, beside) = (self.room, self.beside);
         let way = self.of(number, image, segment)?;
-        let lit = room.paths().illuminate_past(element, &way.obstruction, point);
-        Some((lit.field, way.past_people))
+        let paths = room.paths();
+        let mut edges = beside.borrow_mut();
+        let field = match edges.get_mut(number * SEGMENTS + segment).filter(|edges| !edges.is_empty()) {
+            Some(edges) => {
+                let own = room.obstruction_past(image, element.position, point, Some(edges));
+                paths.illuminate_past(element, &own, point).field
+            }
+            None => paths.illuminate_past(element, &way.obstruction, point).field,
+        };
+        Some((field, way.past_people))
     }
 }
 

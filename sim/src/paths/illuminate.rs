@@ -93,6 +93,13 @@ impl Obstruction<'_> {
 #[derive(Debug, Clone, Default)]
 pub struct EdgesBeside(HashMap<(u32, u32), Vec<u32>>);
 
+impl EdgesBeside {
+    /// Whether no edge is beside any leg.
+    pub fn is_empty(&self) -> bool {
+        self.0.values().all(Vec::is_empty)
+    }
+}
+
 /// Edges that are known beside a leg, and the leg's number.
 type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
 

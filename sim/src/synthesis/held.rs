@@ -151,7 +151,7 @@ const FIRST_TAP: usize = (WIDTH - TAPS) / 2;
 /// samples of a chirp, which `correction` multiplies once they are transformed.
 pub(super) fn fitted_taps(correction: &[f32], cells: usize) -> Vec<[f32; TAPS]> {
     /// Keeps the matrix regular where there are fewer samples than taps.
-    const LEAST_EIGENVALUE: f64 = 1e-9;
+    const LEAST_EIGENVALUE: f64 = 1e-6;
     let middle = (correction.len() / 2) as f64;
     let radians = |n: usize| TAU * (n as f64 - middle) / cells as f64;
     let sum = |of: &dyn Fn(f64, f64) -> f64| -> f64 {

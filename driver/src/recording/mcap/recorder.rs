@@ -590,8 +590,8 @@ mod tests {
             .expect("starts");
         let metadata = mcap::read::metadata(bytes, &summary.metadata_indexes[0]).expect("metadata");
         writer.write_metadata(&metadata).expect("writes");
-        let schema = writer.add_schema("radome.frame", "", &[]).expect("writes");
-        let channels = [(schema, FRAMES, "radome.frame"), (0, GAPS, "json"), (0, LABELS, "json"), (0, RESULTS, "json")];
+        let schema = writer.add_schema(FRAME_ENCODING, LAYOUT_ENCODING, FRAME_LAYOUT.as_bytes()).expect("writes");
+        let channels = [(schema, FRAMES, FRAME_ENCODING), (0, GAPS, "json"), (0, LABELS, "json"), (0, RESULTS, "json")];
         for (schema, topic, encoding) in channels {
             writer.add_channel(schema, topic, encoding, &BTreeMap::new()).expect("writes");
         }
