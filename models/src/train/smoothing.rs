@@ -8,8 +8,8 @@ use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
 /// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-9;
-/// Start of the search: dwell and time of evidence, s, and temperature.
-const START: [f64; 3] = [4.0, 0.7, 1.4];
+/// Start of the search: dwell and time of evidence, s, temperature, and weight of the newest frame.
+const START: [f64; 4] = [4.0, 0.7, 1.4, 0.3];
 /// First and last step of the search, of logarithms.
 const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);
 /// Least gain of a step.
@@ -41,13 +41,13 @@ type Sums = (f64, u64);
 /// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over
 /// the groups. `None` without a labelled frame.
 ///
-/// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
-/// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
+/// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`], [`Smoothing::temperature`] and
+/// [`Smoothing::newest`] from [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
 /// than errors last, and people who come and go: of frames a second apart it cannot tell how long errors last.
 pub fn fit_smoothing(groups: &[Vec<FilterSequence>]) -> Option<SmoothingFit> {
-    let settings = |logarithms: [f64; 3]| {
-        let [dwell_s, independent_s, temperature] = logarithms.map(f64::exp);
-        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature }
+    let settings = |logarithms: [f64; 4]| {
+        let [dwell_s, independent_s, temperature, newest] = logarithms.map(f64::exp);
+        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, newest }
     };
     let log_loss_by_frame = log_loss(groups, None)?;
     let mut at = START.map(f64::ln);
@@ -162,7 +162,7 @@ mod tests {
             let groups = vec![recordings(dwell_s, independent_s, 0.2)];
             let fit = fit_smoothing(&groups).expect("labels");
             let true_settings =
-                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0 };
+                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, newest: 0.0 };
             assert!(Some(fit.log_loss) <= log_loss(&groups, Some(true_settings)).map(|loss| loss + 2e-3), "{fit:?}");
             assert!(fit.log_loss < fit.log_loss_by_frame, "{fit:?}");
             let Smoothing { dwell_s: found_dwell_s, independent_s: found_s, temperature, .. } = fit.smoothing;
