@@ -124,7 +124,7 @@ fn the_confidence_is_that_of_being_right() {
 #[test]
 fn the_default_settings_are_near_those_of_the_best_log_loss() {
     let groups: Vec<Vec<FilterSequence>> = rungs().into_values().collect();
-    let fit = fit_smoothing(&groups).expect("labels");
+    let fit = fit_smoothing(&groups, Smoothing::default().newest).expect("labels");
     assert!(fit.log_loss < fit.log_loss_by_frame, "{fit:?}");
     let default = Smoothing::default();
     let is_near = |found: f64, default: f64| (0.5..2.0).contains(&(found / default));

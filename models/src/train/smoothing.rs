@@ -8,8 +8,8 @@ use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
 /// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-9;
-/// Start of the search: dwell and time of evidence, s, temperature, and weight of the newest frame.
-const START: [f64; 4] = [4.0, 0.7, 1.4, 0.3];
+/// Start of the search: dwell and time of evidence, s, and temperature.
+const START: [f64; 3] = [4.0, 0.7, 1.4];
 /// First and last step of the search, of logarithms.
 const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);
 /// Least gain of a step.
@@ -41,12 +41,13 @@ type Sums = (f64, u64);
 /// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over
 /// the groups. `None` without a labelled frame.
 ///
-/// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`], [`Smoothing::temperature`] and
-/// [`Smoothing::newest`] from [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
-/// than errors last, and people who come and go: of frames a second apart it cannot tell how long errors last.
-pub fn fit_smoothing(groups: &[Vec<FilterSequence>]) -> Option<SmoothingFit> {
-    let settings = |logarithms: [f64; 4]| {
-        let [dwell_s, independent_s, temperature, newest] = logarithms.map(f64::exp);
+/// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
+/// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
+/// than errors last, and people who come and go: of frames a second apart it cannot tell how long errors last. `newest` is
+/// [`Smoothing::newest`]: the log loss alone would have it near 1, where answers flicker.
+pub fn fit_smoothing(groups: &[Vec<FilterSequence>], newest: f64) -> Option<SmoothingFit> {
+    let settings = |logarithms: [f64; 3]| {
+        let [dwell_s, independent_s, temperature] = logarithms.map(f64::exp);
         Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, newest }
     };
     let log_loss_by_frame = log_loss(groups, None)?;
@@ -160,7 +161,7 @@ mod tests {
     fn the_settings_that_made_recordings_are_found() {
         for (dwell_s, independent_s) in [(6.0, 0.5), (12.0, 0.8)] {
             let groups = vec![recordings(dwell_s, independent_s, 0.2)];
-            let fit = fit_smoothing(&groups).expect("labels");
+            let fit = fit_smoothing(&groups, 0.0).expect("labels");
             let true_settings =
                 Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, newest: 0.0 };
             assert!(Some(fit.log_loss) <= log_loss(&groups, Some(true_settings)).map(|loss| loss + 2e-3), "{fit:?}");
@@ -197,10 +198,10 @@ mod tests {
 
         #[test]
         fn nothing_is_fitted_to_nothing() {
-            assert_eq!(fit_smoothing(&[]), None);
+            assert_eq!(fit_smoothing(&[], 0.0), None);
             let mut unlabelled = recording(5.0, 0.5, 0.2, 0);
             unlabelled.frames.iter_mut().for_each(|frame| frame.truth = None);
-            assert_eq!(fit_smoothing(&[vec![unlabelled]]), None);
+            assert_eq!(fit_smoothing(&[vec![unlabelled]], 0.0), None);
         }
 
         /// Frames with NaN, and a recording with a constant number of people.
@@ -209,7 +210,7 @@ mod tests {
             let mut odd = recording(1e9, 0.5, 0.2, 1);
             odd.frames.iter_mut().step_by(3).for_each(|frame| frame.probabilities = [f32::NAN, 0.0, f32::INFINITY]);
             odd.frames.truncate(100);
-            let fit = fit_smoothing(&[vec![odd]]).expect("labels");
+            let fit = fit_smoothing(&[vec![odd]], 0.0).expect("labels");
             assert!(fit.smoothing.fault().is_none() && fit.log_loss.is_finite(), "{fit:?}");
         }
     }

@@ -10,6 +10,7 @@ use indicatif::ProgressBar;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, Recording};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_models::occupancy_filter::Smoothing;
 use radome_models::train::{FilterSequence, fit_smoothing};
 use radome_sim::{SimulateOptions, Simulator};
 use serde_json::json;
@@ -71,7 +72,7 @@ pub fn run(
     let fitted = if fit {
         let groups: Vec<Vec<FilterSequence>> =
             all.iter_mut().flatten().map(|scores| std::mem::take(&mut scores.sequences)).collect();
-        fit_smoothing(&groups)
+        fit_smoothing(&groups, Smoothing::default().newest)
     } else {
         None
     };
