@@ -80,7 +80,7 @@ class DeviceFmcw:
 
     @classmethod
     def get_list(cls, sensor_type: Optional[RadarSensor] = None) -> List[str]:
-        """SOURCEs of the boards attached; ``RADOME_SOURCE`` instead, if it is set."""
+        """Names of the boards attached; ``RADOME_SOURCE`` instead, if it is set."""
         if sensor_type is not None and sensor_type != RadarSensor.BGT60TR13C:
             return []
         named = os.environ.get(SOURCE_VARIABLE)
