@@ -25,7 +25,7 @@ const AHEAD_LIVE: usize = 64;
 /// Longest time that a source which is closed or dropped waits for its thread.
 const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// What a reading thread hands over.
+/// Item that a reading thread hands over.
 enum Item {
     Frame(Box<radome_dsp::Frame>),
     Gap(Gap),
@@ -40,7 +40,7 @@ enum Polled {
     Over,
 }
 
-/// What is known of a source once it is open, and its items.
+/// Header of an open source, and the channel of its items.
 struct Start {
     waveform: Arc<radome_dsp::Waveform>,
     description: String,

@@ -15,7 +15,7 @@ use crate::error::{Failure, Outcome, detached, from_python, raised_text, to_pyth
 use crate::fork;
 use crate::model::Model;
 
-/// What unwinds a training that Python stops: the exception.
+/// Payload that unwinds a training which Python stops: the exception.
 struct Stopped(PyErr);
 
 /// Settings of a training from a TOML file.

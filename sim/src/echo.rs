@@ -341,9 +341,9 @@ impl<'a> Paths<'a> {
 /// Everybody at an instant at which somebody's paths are met.
 struct Instant<'a> {
     people: &'a [Snapshot],
-    /// Who the paths are by way of.
+    /// Person by way of whom the paths go.
     own: &'a Snapshot,
-    /// What is in the ways to segments, where highlights share it: in rooms of plane faces.
+    /// Obstructions of the ways to segments, where highlights share them: in rooms of plane faces.
     ways: Option<SharedWays<'a>>,
 }
 

@@ -34,7 +34,7 @@ const BODY_REACH_M: f64 = 1.2;
 pub const HEARD: f64 = 0.5;
 /// Behind a straight edge no more than this part of a field is left.
 const MOST_IN_SHADOW: f64 = 0.5;
-/// What an edge leaves in its shadow grows by this factor within a frame at most where rays do not come there.
+/// Largest factor by which the field in an edge's shadow grows within a frame, where rays do not come there.
 const MOVING: f64 = 2.0;
 /// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
 const MOST_SPEED_M_PER_S: f64 = 10.0;

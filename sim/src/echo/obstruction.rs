@@ -109,7 +109,7 @@ pub(super) fn facing(segment: &Ellipsoid, source: DVec3) -> DVec3 {
     segment.surface((normal * segment.semi_axes_m).normalize_or_zero())
 }
 
-/// What is in the way between an image and a segment.
+/// Obstruction of the way between an image and a segment.
 pub(super) struct SharedWay<'a> {
     /// Facets, edges and walls.
     pub(super) obstruction: Obstruction<'a>,
@@ -117,7 +117,7 @@ pub(super) struct SharedWay<'a> {
     pub(super) past_people: f64,
 }
 
-/// What is in the ways between images and somebody's segments at an instant, in a room of plane faces. Where no edge is beside the
+/// Obstructions of the ways between images and somebody's segments at an instant, in a room of plane faces. Where no edge is beside the
 /// way it is asked for once for all highlights of a segment and for all antennas, which are some millimetres apart; beside edges
 /// it changes within a segment, and every highlight has its own.
 pub(super) struct SharedWays<'a> {

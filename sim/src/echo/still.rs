@@ -43,7 +43,7 @@ pub struct StillView<'a> {
     pub wavelength_m: f64,
     /// Complex relative permittivity of the body, whose real part is no less than 1.
     pub permittivity: Complex64,
-    /// How finely to integrate.
+    /// Settings of the integration.
     pub fineness: Fineness,
 }
 

@@ -1,4 +1,4 @@
-//! What surfaces are made of: their coefficients in closed form, and the same tabulated over the cosine of incidence.
+//! Materials of surfaces: their coefficients in closed form, and the same tabulated over the cosine of incidence.
 //!
 //! [`fresnel::slab`] takes complex roots and exponentials, and an image path needs it at every wall. [`WallTable`] cuts the range
 //! of the cosine into cells and each cell into as many equal pieces as it needs: a piece is a polynomial of degree five through
@@ -14,7 +14,7 @@ use num_complex::Complex64;
 use super::fresnel::{self, Reflection};
 use super::{Phasor3, incidence_frame};
 
-/// What a wall or another surface is made of.
+/// Make of a wall or another surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wall {
     /// Lossy dielectric slab.

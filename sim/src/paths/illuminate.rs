@@ -73,7 +73,7 @@ struct Kept {
     is_whole: bool,
 }
 
-/// What facets, edges and walls leave of an image's field about a point. Fields at points nearby that are past the same things
+/// Share that facets, edges and walls leave of an image's field about a point. Fields at points nearby that are past the same things
 /// can be had from it.
 #[derive(Debug, Clone)]
 pub struct Obstruction<'a> {
@@ -103,7 +103,7 @@ impl EdgesBeside {
 /// Edges that are known beside a leg, and the leg's number.
 type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
 
-/// What is left of a field by a sequence of facets.
+/// Share that is left of a field by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
     sequence: &'a [FacetId],
@@ -223,7 +223,7 @@ impl ImagePaths {
         self.illuminate_past(element, &self.obstruction(image, element.position, point), point)
     }
 
-    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    /// Share that facets, edges and walls leave of the field of an antenna's image at a point.
     pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
         self.obstruction_past(image, antenna, point, None)
     }
@@ -598,7 +598,7 @@ impl Environment {
     }
 }
 
-/// What the facets at an edge are to a way.
+/// Screen that the facets at an edge form for a way.
 struct Screen {
     /// Factors of the edge's part of the field behind them and beside them.
     behind: Complex64,

@@ -108,7 +108,7 @@ impl PolygonRoom {
         self.paths.way(number(index), antenna, point)
     }
 
-    /// What facets, edges and walls leave of the field of an antenna's image at a point.
+    /// Share that facets, edges and walls leave of the field of an antenna's image at a point.
     pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
         self.paths.obstruction(number(index), antenna, point)
     }

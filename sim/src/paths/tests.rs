@@ -122,7 +122,7 @@ fn the_field_beside_a_corner_is_that_of_a_half_plane() {
     }
 }
 
-/// What edges are left out for a part of the field changes it by no more, on either side of a corner.
+/// Edges that are left out for a part of the field change it by no more than that part, on either side of a corner.
 #[test]
 fn edges_that_are_left_out_change_little() {
     let antenna = DVec3::new(1.0, 0.3, 1.5);

@@ -82,7 +82,7 @@ impl Images {
         &self.ways
     }
 
-    /// What a sequence sends to the receiver from its last facet.
+    /// Field that a sequence sends to the receiver from its last facet.
     pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
         let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
         integrate(&way.lit, accuracy, |point, normal| {

@@ -149,7 +149,7 @@ pub struct Setup {
     pub elevation_rad: f64,
     /// Direction of the field.
     pub polarisation: Polarisation,
-    /// What the target is made of.
+    /// Material of the target.
     pub boundary: Wall,
 }
 

@@ -31,7 +31,7 @@ const LARGE_M: f64 = 1.5;
 pub(crate) enum Floor {
     /// All of the box around it, of this size, m.
     Box([f64; 2]),
-    /// What these walls enclose, m.
+    /// Area that these walls enclose, m.
     Plan(Vec<DVec2>),
     /// Cells of a grid.
     Cells(Cells),
@@ -65,9 +65,9 @@ impl Floor {
     }
 }
 
-/// What people walk around: furniture and walls.
+/// Obstacles that people walk around: furniture and walls.
 pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
-    /// What is lower than this is in nobody's way, m.
+    /// Height below which nothing is in anybody's way, m.
     const CARPET_M: f64 = 0.05;
     let (has_meshes, of_meshes) = (!scene.meshes.pieces.is_empty(), scene.meshes.own_furniture);
     let in_the_way = scene.file.furniture.iter().enumerate().filter(|(number, f)| {
@@ -82,7 +82,7 @@ pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
     in_the_way.map(block).chain(walls(scene)).collect()
 }
 
-/// What of a room itself people walk around; nothing in a box.
+/// Parts of a room itself that people walk around; none in a box.
 pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
     match (Floor::of(scene), &scene.file.room.plan) {
         (_, Some(plan)) => [boxes(plan), leaves(plan)].concat(),
@@ -130,7 +130,7 @@ fn leaf([from, to]: &[DVec2; 2], opening: &OpeningFile, door: &DoorLeafFile, lef
     [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
 }
 
-/// What of a plan people walk around, but for door leaves.
+/// Parts of a plan that people walk around, but for door leaves.
 fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
     let mut boxes = outside(&corners(plan));
     for partition in &plan.partition {

@@ -12,7 +12,7 @@ use crate::judge::CFAR;
 /// File that the command writes. `radome model adapt` replaces no file that exists.
 const OUTPUT: &str = "room-mine.safetensors";
 
-/// Offer to a page to adapt the model by its labels.
+/// Command and state with which the page offers to adapt the model by its labels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Offer {
     /// Command line for a shell; absent where the model cannot be adapted or labels are kept in no recording.

@@ -77,7 +77,7 @@ impl Cells {
         is_within.then(|| i as usize + self.count[0] * j as usize)
     }
 
-    /// What there is at a place.
+    /// Kind of the cell at a place.
     pub fn kind(&self, at: DVec2) -> Kind {
         self.cell(at).and_then(|cell| self.kinds.get(cell)).copied().unwrap_or(Kind::Outside)
     }
