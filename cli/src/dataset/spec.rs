@@ -24,6 +24,7 @@ const MOST_RUNS: u64 = 1_000_000;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BuildSpec {
+    /// Version of the schema: 1.
     format: u32,
     /// Kind of map: keys that are left out are those of [`map_of_networks`].
     #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
