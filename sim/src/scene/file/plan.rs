@@ -40,6 +40,18 @@ pub struct PlanFile {
     pub partition: Vec<PartitionFile>,
 }
 
+impl PlanFile {
+    /// Materials of the walls that differ, and of partitions, panes and doors.
+    pub(crate) fn materials(&self) -> Vec<&str> {
+        let walls = self.wall.iter().map(|wall| wall.material.as_str());
+        let partitions = self.partition.iter().map(|partition| partition.material.as_str());
+        let openings = || self.opening.iter().chain(self.partition.iter().flat_map(|partition| &partition.opening));
+        let panes = openings().filter_map(|opening| opening.material.as_deref());
+        let doors = openings().filter_map(|opening| opening.door.as_ref()).map(|door| door.material.as_str());
+        walls.chain(partitions).chain(panes).chain(doors).collect()
+    }
+}
+
 /// A wall that is made of something else than the others.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
