@@ -15,12 +15,18 @@ use radome_dsp::KernelLevel;
 use radome_dsp::spectrum::inverse_real_fft_f32;
 use realfft::ComplexToReal;
 
+use fitted_taps::Point;
+use rates::RateTaps;
+
 mod chirp_grids;
+mod fitted_taps;
 mod held;
+mod rates;
 mod spread;
 
 pub use chirp_grids::{ChirpGrids, Echo, EchoChirps, EchoWay};
 pub use held::{HeldEcho, HeldEchoes};
+pub use rates::{RUN, RateGrids, Run};
 pub use spread::{CHIRPS, Grids, Places};
 
 /// One path during one chirp.
@@ -78,7 +84,7 @@ pub struct Synthesiser {
     /// Taps of the kernel at places between cells.
     taps_by_place: Vec<[f32; LANES]>,
     /// Taps of echoes that are held in their places.
-    held_taps: Vec<[f32; 4]>,
+    rate_taps: RateTaps,
     /// Compensates the kernel's own transform, for samples in order.
     correction: Vec<f32>,
     /// Instructions that [`Synthesiser::spread`] uses; the processor has them.
@@ -154,11 +160,16 @@ impl Synthesiser {
             })
             .collect();
         let inverse = inverse_real_fft_f32(cells);
+        let point = |(n, weight): (usize, &f32)| Point {
+            weight: f64::from(*weight),
+            angle: TAU * (n as f64 - (samples / 2) as f64) / cells as f64,
+        };
+        let points: Vec<Point> = correction.iter().enumerate().map(point).collect();
         Synthesiser {
             samples,
             cells,
             taps_by_place: held::taps_by_place(&taps),
-            held_taps: held::fitted_taps(&correction, cells),
+            rate_taps: RateTaps::new(&points),
             taps,
             correction,
             level: KernelLevel::detect(),

@@ -52,39 +52,48 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
 /// Adds somebody's diffuse echoes to those of each stretch of a frame: `own` is that person at the ends of the stretches. Each
 /// segment of the body takes so many of the points, whose echoes are the stronger for it: the mean power does not change.
 pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
+    /// Ways by a point.
+    const WAYS: usize = 3;
     let points = &stage.wall_points;
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(stage, own, s, share)).collect();
+    let most = WAYS * segments.len() * points_a_segment.min(points.len());
+    stretches.iter_mut().for_each(|stretch| stretch.reserve(most));
     let audible = audible(stage, own, &segments);
-    let (mut legs, mut legs_of_partner, mut keys) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
     // One pair of points of as many as there are points.
     let weight = (points.len() as f64).sqrt();
     for (number, segment) in segments.iter().enumerate() {
+        legs.clear(points.len(), own.len());
         for index in points_of(number, points_a_segment, points.len()) {
             let (Some(point), Some(audible)) = (points.get(index), audible.get(index)) else { continue };
             if *audible == [false; 3] {
                 continue;
             }
-            segment.legs(point, &mut legs);
+            legs.find(segment, index, point);
+            let partner = points.get(point.partner).filter(|_| audible[2]);
+            if let Some(partner) = partner {
+                legs.find(segment, point.partner, partner);
+            }
+            let own_legs = legs.of(index);
             let mut add = |way: Way, beside: &dyn Fn(usize, usize) -> Beside| {
                 segment.add(stage, &way, beside, &mut keys, stretches);
             };
             let phase = point.phase;
             if let (true, Some(back)) = (audible[0], segment.rx.first()) {
-                let way = Way { legs: [&legs, back], behind_m: point.there.0, thrown: point.there.1, phase };
+                let way = Way { legs: [own_legs, back], behind_m: point.there.0, thrown: point.there.1, phase };
                 add(way, &|receiver, time| segment.beside(receiver, time));
             }
             if let (true, Some(first)) = (audible[1], point.back.first()) {
-                let way = Way { legs: [&segment.tx, &legs], behind_m: first.0, thrown: first.1, phase };
+                let way = Way { legs: [&segment.tx, own_legs], behind_m: first.0, thrown: first.1, phase };
                 add(way, &|receiver, _| beside_by_point(point, receiver));
             }
-            let partner = points.get(point.partner).filter(|_| audible[2]);
             if let Some((partner, first)) = partner.and_then(|partner| Some((partner, partner.back.first()?))) {
-                segment.legs(partner, &mut legs_of_partner);
+                let legs_of_partner = legs.of(point.partner);
                 let (behind_m, thrown) = (point.there.0 + first.0, weight * point.there.1 * first.1);
                 let phase = phase * partner.phase;
-                add(Way { legs: [&legs, &legs_of_partner], behind_m, thrown, phase }, &|receiver, _| {
+                add(Way { legs: [own_legs, legs_of_partner], behind_m, thrown, phase }, &|receiver, _| {
                     beside_by_point(partner, receiver)
                 });
             }
@@ -178,6 +187,41 @@ struct Segment {
     gains: Vec<f64>,
 }
 
+/// Legs between a segment and the walls' points: each is computed once, although a point is also another's partner.
+#[derive(Default)]
+struct PointLegs {
+    /// `[point][time]`.
+    legs: Vec<Leg>,
+    is_known: Vec<bool>,
+    times: usize,
+}
+
+impl PointLegs {
+    /// None of so many points at so many times.
+    fn clear(&mut self, points: usize, times: usize) {
+        const NONE: Leg = Leg { length: [0.0; 3], field: 0.0 };
+        self.legs.resize(points * times, NONE);
+        self.is_known.clear();
+        self.is_known.resize(points, false);
+        self.times = times;
+    }
+
+    /// Computes those of a point, unless they are known.
+    fn find(&mut self, segment: &Segment, index: usize, point: &WallPoint) {
+        let Some(is_known) = self.is_known.get_mut(index).filter(|known| !**known) else { return };
+        *is_known = true;
+        let legs = self.legs.iter_mut().skip(index * self.times);
+        for (leg, lit) in legs.zip(&segment.lit) {
+            *leg = Leg::from_point(lit, point);
+        }
+    }
+
+    /// Those of a point, by time.
+    fn of(&self, index: usize) -> &[Leg] {
+        self.legs.get(index * self.times..(index + 1) * self.times).unwrap_or(&[])
+    }
+}
+
 /// Difference of a way to another receiver from that to the first.
 struct Beside {
     length_m: f64,
@@ -229,12 +273,6 @@ impl Segment {
         }
     }
 
-    /// Legs from a point, by time.
-    fn legs(&self, point: &WallPoint, legs: &mut Vec<Leg>) {
-        legs.clear();
-        legs.extend(self.lit.iter().map(|lit| Leg::from_point(lit, point)));
-    }
-
     /// Difference between the legs to a receiver and to the first one at a time.
     fn beside(&self, receiver: usize, time: usize) -> Beside {
         let leg = |receiver: usize| self.rx.get(receiver).and_then(|legs| legs.get(time));
@@ -270,7 +308,7 @@ impl Segment {
             let field = way.phase * strength((by_segment, (a, b)));
             (delay, stage.at_adc(0, field, stage.chirp.beat_hz(delay[0], delay[1])))
         }));
-        if keys.iter().all(|(_, amplitude)| amplitude.norm() < least) {
+        if keys.iter().all(|(_, amplitude)| amplitude.norm_sqr() < least * least) {
             return;
         }
         for (time, (ends, stretch)) in keys.windows(2).zip(stretches).enumerate() {

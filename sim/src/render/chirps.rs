@@ -23,6 +23,7 @@ impl Renderer {
         let shape = self.waveform().shape();
         let mut grids = vec![self.synthesiser.grids(); shape.rx];
         let mut grid = self.synthesiser.grid();
+        let mut run = (!traced.diffuse.is_empty()).then(|| self.diffuse_run());
         for begin in (0..shape.chirps).step_by(CHIRPS) {
             let end = (begin + CHIRPS).min(shape.chirps);
             self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
@@ -32,12 +33,8 @@ impl Renderer {
                     self.synthesiser.spread_tracks(&self.stage.chirp, tracks, &places, &mut grids);
                 }
             }
-            if let Some(halvings) = traced.diffuse.len().checked_ilog2() {
-                for (stretch, places) in self.stretches_of(begin..end, halvings) {
-                    if let Some(echoes) = traced.diffuse.get(stretch) {
-                        self.synthesiser.spread_held(&self.stage.chirp, echoes, &places, &mut grids);
-                    }
-                }
+            if let Some(run) = &mut run {
+                self.lay_diffuse(begin..end, &traced.diffuse, run, &mut grids);
             }
             for (rx, grids) in grids.iter_mut().enumerate() {
                 if let Some(skins) = &traced.skins {
@@ -74,18 +71,24 @@ impl Renderer {
         }
     }
 
+    /// The stretch of a frame, halved this often, in which a chirp lies, and its place there, 0..1.
+    pub(super) fn place_of(&self, chirp: usize, halvings: u32) -> (usize, f64) {
+        let stretches = 1usize << halvings;
+        let at = self.middle_s(chirp) / self.active_s() * stretches as f64;
+        let stretch = (at as usize).min(stretches - 1);
+        (stretch, at - stretch as f64)
+    }
+
     /// The stretches of a frame that is halved this often in which chirps of a block lie, each with the places of those chirps.
-    fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
-        let (active_s, stretches) = (self.active_s(), 1usize << halvings);
-        let at = |chirp: usize| self.middle_s(chirp) / active_s * stretches as f64;
-        let stretch_of = |chirp: usize| (at(chirp) as usize).min(stretches - 1);
+    pub(super) fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
         let mut of_block = Vec::new();
         let mut begin = block.start;
         while begin < block.end {
-            let stretch = stretch_of(begin);
-            let end = (begin..block.end).find(|&chirp| stretch_of(chirp) != stretch).unwrap_or(block.end);
+            let (stretch, _) = self.place_of(begin, halvings);
+            let end =
+                (begin..block.end).find(|&chirp| self.place_of(chirp, halvings).0 != stretch).unwrap_or(block.end);
             let lanes = begin - block.start..end - block.start;
-            of_block.push((stretch, Places::new(lanes, |lane| at(block.start + lane) - stretch as f64)));
+            of_block.push((stretch, Places::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
             begin = end;
         }
         of_block

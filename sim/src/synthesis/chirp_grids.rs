@@ -122,12 +122,8 @@ impl ChirpGrids {
 
     /// Adds a block of chirps to another.
     pub(crate) fn add_block(&self, receiver: usize, block: usize, grids: &mut Grids) {
-        let Some(own) = self.blocks.get(receiver).and_then(|blocks| blocks.get(block)) else { return };
-        for (to, cell) in grids.cells.iter_mut().zip(&own.cells) {
-            for i in 0..CHIRPS {
-                to.re[i] += cell.re[i];
-                to.im[i] += cell.im[i];
-            }
+        if let Some(own) = self.blocks.get(receiver).and_then(|blocks| blocks.get(block)) {
+            grids.add(own);
         }
     }
 }

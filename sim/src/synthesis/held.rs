@@ -11,9 +11,6 @@
 //! Anchors of eight echoes are computed side by side in f64, then each echo's eight chirps in f32. The bodies are plain Rust,
 //! compiled for each level of instructions.
 
-use std::f64::consts::TAU;
-
-use glam::{DMat4, DVec4};
 use num_complex::Complex64;
 
 use super::spread::{CHIRPS, Cell, Grids, Places, Row, window};
@@ -24,9 +21,9 @@ use crate::slow_time::quintic;
 use crate::tracks::OTHERS;
 
 /// Echoes side by side.
-const ECHOES: usize = 8;
+pub(super) const ECHOES: usize = 8;
 /// Receivers at most.
-const RECEIVERS: usize = 1 + OTHERS;
+pub(super) const RECEIVERS: usize = 1 + OTHERS;
 /// Places between two cells for which the kernel's taps are kept.
 pub(super) const PLACES: u32 = 64;
 /// An echo moves by no more than this while its place is held, cells.
@@ -45,20 +42,20 @@ pub struct HeldEcho {
 
 /// Differences of a receiver from the first one, for echoes side by side.
 #[derive(Debug, Clone, Copy, Default)]
-struct Beside {
+pub(super) struct Beside {
     /// Delay at the beginning, s, and its change over the stretch.
-    delay_s: [[f32; ECHOES]; 2],
+    pub(super) delay_s: [[f32; ECHOES]; 2],
     ratio: [f32; ECHOES],
 }
 
 /// Echoes side by side, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, Default)]
-struct Pack {
+pub(super) struct Pack {
     delay_s: [[f64; ECHOES]; 6],
     /// Amplitude at the beginning, and its change over the stretch.
-    re: [[f32; ECHOES]; 2],
-    im: [[f32; ECHOES]; 2],
-    others: [Beside; OTHERS],
+    pub(super) re: [[f32; ECHOES]; 2],
+    pub(super) im: [[f32; ECHOES]; 2],
+    pub(super) others: [Beside; OTHERS],
 }
 
 /// Echoes within one stretch.
@@ -85,15 +82,26 @@ impl HeldEchoes {
         self.count == 0
     }
 
+    /// Room for so many more echoes.
+    pub fn reserve(&mut self, echoes: usize) {
+        self.packs.reserve(echoes.div_ceil(ECHOES));
+    }
+
+    /// The echoes, eight side by side.
+    pub(super) fn packs(&self) -> &[Pack] {
+        &self.packs
+    }
+
+    /// Duration of the stretch, s.
+    pub(super) fn stretch_s(&self) -> f64 {
+        self.stretch_s
+    }
+
     /// Adds an echo: a quintic in delay between both ends, a line in amplitude.
     pub fn push(&mut self, echo: &HeldEcho) {
-        let e = self.count % ECHOES;
-        if e == 0 {
-            self.packs.push(Pack::default());
-        }
-        let Some(pack) = self.packs.last_mut() else { return };
-        self.count += 1;
-        let scaled = echo.delay.map(|[y, v, w]| [y, v * self.stretch_s, w * self.stretch_s * self.stretch_s]);
+        let stretch_s = self.stretch_s;
+        let (pack, e) = self.next_lane();
+        let scaled = echo.delay.map(|[y, v, w]| [y, v * stretch_s, w * stretch_s * stretch_s]);
         for (row, c) in pack.delay_s.iter_mut().zip(quintic(scaled[0], scaled[1])) {
             row[e] = c;
         }
@@ -104,6 +112,41 @@ impl HeldEchoes {
             beside.delay_s[1][e] = (delay_s[1] - delay_s[0]) as f32;
             beside.ratio[e] = ratio as f32;
         }
+    }
+
+    /// Removes all echoes, for others within a stretch of this duration.
+    pub(super) fn clear(&mut self, stretch_s: f64) {
+        self.packs.clear();
+        self.count = 0;
+        self.stretch_s = stretch_s;
+    }
+
+    /// Adds one echo of eight that lie side by side within a stretch of the same duration.
+    pub(super) fn push_lane(&mut self, from: &Pack, lane: usize) {
+        let (pack, e) = self.next_lane();
+        for (to, row) in pack.delay_s.iter_mut().zip(&from.delay_s) {
+            to[e] = row[lane];
+        }
+        for (to, row) in pack.re.iter_mut().chain(&mut pack.im).zip(from.re.iter().chain(&from.im)) {
+            to[e] = row[lane];
+        }
+        for (to, beside) in pack.others.iter_mut().zip(&from.others) {
+            for (to, row) in to.delay_s.iter_mut().zip(&beside.delay_s) {
+                to[e] = row[lane];
+            }
+            to.ratio[e] = beside.ratio[lane];
+        }
+    }
+
+    /// Where one more echo goes.
+    fn next_lane(&mut self) -> (&mut Pack, usize) {
+        let e = self.count % ECHOES;
+        if self.count == ECHOES * self.packs.len() {
+            self.packs.push(Pack::default());
+        }
+        self.count += 1;
+        let last = self.packs.len() - 1;
+        (&mut self.packs[last], e)
     }
 
     /// The same echoes with their amplitudes times `j` and their delays at the first receiver, LSB s: what phase noise
@@ -126,7 +169,31 @@ impl HeldEchoes {
     }
 }
 
+impl Beside {
+    /// Factor of an echo at a place in the stretch whose carrier is given: real and imaginary part.
+    #[inline(always)]
+    pub(super) fn factor(&self, e: usize, place: f32, carrier_hz: f32) -> (f32, f32) {
+        let delay_s = self.delay_s[0][e] + place * self.delay_s[1][e];
+        let (cosine, sine) = cos_sin_of_turns(delay_s * carrier_hz);
+        (self.ratio[e] * cosine, self.ratio[e] * sine)
+    }
+}
+
 impl Pack {
+    /// Delays at a place `u` of the stretch, s, their derivatives by `u`, and half of their second ones.
+    #[inline(always)]
+    pub(super) fn delay_at(&self, u: f64) -> [[f64; ECHOES]; 3] {
+        let (mut value, mut slope, mut curve) = (self.delay_s[5], [0f64; ECHOES], [0f64; ECHOES]);
+        for power in (0..5).rev() {
+            for e in 0..ECHOES {
+                curve[e] = curve[e] * u + slope[e];
+                slope[e] = slope[e] * u + value[e];
+                value[e] = value[e] * u + self.delay_s[power][e];
+            }
+        }
+        [value, slope, curve]
+    }
+
     fn set_amplitude(&mut self, e: usize, begin: Complex64, end: Complex64) {
         let step = end - begin;
         (self.re[0][e], self.re[1][e]) = (begin.re as f32, step.re as f32);
@@ -144,35 +211,8 @@ pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> 
 }
 
 /// Cells that a held echo lies on, and the first of them among those of the kernel.
-const TAPS: usize = 4;
-const FIRST_TAP: usize = (WIDTH - TAPS) / 2;
-
-/// Taps of held echoes at the places between cells that are kept, `[place][tap]`: those with the least squared error over the
-/// samples of a chirp, which `correction` multiplies once they are transformed.
-pub(super) fn fitted_taps(correction: &[f32], cells: usize) -> Vec<[f32; TAPS]> {
-    /// Keeps the matrix regular where there are fewer samples than taps.
-    const LEAST_EIGENVALUE: f64 = 1e-6;
-    let middle = (correction.len() / 2) as f64;
-    let radians = |n: usize| TAU * (n as f64 - middle) / cells as f64;
-    let sum = |of: &dyn Fn(f64, f64) -> f64| -> f64 {
-        correction.iter().enumerate().map(|(n, c)| of(f64::from(*c), radians(n))).sum()
-    };
-    let product = |apart: usize| sum(&|c, angle| c * c * (apart as f64 * angle).cos());
-    let products: [f64; TAPS] = std::array::from_fn(product);
-    let matrix = std::array::from_fn(|k: usize| {
-        std::array::from_fn(|l: usize| {
-            let ridge = if k == l { LEAST_EIGENVALUE * products[0] } else { 0.0 };
-            products[k.abs_diff(l)] + ridge
-        })
-    });
-    let inverse = DMat4::from_cols_array_2d(&matrix).inverse();
-    let at = |place: u32| {
-        let aside = |tap: usize| tap as f64 - 0.5 * TAPS as f64 + f64::from(place) / f64::from(PLACES);
-        let wanted: [f64; TAPS] = std::array::from_fn(|tap| sum(&|c, angle| c * (aside(tap) * angle).cos()));
-        (inverse * DVec4::from_array(wanted)).to_array().map(|tap| tap as f32)
-    };
-    (0..PLACES).map(at).collect()
-}
+pub(super) const TAPS: usize = 4;
+pub(super) const FIRST_TAP: usize = (WIDTH - TAPS) / 2;
 
 /// Inputs of a level's instance of [`held_body`] beside echoes and grids.
 struct Kernel<'a> {
@@ -198,7 +238,7 @@ impl Synthesiser {
         let (begin, end) = (places.at[lanes.start], places.at[last]);
         let middle_lane = 0.5 * (lanes.start + last) as f32;
         let kernel = Kernel {
-            taps: &self.held_taps,
+            taps: self.rate_taps.by_delay(),
             cells: self.cells as f64,
             chirp,
             middle: 0.5 * (begin + end),
@@ -243,15 +283,7 @@ struct Anchors {
 fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
     let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
     let (u, cells_per_hz) = (kernel.middle, kernel.cells / sample_rate_hz);
-    // Delay, its derivative by u, and half of its second one.
-    let (mut value, mut slope, mut curve) = (pack.delay_s[5], [0f64; ECHOES], [0f64; ECHOES]);
-    for power in (0..5).rev() {
-        for e in 0..ECHOES {
-            curve[e] = curve[e] * u + slope[e];
-            slope[e] = slope[e] * u + value[e];
-            value[e] = value[e] * u + pack.delay_s[power][e];
-        }
-    }
+    let [value, slope, curve] = pack.delay_at(u);
     let (mut turn, mut rate, mut bend) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     let (mut position, mut moved, mut carrier_hz) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
@@ -276,9 +308,7 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
     for (receiver, beside) in pack.others.iter().enumerate() {
         let (mut own_re, mut own_im) = ([0f32; ECHOES], [0f32; ECHOES]);
         for e in 0..ECHOES {
-            let delay_s = beside.delay_s[0][e] + place * beside.delay_s[1][e];
-            let (cosine, sine) = cos_sin_of_turns(delay_s * carrier_hz[e]);
-            let (x, y) = (beside.ratio[e] * cosine, beside.ratio[e] * sine);
+            let (x, y) = beside.factor(e, place, carrier_hz[e]);
             own_re[e] = re[0][e] * x - im[0][e] * y;
             own_im[e] = re[0][e] * y + im[0][e] * x;
         }
@@ -355,7 +385,7 @@ fn lay(kernel: &Kernel, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use num_complex::Complex;
     use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
     use rand::Rng;
@@ -364,14 +394,15 @@ mod tests {
     use crate::random::{Purpose, generator};
     use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 
-    const SAMPLES: usize = 256;
+    pub(in crate::synthesis) const SAMPLES: usize = 256;
     /// Number of chirps of a stretch.
-    const COUNT: usize = 64;
-    const STRETCH_S: f64 = 0.032;
-    const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
+    pub(in crate::synthesis) const COUNT: usize = 64;
+    pub(in crate::synthesis) const STRETCH_S: f64 = 0.032;
+    pub(in crate::synthesis) const CHIRP: Chirp =
+        Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
 
     /// Echoes at 2 to 20 m whose paths grow by up to 8 m/s and bend by up to 30 m/s^2.
-    fn echoes(count: usize) -> Vec<HeldEcho> {
+    pub(in crate::synthesis) fn echoes(count: usize) -> Vec<HeldEcho> {
         let mut rng = generator(6, Purpose::WallPoints, [0, 0]);
         let mut echoes = Vec::new();
         for _ in 0..count {
@@ -395,12 +426,12 @@ mod tests {
         echoes
     }
 
-    fn place(chirp: usize) -> f64 {
+    pub(in crate::synthesis) fn place(chirp: usize) -> f64 {
         (chirp as f64 + 0.3) / COUNT as f64
     }
 
     /// The echo as a tone of its own at a receiver in a chirp.
-    fn tone(echo: &HeldEcho, receiver: usize, chirp: usize) -> Tone {
+    pub(in crate::synthesis) fn tone(echo: &HeldEcho, receiver: usize, chirp: usize) -> Tone {
         let u = place(chirp);
         let scaled = echo.delay.map(|[y, v, w]| [y, v * STRETCH_S, w * STRETCH_S * STRETCH_S]);
         let c = quintic(scaled[0], scaled[1]);
@@ -422,7 +453,7 @@ mod tests {
         }
     }
 
-    fn held(echoes: &[HeldEcho]) -> HeldEchoes {
+    pub(in crate::synthesis) fn held(echoes: &[HeldEcho]) -> HeldEchoes {
         let mut held = HeldEchoes::new(STRETCH_S);
         echoes.iter().for_each(|echo| held.push(echo));
         held
@@ -474,7 +505,7 @@ mod tests {
     fn four_cells_hold_a_tone() {
         for samples in [1, 16, 63, 256] {
             let synthesiser = Synthesiser::new(samples);
-            for (place, taps) in synthesiser.held_taps.iter().enumerate() {
+            for (place, taps) in synthesiser.rate_taps.by_delay().iter().enumerate() {
                 let position = 7.0 - place as f64 / f64::from(PLACES);
                 let mut grid = synthesiser.grid();
                 for (tap, weight) in taps.iter().enumerate() {

@@ -57,6 +57,16 @@ impl Grids {
         self.cells.fill(Cell::default());
     }
 
+    /// Adds other chirps' grids.
+    pub fn add(&mut self, other: &Grids) {
+        for (to, cell) in self.cells.iter_mut().zip(&other.cells) {
+            for i in 0..CHIRPS {
+                to.re[i] += cell.re[i];
+                to.im[i] += cell.im[i];
+            }
+        }
+    }
+
     /// `a (1 - u) + b u` in the chirps at places `u`.
     pub fn blend(&mut self, a: &Grid, b: &Grid, places: &Places) {
         let u = places.at.map(|u| u as f32);

@@ -91,7 +91,7 @@ fn measure(name: &'static str, people: Option<usize>, python: Option<&Path>) -> 
     let before = scipy_ms(python, shape);
     let mut frame = Frame::zeroed(shape);
     let started = Instant::now();
-    while matches!(simulator.next_frame(&mut frame)?, SourceEvent::Frame) {}
+    while matches!(simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)?, SourceEvent::Frame) {}
     let milliseconds = started.elapsed().as_secs_f64() * 1e3 / FRAMES as f64;
     let scipy_milliseconds = before.into_iter().chain(scipy_ms(python, shape)).reduce(f64::min);
     Ok(Row {

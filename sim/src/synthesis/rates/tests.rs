@@ -1,0 +1,127 @@
+use num_complex::Complex64;
+use radome_dsp::KernelLevel;
+
+use super::super::held::tests::{CHIRP, SAMPLES, STRETCH_S, echoes, held, place, tone};
+use super::super::spread::Cell;
+use super::super::{HeldEcho, Places, SynthesisScratch, Tone, exact_chirp};
+use super::*;
+
+/// Every receiver's blocks of a run from a chirp on, and which echoes were left out.
+fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) -> (Vec<Vec<Grids>>, HeldEchoes) {
+    let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+    let mut blocks = vec![vec![synthesiser.grids(); RUN / CHIRPS]; RECEIVERS];
+    let mut rates = synthesiser.rate_grids(RECEIVERS);
+    let run = Run { first: place(begin), step: place(1) - place(0), chirps };
+    synthesiser.spread_rates(&CHIRP, held, &run, &mut rates, &mut blocks);
+    (blocks, rates.left().clone())
+}
+
+/// Power of the error of a run's chirps, and that of the sum of tones, of all receivers.
+fn error(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize) -> [f64; 2] {
+    let synthesiser = Synthesiser::new(SAMPLES);
+    let (mut error, mut power) = (0.0, 0.0);
+    for (receiver, blocks) in blocks.iter().enumerate() {
+        for n in 0..chirps {
+            let tones: Vec<Tone> = echoes.iter().map(|echo| tone(echo, receiver, begin + n)).collect();
+            let exact = exact_chirp(&tones, SAMPLES);
+            let (mut grid, mut fast) = (synthesiser.grid(), vec![0f32; SAMPLES]);
+            blocks[n / CHIRPS].extract(n % CHIRPS, &mut grid);
+            synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
+            error += exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
+            power += exact.iter().map(|e| e * e).sum::<f64>();
+        }
+    }
+    [error, power]
+}
+
+/// An echo at 3 m whose path grows by this many m/s, and that by so many m/s^2.
+fn echo(rate_m_per_s: f64, bend_m_per_s2: f64) -> HeldEcho {
+    let c = radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+    let end = rate_m_per_s + STRETCH_S * bend_m_per_s2;
+    let grown = STRETCH_S * 0.5 * (rate_m_per_s + end);
+    let delay = [[6.0, rate_m_per_s, bend_m_per_s2], [6.0 + grown, end, bend_m_per_s2]].map(|d| d.map(|m| m / c));
+    let others = [([1.2e-11; 2], 0.9), ([-7e-12; 2], 1.1)];
+    HeldEcho { delay, amplitude: [Complex64::new(0.6, -0.8); 2], others }
+}
+
+/// With those that are left to held echoes laid down as such: below -26 dB of the sum of tones of their own, as held echoes are.
+#[test]
+fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
+    let echoes = echoes(120);
+    let held = held(&echoes);
+    let synthesiser = Synthesiser::new(SAMPLES);
+    let mut laid = 0;
+    for (begin, chirps) in [(0, 32), (32, 32), (8, 16), (40, 20), (3, 9)] {
+        let (mut blocks, left) = spread(synthesiser.level, &held, begin, chirps);
+        laid += echoes.len() - left.len();
+        for block in 0..chirps.div_ceil(CHIRPS) {
+            let mut grids: Vec<Grids> = blocks.iter().map(|blocks| blocks[block].clone()).collect();
+            let places = Places::new(0..CHIRPS, |lane| place(begin + CHIRPS * block + lane));
+            synthesiser.spread_held(&CHIRP, &left, &places, &mut grids);
+            for (blocks, grids) in blocks.iter_mut().zip(grids) {
+                blocks[block] = grids;
+            }
+        }
+        let [error, power] = error(&echoes, &blocks, begin, chirps);
+        let error_db = 10.0 * (error / power).log10();
+        assert!(error_db < -26.0, "{chirps} chirps from {begin}: {error_db} dB");
+    }
+    assert!(laid > 3 * echoes.len(), "{laid} of {}", 5 * echoes.len());
+}
+
+/// What does not change much is nearly exact; the worst that is not left out is within -26 dB.
+#[test]
+fn echoes_that_change_more_are_less_exact_and_then_left_out() {
+    let level = KernelLevel::detect();
+    let error_db = |echo: HeldEcho| {
+        let (blocks, left) = spread(level, &held(&[echo]), 0, RUN);
+        let [error, power] = error(&[echo], &blocks, 0, RUN);
+        left.is_empty().then(|| 10.0 * (error / power).log10())
+    };
+    for rate in [0.0, 0.01, -0.02] {
+        assert!(
+            error_db(echo(rate, 0.0)).is_some_and(|db| db < -36.0),
+            "{rate} m/s: {:?} dB",
+            error_db(echo(rate, 0.0))
+        );
+    }
+    let (mut laid, mut left) = (0, 0);
+    for rate in -40..=40 {
+        for bend in [-80.0, -40.0, -20.0, -10.0, -3.0, 0.0, 5.0, 15.0, 25.0, 100.0] {
+            match error_db(echo(0.25 * f64::from(rate), bend)) {
+                Some(db) => {
+                    laid += 1;
+                    assert!(db < -26.0, "{} m/s, {bend} m/s^2: {db} dB", 0.25 * f64::from(rate));
+                }
+                None => left += 1,
+            }
+        }
+    }
+    assert!(laid > 300 && left > 100, "{laid} {left}");
+}
+
+/// Echoes whose receivers drift apart, or whose amplitude changes, are left out.
+#[test]
+fn other_changes_are_left_out_too() {
+    let level = KernelLevel::detect();
+    let steady = echo(1.0, 2.0);
+    let drifting = HeldEcho { others: [([0.0, 3e-12], 1.0), steady.others[1]], ..steady };
+    let fading = HeldEcho { amplitude: [Complex64::new(1.0, 0.0), Complex64::new(0.7, 0.0)], ..steady };
+    let left = |echoes: &[HeldEcho]| spread(level, &held(echoes), 0, RUN).1.len();
+    assert_eq!([steady, drifting, fading].map(|echo| left(&[echo])), [0, 1, 1]);
+    assert_eq!(left(&[steady, drifting, steady, fading]), 2);
+}
+
+#[test]
+fn every_level_gives_the_same_bits() {
+    let held = held(&echoes(21));
+    let bits = |level| -> Vec<[[u32; CHIRPS]; 2]> {
+        let (blocks, _) = spread(level, &held, 16, RUN);
+        let cells = blocks.iter().flatten().flat_map(|grids| &grids.cells);
+        cells.map(|Cell { re, im }| [re.map(f32::to_bits), im.map(f32::to_bits)]).collect()
+    };
+    let portable = bits(KernelLevel::Portable);
+    for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+        assert!(bits(level) == portable, "{level}");
+    }
+}
