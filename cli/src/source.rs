@@ -242,10 +242,8 @@ fn simulation_in(
     from: Duration,
     options: &SourceOptions,
 ) -> anyhow::Result<Box<dyn FrameSource>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut table: toml::Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;
-    table.insert("waveform".to_owned(), toml::Value::try_from(&waveform.request)?);
-    let mut simulator = simulator(&Scene::parse(&table.to_string(), path)?, options)?;
+    let scene = Scene::load_with_waveform(path, &toml::Table::try_from(&waveform.request)?)?;
+    let mut simulator = simulator(&scene, options)?;
     simulator.seek((from.as_secs_f64() / waveform.frame_interval_s()).ceil() as u64);
     Ok(Box::new(simulator))
 }

@@ -40,16 +40,18 @@ enum Polled {
     Over,
 }
 
-/// Header of an open source, and the channel of its items.
-struct Start {
+/// Facts about a source that are known once it is open.
+struct Header {
     waveform: Arc<radome_dsp::Waveform>,
     description: String,
     is_live: bool,
     board: Option<BoardIdentity>,
     labels: Vec<LabelSpan>,
     frame_count: Option<u64>,
-    items: Receiver<Item>,
 }
+
+/// Header of an open source, and the channel of its items.
+type Start = (Header, Receiver<Item>);
 
 /// Reading thread with its items.
 struct Reader {
@@ -131,8 +133,8 @@ fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start
     };
     let (sender, items) = sync_channel(if is_live { AHEAD_LIVE } else { AHEAD });
     let (waveform, frame_count) = (Arc::new(frames.waveform().clone()), frames.frame_count());
-    let known = Start { waveform, description, is_live, board, labels, frame_count, items };
-    if start.send(Ok(known)).is_ok() {
+    let header = Header { waveform, description, is_live, board, labels, frame_count };
+    if start.send(Ok((header, items))).is_ok() {
         read(frames, is_live, &sender);
     }
 }
@@ -141,12 +143,7 @@ fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start
 #[pyclass(frozen, module = "radome._radome")]
 pub struct Source {
     reader: Mutex<Option<Reader>>,
-    waveform: Arc<radome_dsp::Waveform>,
-    description: String,
-    is_live: bool,
-    board: Option<BoardIdentity>,
-    labels: Vec<LabelSpan>,
-    frame_count: Option<u64>,
+    header: Header,
     birthplace: Birthplace,
 }
 
@@ -196,12 +193,10 @@ impl Source {
         let (sender, receiver) = sync_channel(1);
         let thread = thread::Builder::new().name("radome-source".to_owned());
         let thread = thread.spawn(move || open_and_read(&spec, &options, &sender))?;
-        let Start { waveform, description, is_live, board, labels, frame_count, items } =
-            wait_for_start(py, &Mutex::new(receiver))?;
-        let birthplace = Birthplace::here();
+        let (header, items) = wait_for_start(py, &Mutex::new(receiver))?;
+        let (birthplace, is_live) = (Birthplace::here(), header.is_live);
         let reader = Reader { items: Some(items), thread: Some(thread), is_live, is_over: false, birthplace };
-        let reader = Mutex::new(Some(reader));
-        Ok(Source { reader, waveform, description, is_live, board, labels, frame_count, birthplace })
+        Ok(Source { reader: Mutex::new(Some(reader)), header, birthplace })
     }
 
     /// The next frame, a dict for a gap, or `None` at the end. Waits, for `timeout_s` at most; Ctrl-C ends the wait.
@@ -220,7 +215,7 @@ impl Source {
                 }
                 Polled::Over | Polled::Item(Item::End) => return Ok(None),
                 Polled::Item(Item::Frame(frame)) => {
-                    let frame = Frame { inner: *frame, waveform: self.waveform.clone() };
+                    let frame = Frame { inner: *frame, waveform: self.header.waveform.clone() };
                     return Ok(Some(Bound::new(py, frame)?.into_any()));
                 }
                 Polled::Item(Item::Gap(gap)) => return to_python(py, &gap).map(Some),
@@ -248,36 +243,36 @@ impl Source {
     /// Waveform of all frames.
     #[getter]
     fn waveform(&self) -> Waveform {
-        Waveform(self.waveform.clone())
+        Waveform(self.header.waveform.clone())
     }
 
     /// One line that says what the source is.
     #[getter]
     fn description(&self) -> &str {
-        &self.description
+        &self.header.description
     }
 
     /// Whether the source is a board, which does not wait for slow readers.
     #[getter]
     fn is_live(&self) -> bool {
-        self.is_live
+        self.header.is_live
     }
 
     /// Identity of the board, a dict; `None` without one.
     #[getter]
     fn board<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        to_python(py, &self.board)
+        to_python(py, &self.header.board)
     }
 
     /// Labels of the recording, a list of dicts.
     #[getter]
     fn labels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        to_python(py, &self.labels)
+        to_python(py, &self.header.labels)
     }
 
     /// Frames in total; `None` where the source does not know.
     #[getter]
     fn frame_count(&self) -> Option<u64> {
-        self.frame_count
+        self.header.frame_count
     }
 }

@@ -1,6 +1,6 @@
 //! Random draws that are functions of (seed, purpose, index): the same whatever the thread or the order.
 
-use rand::SeedableRng;
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Purpose of a draw: draws for different purposes are independent.
@@ -66,6 +66,11 @@ pub fn generator(seed: u64, purpose: Purpose, index: [u64; 2]) -> Xoshiro256Plus
         state = splitmix64(state ^ splitmix64(word));
     }
     Xoshiro256PlusPlus::seed_from_u64(state)
+}
+
+/// A number between two bounds.
+pub(crate) fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
+    low + (high - low) * rng.random::<f64>()
 }
 
 #[cfg(test)]

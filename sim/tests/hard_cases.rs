@@ -23,7 +23,7 @@ use radome_sim::field::image::{BoxRoom, Wall};
 use radome_sim::geometry::Mesh;
 use radome_sim::random::{Purpose, generator};
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone, exact_chirp};
-use radome_sim::trace::{Body, Build, Ray, World};
+use radome_sim::trace::{Ray, World};
 use rand::Rng;
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
@@ -82,8 +82,9 @@ fn a_million_phasors_over_120_db_add_up() {
 fn lengths_from_what_was_met_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
         let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
-        let world =
-            World::new(vec![Body::new(inside_of(size_m), Build::Static).expect("a good mesh")]).expect("a small world");
+        let mesh = inside_of(size_m);
+        let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+        let world = World::new(mesh.clone(), &groups).expect("a good mesh");
         let mut rng = generator(9, Purpose::Build, [0, 0]);
         let (mut of_ray, mut of_ids): (f64, f64) = (0.0, 0.0);
         for _ in 0..5000 {
@@ -93,7 +94,6 @@ fn lengths_from_what_was_met_are_exact() {
                 let way = room.polyline(index, from, to);
                 let ray = Ray::new(from, way[1] - from);
                 let hit = world.closest(&ray).expect("the room is closed");
-                let mesh = world.bodies()[hit.body as usize].mesh();
                 let [corner, ..] = mesh.corners(hit.triangle as usize).expect("it was met");
                 let normal = mesh.area_vector(hit.triangle as usize).normalize();
                 let image = from - normal * (2.0 * normal.dot(from - corner));

@@ -19,11 +19,6 @@ impl State {
         State(amplitudes)
     }
 
-    /// The amplitudes.
-    pub fn amplitudes(&self) -> &[Complex64] {
-        &self.0
-    }
-
     /// Replaces each pair of amplitudes that differ in this qubit, 0 first.
     fn single(&mut self, qubit: usize, gate: impl Fn(Complex64, Complex64) -> (Complex64, Complex64)) {
         for pair in self.0.chunks_exact_mut(2 << qubit) {

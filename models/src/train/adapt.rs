@@ -71,13 +71,6 @@ pub struct Fit {
     is_measured: [bool; CLASSES],
 }
 
-impl Fit {
-    /// Entry of the model card.
-    pub fn adapted(&self) -> &Adapted {
-        &self.adapted
-    }
-}
-
 /// Adaptation of a model.
 pub struct Adapter {
     classifier: Classifier,

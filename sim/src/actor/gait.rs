@@ -7,6 +7,9 @@ use std::f64::consts::TAU;
 
 use super::body::Posture;
 
+/// Steps on the spot in a second, two in each cycle.
+pub(super) const MARCH_HZ: f64 = 0.9;
+
 /// Cycles (two steps) in a second at a speed: `R_c = 1.346 sqrt(v_r)` with lengths in thigh-plus-shank heights.
 pub fn cycles_per_second(speed_m_per_s: f64, leg_m: f64) -> f64 {
     let relative = speed_m_per_s / leg_m;

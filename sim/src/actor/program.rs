@@ -7,12 +7,11 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::clothing::Clothing;
-use super::gait::Style;
-use super::motion::{AtDesk, Bed, BodyPoint, Motion, MotionBuilder, Person, Steps};
+use super::motion::{Bed, Motion, MotionBuilder};
+use super::person::{AtDesk, BodyPoint, Person, Steps, dressed};
 use super::route::Ground;
 use super::wander;
-use crate::random::{Purpose, generator};
+use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
 use crate::scene::ground::{blocks, walls};
@@ -59,8 +58,8 @@ impl Program {
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
         } else if let Some(wandering) = &file.people.wander {
-            program.fixed =
-                wander::everybody(file, wandering, blocks(scene), seed, people).into_iter().map(Arc::new).collect();
+            let all = wander::everybody(file, wandering, blocks(scene), seed, people).into_iter();
+            program.fixed = all.map(|(person, wanderer)| Arc::new(Motion::wandering(person, wanderer))).collect();
         } else if let Some(desk) = &file.people.desk {
             program.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
         } else {
@@ -104,19 +103,6 @@ fn ground(scene: &Scene) -> Option<Ground> {
         None => has_walls.then(|| Ground::new([width, depth], walls, OFF_WALLS_M)),
     };
     ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
-}
-
-/// Applies the scene's gait and clothes to a person.
-pub(super) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
-    let mut rng = generator(seed, Purpose::Gait, person.identity);
-    person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
-    if let Some(file) = &people.clothing {
-        person.clothing = Clothing::draw(file, seed, person.identity, &person.build);
-        if person.clothing.cloth().is_some() {
-            person.cloth = [1.0; super::body::SEGMENTS];
-        }
-    }
-    person
 }
 
 /// Walks to a place, around what stands in the way.
@@ -343,11 +329,6 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
         all.push(motion);
     }
     all
-}
-
-/// A number between two bounds.
-pub(super) fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
-    low + (high - low) * rng.random::<f64>()
 }
 
 /// Draws of a place to pace to.

@@ -23,10 +23,10 @@ use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::low::Crouch;
-use super::motion::{Moment, Motion, Person, Small};
-use super::program::{draw, dressed};
+use super::moment::{Moment, Small};
+use super::person::{Person, dressed};
 use super::route::{Block, Ground};
-use crate::random::{Purpose, generator};
+use crate::random::{Purpose, draw, generator};
 use crate::scene::file::{SceneFile, SeatFile, WanderFile};
 use crate::smooth::smooth_step;
 use node::Place;
@@ -74,21 +74,21 @@ pub(super) fn everybody(
     blocks: Vec<Block>,
     seed: u64,
     people: Option<usize>,
-) -> Vec<Motion> {
+) -> Vec<(Person, Wanderer)> {
     let mut rng = generator(seed, Purpose::Wander, [u64::MAX, 0]);
     // Not used: without it, all later draws and so the people of every seed would be others.
     let _: f64 = rng.random();
     let count = rng.random_range(0..=file.max_people);
     let slots = people.unwrap_or(count);
     let group = Arc::new(Group::new(room(scene, file, blocks, seed), slots));
-    let mut all = motions(&group, slots);
+    let mut all = members(&group, slots);
     all.extend(passer_by(scene, file, seed, &mut rng));
     all
 }
 
-/// Motions of the people of a group.
-fn motions(group: &Arc<Group>, slots: usize) -> Vec<Motion> {
-    (0..slots).map(|slot| motion(group, slot, [0.0; 2])).collect()
+/// The people of a group.
+fn members(group: &Arc<Group>, slots: usize) -> Vec<(Person, Wanderer)> {
+    (0..slots).map(|slot| member(group, slot, [0.0; 2])).collect()
 }
 
 /// Ground of a scene's room with blocks in it.
@@ -132,7 +132,12 @@ fn seat(file: &SeatFile) -> Seat {
 }
 
 /// Somebody beyond the far wall, where there is one.
-fn passer_by(scene: &SceneFile, file: &WanderFile, seed: u64, rng: &mut Xoshiro256PlusPlus) -> Option<Motion> {
+fn passer_by(
+    scene: &SceneFile,
+    file: &WanderFile,
+    seed: u64,
+    rng: &mut Xoshiro256PlusPlus,
+) -> Option<(Person, Wanderer)> {
     if !chance(rng, file.passer_by_probability) {
         return None;
     }
@@ -152,13 +157,13 @@ fn passer_by(scene: &SceneFile, file: &WanderFile, seed: u64, rng: &mut Xoshiro2
         seats: Vec::new(),
     };
     let group = Arc::new(Group::new(setting, 1));
-    let mut motion = motion(&group, 0, [scene.room.size_m[0] + off_m, 0.0]);
-    motion.person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
-    Some(motion)
+    let (mut person, wanderer) = member(&group, 0, [scene.room.size_m[0] + off_m, 0.0]);
+    person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
+    Some((person, wanderer))
 }
 
-/// Motion of the person of a slot, all of it moved by an offset.
-fn motion(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> Motion {
+/// The person of a slot, whose motion is all moved by an offset.
+fn member(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> (Person, Wanderer) {
     let setting = group.setting();
     let identity = setting.identity(slot);
     let person = person(setting, identity);
@@ -170,7 +175,7 @@ fn motion(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> Motion {
     let crouches = setting.seats.iter().map(|seat| Crouch::sit(build, seat.height_m, seat.back_m)).collect();
     let limits = setting.limits(build, person.style.stride);
     let wanderer = Wanderer { group: Arc::clone(group), slot, offset_m, sway, limits, crouches };
-    Motion::wandering(person, wanderer)
+    (person, wanderer)
 }
 
 /// One person's part in a group's motion.

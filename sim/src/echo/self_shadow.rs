@@ -397,7 +397,7 @@ mod tests {
     use crate::actor::motion::{MotionBuilder, Person};
     use crate::actor::skin::EDGE_M;
     use crate::actor::walking_mesh::WalkingMesh;
-    use crate::trace::{Body, Build, Ray, World};
+    use crate::trace::{Ray, World};
 
     const WAVELENGTH_M: f64 = 0.005;
 
@@ -415,7 +415,8 @@ mod tests {
         for (time_s, antenna) in [(2.0, DVec3::new(0.0, 0.0, 1.5)), (2.4, DVec3::new(8.0, -1.0, 0.9))] {
             let posed = walker.posed(time_s);
             let mesh = walker.mesh_at(time_s);
-            let world = World::new(vec![Body::new(mesh, Build::Static).expect("body")]).expect("world");
+            let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+            let world = World::new(mesh, &groups).expect("world");
             let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
             let (mut shaded, mut wrong, mut facing) = (0, 0, 0);
             for ((weight, v), normal) in weights.iter().zip(&posed.vertices).zip(&posed.normals) {

@@ -7,17 +7,15 @@
 //! places, whatever curvature it has.
 //!
 //! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
-//! precision does: [`moments`] is held to [`exact_moments`] by test.
+//! precision does: a test holds [`moments`] to an integral in double precision.
 
 // Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
-use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
 use super::quadrature::{Rule, rules};
-use super::triangle;
 use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane};
 
 /// Quadratic patches, a triangle in every lane.
@@ -366,75 +364,76 @@ fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HAL
     [re[0], re[1], re[2], im[0], im[1], im[2]]
 }
 
-/// A quadratic patch.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CurvedTriangle {
-    /// Corners, m.
-    pub corners: [DVec3; 3],
-    /// Unit normals there.
-    pub normals: [DVec3; 3],
-    /// Distance of the surface from the middles of the edges, m.
-    pub bulges: [DVec3; 3],
-}
-
-/// [`moments`] the slow and obvious way: double precision, linear strength in each of `4 cuts^2` flat triangles, paths as plain
-/// distances.
-pub fn exact_moments(
-    triangle: &CurvedTriangle,
-    antennas: [DVec3; 2],
-    wavenumber_per_m: f64,
-    cuts: usize,
-) -> [Complex64; 3] {
-    let n = 2 * cuts;
-    let CurvedTriangle { corners, normals, bulges } = triangle;
-    let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-    let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
-    let start = length(middle);
-    let turns = [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]));
-    let node = |i: usize, j: usize| {
-        let [a, b, c] = [n - i - j, j, i].map(|w| w as f64 / n as f64);
-        let place = corners[0] * a
-            + corners[1] * b
-            + corners[2] * c
-            + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a));
-        let above = 1.0 + turns[0] * (a * b) + turns[1] * (b * c) + turns[2] * (c * a);
-        (place, [a, b, c], above)
-    };
-    let mut sums = [Complex64::ZERO; 3];
-    let mut add = |nodes: [(DVec3, [f64; 3], f64); 3]| {
-        let [p, q, r] = nodes.map(|(place, ..)| place);
-        let twice_area = (q - p).cross(r - p).length();
-        let phases = nodes.map(|(place, ..)| -wavenumber_per_m * (length(place) - start));
-        let moments = triangle::moments(phases[0], phases[1], phases[2]);
-        for ((_, weights, above), moment) in nodes.into_iter().zip(moments) {
-            for (sum, w) in sums.iter_mut().zip(weights) {
-                *sum += moment * (twice_area * above * w);
-            }
-        }
-    };
-    for i in 0..n {
-        for j in 0..n - i {
-            add([node(i, j), node(i, j + 1), node(i + 1, j)]);
-            if i + j + 2 <= n {
-                add([node(i + 1, j + 1), node(i + 1, j), node(i, j + 1)]);
-            }
-        }
-    }
-    sums
-}
-
 #[cfg(test)]
 mod tests {
-    use num_complex::Complex;
+    use num_complex::{Complex, Complex64};
     use rand::Rng;
 
     use super::*;
     use crate::field::quadrature::rule_for;
+    use crate::field::triangle;
     use crate::random::{Purpose, generator};
 
     const WAVELENGTH_M: f64 = 0.005;
     const K: f64 = std::f64::consts::TAU / WAVELENGTH_M;
     const ORIGIN: DVec3 = DVec3::new(3.0, 0.5, 1.0);
+
+    /// A quadratic patch.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    struct CurvedTriangle {
+        /// Corners, m.
+        corners: [DVec3; 3],
+        /// Unit normals there.
+        normals: [DVec3; 3],
+        /// Distance of the surface from the middles of the edges, m.
+        bulges: [DVec3; 3],
+    }
+
+    /// [`moments`] the slow and obvious way: double precision, linear strength in each of `4 cuts^2` flat triangles, paths as plain
+    /// distances.
+    fn exact_moments(
+        triangle: &CurvedTriangle,
+        antennas: [DVec3; 2],
+        wavenumber_per_m: f64,
+        cuts: usize,
+    ) -> [Complex64; 3] {
+        let n = 2 * cuts;
+        let CurvedTriangle { corners, normals, bulges } = triangle;
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
+        let start = length(middle);
+        let turns = [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]));
+        let node = |i: usize, j: usize| {
+            let [a, b, c] = [n - i - j, j, i].map(|w| w as f64 / n as f64);
+            let place = corners[0] * a
+                + corners[1] * b
+                + corners[2] * c
+                + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a));
+            let above = 1.0 + turns[0] * (a * b) + turns[1] * (b * c) + turns[2] * (c * a);
+            (place, [a, b, c], above)
+        };
+        let mut sums = [Complex64::ZERO; 3];
+        let mut add = |nodes: [(DVec3, [f64; 3], f64); 3]| {
+            let [p, q, r] = nodes.map(|(place, ..)| place);
+            let twice_area = (q - p).cross(r - p).length();
+            let phases = nodes.map(|(place, ..)| -wavenumber_per_m * (length(place) - start));
+            let moments = triangle::moments(phases[0], phases[1], phases[2]);
+            for ((_, weights, above), moment) in nodes.into_iter().zip(moments) {
+                for (sum, w) in sums.iter_mut().zip(weights) {
+                    *sum += moment * (twice_area * above * w);
+                }
+            }
+        };
+        for i in 0..n {
+            for j in 0..n - i {
+                add([node(i, j), node(i, j + 1), node(i + 1, j)]);
+                if i + j + 2 <= n {
+                    add([node(i + 1, j + 1), node(i + 1, j), node(i, j + 1)]);
+                }
+            }
+        }
+        sums
+    }
 
     /// Triangles of a limb or a trunk a few metres away, at any angle.
     fn triangles() -> Vec<(CurvedTriangle, [DVec3; 2])> {

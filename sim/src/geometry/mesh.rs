@@ -93,7 +93,7 @@ impl Mesh {
 }
 
 /// Refuses vertices without a place.
-pub(crate) fn check_places(vertices: &[DVec3]) -> Result<(), MeshError> {
+fn check_places(vertices: &[DVec3]) -> Result<(), MeshError> {
     // Written so that NaN is refused.
     match vertices.iter().position(|v| !(v.is_finite() && v.abs().max_element() <= FARTHEST_M)) {
         Some(vertex) => Err(MeshError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),

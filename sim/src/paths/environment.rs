@@ -7,7 +7,7 @@ use super::edges::{SoftEdge, soft_edges};
 pub use super::flat::{EnvironmentError, Facet, FacetId};
 use super::flat::{Flat, PLANAR_M, WallTables};
 use crate::geometry::Mesh;
-use crate::trace::{Body, Build, Ray, Surface, World};
+use crate::trace::{Ray, World};
 
 /// Facets whose planes are nearer to each other than this lie in one plane, m.
 const COPLANAR_M: f64 = 1e-7;
@@ -18,8 +18,6 @@ const PARALLEL: f64 = 1e-6;
 const MOST_REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
 /// However much may be missed, edges within the first Fresnel zone count.
 const LEAST_REACH: f64 = std::f64::consts::SQRT_2;
-/// The one body of the world.
-const BODY: u32 = 0;
 
 /// Facets and obstacles on the straight way between two points.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -90,8 +88,7 @@ impl Environment {
             groups.push(planes.len() as u32);
             facet_of_triangle.push(FacetId::MAX);
         }
-        let bodies = if groups.is_empty() { Vec::new() } else { vec![Body::with_groups(mesh, groups, Build::Static)?] };
-        let world = World::new(bodies)?;
+        let world = World::new(mesh, &groups)?;
         let soft_edges = soft_edges(&flats);
         for (number, edge) in (0..).zip(&soft_edges) {
             for &facet in edge.facets() {
@@ -205,7 +202,7 @@ impl Environment {
     /// A ray from a point, perhaps on a facet.
     fn ray(&self, ray: Ray, from: Option<FacetId>) -> Ray {
         match from.and_then(|facet| self.flat(facet)) {
-            Some(flat) => ray.leaving(Surface { body: BODY, group: flat.plane }, flat.normal),
+            Some(flat) => ray.leaving(flat.plane, flat.normal),
             None => ray,
         }
     }
@@ -245,7 +242,7 @@ impl Environment {
         let plane_of = |facet: FacetId| self.flat(facet).map(|flat| flat.plane);
         let on_planes = on.map(|facet| facet.and_then(plane_of));
         let mut is_opaque = false;
-        for hit in self.world.all(BODY, &ray) {
+        for hit in self.world.all(&ray) {
             let facet = self.facet_of_triangle.get(hit.triangle as usize).copied().unwrap_or(FacetId::MAX);
             let Some(flat) = self.flat(facet) else {
                 is_opaque = true;
@@ -268,7 +265,7 @@ impl Environment {
     fn ray_between(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> Ray {
         let ray = self.ray(Ray::between(from, to), on[0]);
         match on[1].and_then(|facet| self.flat(facet)) {
-            Some(flat) => ray.reaching(Surface { body: BODY, group: flat.plane }),
+            Some(flat) => ray.reaching(flat.plane),
             None => ray,
         }
     }

@@ -1,10 +1,8 @@
 //! The slow, obvious way to find paths: every sequence of facets up to an order. What rays miss is measured against it.
 
-use std::sync::Arc;
-
 use glam::DVec3;
 
-use super::discovery::{ImagePaths, MAX_ORDER, is_possible};
+use super::discovery::{MAX_ORDER, is_possible};
 use super::environment::{Environment, FacetId};
 
 /// Every sequence of at most so many facets, the empty one included, each of whose facets faces the image before it.
@@ -26,10 +24,4 @@ pub fn all_sequences(environment: &Environment, origin: DVec3, max_order: usize)
         first = end;
     }
     all
-}
-
-/// The images of all of them.
-pub fn all_images(environment: Arc<Environment>, origin: DVec3, max_order: usize) -> ImagePaths {
-    let sequences = all_sequences(&environment, origin, max_order);
-    ImagePaths::with_sequences(environment, origin, sequences)
 }

@@ -9,7 +9,7 @@ use super::triangulate::{doubled_area, triangulate};
 use crate::field::image::{BoxRoom, Wall};
 use crate::field::wall::WallTable;
 use crate::geometry::polygon;
-use crate::trace::BodyError;
+use crate::trace::WorldError;
 
 /// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;
@@ -58,7 +58,7 @@ pub enum EnvironmentError {
     },
     /// Rays cannot be traced among the facets.
     #[error(transparent)]
-    Body(#[from] BodyError),
+    World(#[from] WorldError),
 }
 
 impl Facet {

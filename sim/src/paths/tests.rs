@@ -7,7 +7,7 @@ use num_complex::Complex64;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::exhaustive::{all_images, all_sequences};
+use super::exhaustive::all_sequences;
 use super::rooms::{extruded, holds, l_shape, sheet, slab, star};
 use super::{Environment, Facet, ImagePaths, LaunchOptions};
 use crate::field::image::{BoxRoom, Element, Wall, images};
@@ -263,6 +263,7 @@ fn db(ratio: f64) -> f64 {
 #[test]
 fn every_sequence_of_a_box_makes_the_lattice() {
     let room = BoxRoom::new(DVec3::new(4.0, 3.0, 2.5), [slab(0); 6], K, false);
-    let paths = all_images(environment(Facet::of_box(&room)), DVec3::new(1.1, 1.2, 1.3), 3);
+    let (facets, origin) = (environment(Facet::of_box(&room)), DVec3::new(1.1, 1.2, 1.3));
+    let paths = ImagePaths::with_sequences(Arc::clone(&facets), origin, all_sequences(&facets, origin, 3));
     assert_eq!(paths.images().len(), images(3).len());
 }

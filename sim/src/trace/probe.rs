@@ -23,8 +23,8 @@ pub(super) struct Probe {
     pub farthest: f32,
     /// Place along the ray at which the probe begins, m.
     pub start: f64,
-    /// (body, group) of surfaces that are not met.
-    except: [(u32, u32); 2],
+    /// Coplanar groups that are not met.
+    pub except: [u32; 2],
     /// Distance behind the origin at which the boxes' ray begins, m.
     pub back: f32,
     /// Origin and direction of the ray itself.
@@ -48,7 +48,7 @@ impl Probe {
         nearest: 0.0,
         farthest: f32::NEG_INFINITY,
         start: 0.0,
-        except: [(NONE, NONE); 2],
+        except: [NONE; 2],
         back: 0.0,
         exact: (DVec3::ZERO, DVec3::Z),
         leaves: false,
@@ -67,12 +67,6 @@ impl Probe {
         // The sum makes +0 of -0, which the boxes' test takes for a way down at its inverse and a way up at its sign.
         let nearest = nearest_m as f32;
         let (origin, direction) = (origin.as_vec3a(), ray.direction.as_vec3a() + Vec3A::ZERO);
-        let mut except = [(NONE, NONE); 2];
-        for (slot, surface) in except.iter_mut().zip(&ray.except) {
-            if let Some(s) = surface {
-                *slot = (s.body, s.group);
-            }
-        }
         let back = BACK_M.max(2.0 * nearest);
         // As far from the surface on which it ends as from the one on which it begins.
         let farthest = (ray.length_m - start) as f32 - if ray.except[1].is_some() { nearest } else { 0.0 };
@@ -86,15 +80,8 @@ impl Probe {
             nearest,
             farthest,
             start,
-            except,
+            except: ray.except.map(|group| group.unwrap_or(NONE)),
         }
-    }
-
-    /// Groups of a body that are not met.
-    #[inline(always)]
-    pub fn except(&self, body: u32) -> [u32; 2] {
-        let [(a, group_a), (b, group_b)] = self.except;
-        [if a == body { group_a } else { NONE }, if b == body { group_b } else { NONE }]
     }
 
     /// Whether a meeting nearer than f32 can tell from the origin is one. A ray from a free place meets nothing so near. One

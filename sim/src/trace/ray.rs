@@ -2,15 +2,6 @@
 
 use glam::DVec3;
 
-/// A surface as rays know it: a coplanar group of one body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Surface {
-    /// Index of the body.
-    pub body: u32,
-    /// Coplanar group of its triangles ([`crate::trace::Body::group`]).
-    pub group: u32,
-}
-
 /// A straight way through the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
@@ -20,9 +11,9 @@ pub struct Ray {
     pub direction: DVec3,
     /// Nothing farther than this is met, m.
     pub length_m: f64,
-    /// The surfaces on which it begins and ends; they are not met. The origin stays on its surface: 10 um beside it would be
-    /// 0.025 rad at 60 GHz.
-    pub except: [Option<Surface>; 2],
+    /// Coplanar groups of triangles on which it begins and ends; they are not met. The origin stays on its surface: 10 um beside
+    /// it would be 0.025 rad at 60 GHz.
+    pub except: [Option<u32>; 2],
     /// Unit normal of the surface on which it begins, to the side to which it goes; zero for a free place. Only what f32 makes
     /// of the origin is kept on this side: rounded below a floor, a grazing ray would pass below the wall.
     pub side: DVec3,
@@ -31,25 +22,12 @@ pub struct Ray {
 /// Place at which a ray meets a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Index of the body.
-    pub body: u32,
-    /// Index of the triangle in the body's mesh.
+    /// Index of the triangle in the mesh.
     pub triangle: u32,
-    /// Distance along the ray as f32 found it, m. Good enough to order surfaces; see [`crate::trace::World::exact`].
+    /// Distance along the ray as f32 found it, m. Good enough to order surfaces.
     pub distance_m: f64,
-    /// Weights of the triangle's three corners.
-    pub barycentric: [f32; 3],
     /// The triangle faces the ray: it is met from outside.
     pub front: bool,
-}
-
-/// Number of times that a ray goes into and out of a body.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Crossings {
-    /// Triangles met from outside.
-    pub entered: u32,
-    /// Triangles met from inside.
-    pub left: u32,
 }
 
 impl Ray {
@@ -69,16 +47,16 @@ impl Ray {
         Ray { length_m: from.distance(to), ..Ray::new(from, to - from) }
     }
 
-    /// The same ray, beginning on a surface with this normal of either sign.
-    pub fn leaving(mut self, surface: Surface, normal: DVec3) -> Self {
-        self.except[0] = Some(surface);
+    /// The same ray, beginning on a coplanar group with this normal of either sign.
+    pub fn leaving(mut self, group: u32, normal: DVec3) -> Self {
+        self.except[0] = Some(group);
         self.side = normal.normalize_or_zero() * self.direction.dot(normal).signum();
         self
     }
 
-    /// The same ray, ending on a surface.
-    pub fn reaching(mut self, surface: Surface) -> Self {
-        self.except[1] = Some(surface);
+    /// The same ray, ending on a coplanar group.
+    pub fn reaching(mut self, group: u32) -> Self {
+        self.except[1] = Some(group);
         self
     }
 

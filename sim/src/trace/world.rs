@@ -1,123 +1,135 @@
-//! All bodies together: the two-level query.
+//! One mesh in an acceleration structure that rays are traced against.
 
-use glam::DVec3;
+use glam::Vec3A;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
+use obvhs::cwbvh::{CwBvh, node::CwBvhNode};
+use obvhs::ploc::PlocBuilder;
+use obvhs::triangle::Triangle;
+use obvhs::{BvhBuildParams, splits};
+use radome_dsp::KernelLevel;
+use thiserror::Error;
 
-use super::body::{Body, BodyError, Nearest, roaming_m};
-use super::packet::{Found, LANES, Packet};
-use super::probe::Probe;
-use super::ray::{Crossings, Hit, Ray, Surface};
+use super::probe::{NONE, Probe};
+use super::ray::{Hit, Ray};
+use super::triangle::{Corners, Meeting};
+use crate::geometry::{Mesh, MeshError};
+use crate::lanes::compiled_for_levels;
 
-/// Bodies that rays are traced among. Index 0 is best the static room: it ends most rays.
+/// Levels of a structure that traversal has room for.
+const DEEPEST: usize = 30;
+
+/// A mesh that rays cannot be traced against.
+#[derive(Debug, Error, PartialEq)]
+pub enum WorldError {
+    /// The mesh is none.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// More coplanar groups or fewer than triangles.
+    #[error("{given} coplanar groups for {expected} triangles, expected one a triangle")]
+    Groups {
+        /// Triangles of the mesh.
+        expected: usize,
+        /// Groups given.
+        given: usize,
+    },
+    /// The structure has more levels than can be traversed.
+    #[error(
+        "the structure over {triangles} triangles is {depth} levels deep, at most {DEEPEST} can be traversed\n\nhint: triangles' sizes differ by too many powers of two; simplify the mesh"
+    )]
+    TooDeep {
+        /// Triangles of the mesh.
+        triangles: usize,
+        /// Levels.
+        depth: usize,
+    },
+}
+
+/// One mesh in an acceleration structure.
 #[derive(Debug, Clone)]
 pub struct World {
-    bodies: Vec<Body>,
-    /// Largest coordinate of all bodies, m.
+    mesh: Mesh,
+    tree: CwBvh,
+    /// Corners and coplanar group of each of the tree's primitives, in its order.
+    corners: Vec<Corners>,
+    groups: Vec<u32>,
+    bounds: Aabb,
+    /// Largest coordinate of the mesh, m: what boxes are enlarged for.
     scale_m: f64,
-    /// Rays from farther away are let begin nearer.
-    roaming_m: f64,
+    level: KernelLevel,
+}
+
+/// Triangle that a probe meets, and where.
+#[derive(Debug, Clone, Copy)]
+struct Nearest {
+    meeting: Meeting,
+    triangle: u32,
 }
 
 impl World {
-    /// A world of bodies. Those much smaller than it have their boxes enlarged for it.
+    /// A structure over a mesh with one coplanar group a triangle.
     ///
     /// # Errors
-    /// [`BodyError`] if a structure cannot be built again with larger boxes.
-    pub fn new(mut bodies: Vec<Body>) -> Result<Self, BodyError> {
-        let scale_m = bodies.iter().map(Body::scale_m).fold(0.0, f64::max);
-        enlarge(&mut bodies, scale_m)?;
-        Ok(World { bodies, scale_m, roaming_m: roaming_m(scale_m) })
-    }
-
-    /// Moves the vertices of a body; see [`Body::refit`].
-    ///
-    /// # Errors
-    /// [`BodyError::NoSuchBody`], and those of [`Body::refit`].
-    pub fn refit(&mut self, body: u32, vertices: &[DVec3]) -> Result<(), BodyError> {
-        let bodies = self.bodies.len();
-        let moved = self.bodies.get_mut(body as usize).ok_or(BodyError::NoSuchBody { body, bodies })?;
-        moved.refit(vertices)?;
-        let scale_m = moved.scale_m();
-        if scale_m > self.scale_m {
-            (self.scale_m, self.roaming_m) = (scale_m, roaming_m(scale_m));
-            enlarge(&mut self.bodies, scale_m)?;
+    /// [`WorldError::Groups`] if there is not one group a triangle, [`WorldError::Mesh`] for a mesh that [`Mesh::check`] refuses,
+    /// and [`WorldError::TooDeep`].
+    pub fn new(mesh: Mesh, groups: &[u32]) -> Result<Self, WorldError> {
+        if groups.len() != mesh.triangles.len() {
+            return Err(WorldError::Groups { expected: mesh.triangles.len(), given: groups.len() });
         }
-        Ok(())
+        mesh.check()?;
+        let scale_m = mesh.vertices.iter().fold(0.0, |l: f64, v| l.max(v.abs().max_element()));
+        let tree = build_tree(&mesh, pad_m(scale_m));
+        let depth = depth(&tree);
+        if depth > DEEPEST {
+            return Err(WorldError::TooDeep { triangles: mesh.triangles.len(), depth });
+        }
+        let groups = tree.primitive_indices.iter().map(|&t| groups.get(t as usize).copied().unwrap_or(NONE)).collect();
+        let corners: Vec<Corners> = tree.primitive_indices.iter().map(|&t| corners_of(&mesh, t)).collect();
+        let bounds = corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, pad_m(scale_m))));
+        Ok(World { mesh, tree, corners, groups, bounds, scale_m, level: KernelLevel::detect() })
     }
 
-    /// The bodies.
-    pub fn bodies(&self) -> &[Body] {
-        &self.bodies
-    }
-
-    /// The surface of a hit: what the next ray excludes.
-    pub fn surface(&self, hit: &Hit) -> Option<Surface> {
-        let group = self.bodies.get(hit.body as usize)?.group(hit.triangle)?;
-        Some(Surface { body: hit.body, group })
-    }
-
-    /// The nearest triangle that a ray meets; of several at the same distance the one of the lowest (body, triangle).
-    #[inline]
+    /// The nearest triangle that a ray meets; of several at the same distance the lowest.
     pub fn closest(&self, ray: &Ray) -> Option<Hit> {
-        let mut hit = None;
-        self.closest_each(std::slice::from_ref(ray), |_, h| hit = h);
-        hit
+        self.closest_at(self.level, ray)
     }
 
-    /// [`Self::closest`] of many rays: calls back with index and hit.
-    pub fn closest_each(&self, rays: &[Ray], mut answer: impl FnMut(usize, Option<Hit>)) {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2. Without contraction to fused operations it computes the same as portable code.
-            unsafe { closest_avx2(self, rays, &mut answer) };
-            return;
-        }
-        closest_body(self, rays, &mut answer);
+    /// [`Self::closest`] with the instructions of a level.
+    pub(super) fn closest_at(&self, level: KernelLevel, ray: &Ray) -> Option<Hit> {
+        let probe = self.probe(ray);
+        closest(level, self, &probe).map(|nearest| hit(&nearest, probe.start))
     }
 
     /// Whether anything lies on a ray.
-    #[inline]
     pub fn blocked(&self, ray: &Ray) -> bool {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: as above.
-            return unsafe { blocked_avx2(self, ray) };
-        }
-        blocked_body(self, ray)
+        any(self.level, self, &self.probe(ray))
     }
 
-    /// All triangles of one body that a ray meets, nearest first.
-    pub fn all(&self, body: u32, ray: &Ray) -> Vec<Hit> {
+    /// All triangles that a ray meets, each once, nearest first; those of its own groups too.
+    pub fn all(&self, ray: &Ray) -> Vec<Hit> {
         let probe = self.probe(ray);
-        let all = self.bodies.get(body as usize).map(|b| b.all(&probe)).unwrap_or_default();
-        all.iter().map(|n| hit(body, n, probe.start)).collect()
+        let mut all = Vec::new();
+        self.visit(&probe, |leaf, farthest| {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest))
+                && meeting.distance >= probe.nearest
+            {
+                let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
+                all.push(Nearest { meeting, triangle });
+            }
+            farthest
+        });
+        all.sort_by(|a, b| a.meeting.distance.total_cmp(&b.meeting.distance).then(a.triangle.cmp(&b.triangle)));
+        // A structure with split boxes holds a triangle several times.
+        all.dedup_by_key(|n| n.triangle);
+        all.iter().map(|nearest| hit(nearest, probe.start)).collect()
     }
 
-    /// Number of times that a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends
-    /// outside.
-    pub fn crossings(&self, body: u32, ray: &Ray) -> Crossings {
-        let probe = self.probe(ray);
-        self.bodies.get(body as usize).map(|b| b.crossings(&probe)).unwrap_or_default()
-    }
-
-    /// The point of a hit in f64, m: on the triangle to the last bit, beside the ray by what f32 rounded of its weights.
-    pub fn point(&self, hit: &Hit) -> Option<DVec3> {
-        let [a, b, c] = self.bodies.get(hit.body as usize)?.mesh().corners(hit.triangle as usize)?;
-        let [wa, wb, wc] = hit.barycentric.map(f64::from);
-        Some((a * wa + b * wb + c * wc) / (wa + wb + wc))
-    }
-
-    /// Meeting of a ray with the plane of a hit's triangle in f64: distance, m, and weights of the corners. `None` where it
-    /// runs along the plane.
-    pub fn exact(&self, ray: &Ray, hit: &Hit) -> Option<(f64, [f64; 3])> {
-        let corners = self.bodies.get(hit.body as usize)?.mesh().corners(hit.triangle as usize)?;
-        super::reference::plane(ray, corners)
-    }
-
-    /// The ray in f32. Rays from far away begin a metre before the first body, where f32 still tells small things apart.
+    /// The ray in f32. Rays from far away begin a metre before the mesh, where f32 still tells small things apart.
     #[inline(always)]
     fn probe(&self, ray: &Ray) -> Probe {
-        let start = if ray.origin.abs().max_element() > self.roaming_m { self.approach_m(ray) } else { 0.0 };
-        Probe::new(ray, start)
+        let is_far = ray.origin.abs().max_element() > roaming_m(self.scale_m);
+        Probe::new(ray, if is_far { self.approach_m(ray) } else { 0.0 })
     }
 
     #[cold]
@@ -126,75 +138,156 @@ impl World {
         let start = -ray.origin.dot(ray.direction) - reach;
         if start.is_finite() { start.max(0.0) } else { 0.0 }
     }
+
+    /// Visits all triangles whose boxes a ray goes through up to its end, which the visitor may lower by what it returns; a
+    /// negative number ends the visit.
+    #[inline(always)]
+    fn visit(&self, probe: &Probe, mut visitor: impl FnMut(usize, f32) -> f32) {
+        let mut farthest = probe.farthest;
+        let mut ray = probe.ray;
+        ray.tmax = farthest + probe.back;
+        if self.tree.nodes.is_empty() || self.bounds.intersect_ray(&ray) > ray.tmax {
+            return;
+        }
+        let mut state = self.tree.new_traversal(probe.direction);
+        let mut node: &CwBvhNode;
+        'all: {
+            obvhs::traverse!(self.tree, node, state, node.intersect_ray(&ray, state.oct_inv4), {
+                farthest = visitor(state.primitive_id as usize, farthest);
+                if farthest < 0.0 {
+                    break 'all;
+                }
+                ray.tmax = farthest + probe.back;
+            });
+        }
+    }
+
+    /// A meeting that is not farther than the best so far, if it is to replace it: nearest first, then the lowest triangle.
+    #[inline(always)]
+    fn judge(&self, leaf: usize, meeting: Meeting, probe: &Probe, best: &Option<Nearest>) -> Option<Nearest> {
+        if self.groups.get(leaf).is_none_or(|group| probe.except.contains(group)) {
+            return None;
+        }
+        let triangle = self.tree.primitive_indices.get(leaf).copied()?;
+        if meeting.distance < probe.nearest && !probe.meets_near(self.mesh.corners(triangle as usize)) {
+            return None;
+        }
+        let better = match best {
+            Some(n) if n.meeting.distance == meeting.distance => triangle < n.triangle,
+            _ => true,
+        };
+        better.then_some(Nearest { meeting, triangle })
+    }
 }
 
-/// Enlarges the boxes of bodies much smaller than the world they are in.
-fn enlarge(bodies: &mut [Body], scale_m: f64) -> Result<(), BodyError> {
-    for body in bodies.iter_mut().filter(|b| 1.5 * roaming_m(b.scale_m()) < roaming_m(scale_m)) {
-        body.fit(scale_m)?;
-    }
-    Ok(())
+compiled_for_levels! {
+    /// The nearest triangle.
+    fn closest(world: &World, probe: &Probe) -> Option<Nearest> = closest_body;
 }
 
 #[inline(always)]
-fn hit(body: u32, nearest: &Nearest, start: f64) -> Hit {
+fn closest_body(world: &World, probe: &Probe) -> Option<Nearest> {
+    let mut best = None;
+    world.visit(probe, |leaf, farthest| {
+        let Some(meeting) = world.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) else {
+            return farthest;
+        };
+        let Some(nearest) = world.judge(leaf, meeting, probe, &best) else { return farthest };
+        best = Some(nearest);
+        meeting.distance
+    });
+    best
+}
+
+compiled_for_levels! {
+    /// Whether anything is met.
+    fn any(world: &World, probe: &Probe) -> bool = any_body;
+}
+
+#[inline(always)]
+fn any_body(world: &World, probe: &Probe) -> bool {
+    let mut any = false;
+    world.visit(probe, |leaf, farthest| {
+        let Some(meeting) = world.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) else {
+            return farthest;
+        };
+        any = world.judge(leaf, meeting, probe, &None).is_some();
+        if any { -1.0 } else { farthest }
+    });
+    any
+}
+
+fn hit(nearest: &Nearest, start: f64) -> Hit {
     let weights = nearest.meeting.weights;
-    let sum = (weights.x + weights.y) + weights.z;
     Hit {
-        body,
         triangle: nearest.triangle,
         distance_m: start + f64::from(nearest.meeting.distance).max(0.0),
-        barycentric: (weights / sum).to_array(),
-        front: sum > 0.0,
+        front: (weights.x + weights.y) + weights.z > 0.0,
     }
 }
 
-// Loops rather than closures where it is hot: what is not inlined is not compiled for the processor's own instructions.
-#[inline(always)]
-pub(super) fn closest_body(world: &World, rays: &[Ray], answer: &mut impl FnMut(usize, Option<Hit>)) {
-    let mut probes = [Probe::NOWHERE; LANES];
-    for (chunk, rays) in rays.chunks(LANES).enumerate() {
-        for (probe, ray) in probes.iter_mut().zip(rays) {
-            *probe = world.probe(ray);
-        }
-        let mut found: Found = [None; LANES];
-        let packet = if rays.len() == LANES { Packet::new(&probes) } else { None };
-        if let Some(mut packet) = packet {
-            for (number, body) in (0..).zip(&world.bodies) {
-                packet.closest(&probes, number, body, &mut found);
+fn corners_of(mesh: &Mesh, triangle: u32) -> Corners {
+    mesh.corners(triangle as usize).map_or_else(Corners::default, |[a, b, c]| {
+        [0, 1, 2].map(|axis| Vec3A::new(a[axis] as f32, b[axis] as f32, c[axis] as f32))
+    })
+}
+
+/// Coordinates of a ray's origin are at most this, m, where those of the mesh are at most `scale_m`.
+fn roaming_m(scale_m: f64) -> f64 {
+    8.0 + 2.0 * scale_m
+}
+
+/// Length by which boxes are enlarged, m: twice what f32 loses in the ray-box test over the longest way.
+fn pad_m(scale_m: f64) -> f32 {
+    (8.0 * f64::from(f32::EPSILON) * (roaming_m(scale_m) + scale_m)) as f32
+}
+
+fn bounds(corners: &Corners, pad: f32) -> Aabb {
+    let least = Vec3A::from_array(corners.map(|c| c.min_element()));
+    let greatest = Vec3A::from_array(corners.map(|c| c.max_element()));
+    Aabb::new(least - pad, greatest + pad)
+}
+
+/// Builds a structure slowly and well: large triangles are split among boxes, all nodes are placed again.
+fn build_tree(mesh: &Mesh, pad: f32) -> CwBvh {
+    let triangles: Vec<Triangle> = (0..mesh.triangles.len())
+        .filter_map(|t| mesh.corners(t))
+        .map(|[a, b, c]| Triangle { v0: a.as_vec3a(), v1: b.as_vec3a(), v2: c.as_vec3a() })
+        .collect();
+    let mut boxes: Vec<Aabb> = triangles.iter().map(obvhs::Boundable::aabb).collect();
+    let mut indices: Vec<u32> = (0..triangles.len() as u32).collect();
+    let parameters = BvhBuildParams::very_slow_build();
+    let half_area = |b: &Aabb| b.half_area();
+    let mean = boxes.iter().map(half_area).sum::<f32>() / boxes.len().max(1) as f32;
+    let largest = boxes.iter().map(half_area).fold(0.0, f32::max);
+    splits::split_aabbs_preset(&mut boxes, &mut indices, &triangles, mean, largest);
+    for b in &mut boxes {
+        *b = Aabb::new(b.min - pad, b.max + pad);
+    }
+    let mut tree = PlocBuilder::with_capacity(boxes.len()).build(
+        parameters.ploc_search_distance,
+        &boxes,
+        indices,
+        parameters.sort_precision,
+        parameters.search_depth_threshold,
+    );
+    tree.uses_spatial_splits = true;
+    ReinsertionOptimizer::default().run(&mut tree, parameters.reinsertion_batch_ratio, None);
+    bvh2_to_cwbvh(&tree, 3, true, false)
+}
+
+/// Levels of a structure. Children come after their parents.
+fn depth(tree: &CwBvh) -> usize {
+    let mut depths = vec![0usize; tree.nodes.len()];
+    let mut deepest = 0;
+    for (index, node) in tree.nodes.iter().enumerate() {
+        let depth = depths.get(index).copied().unwrap_or(0) + 1;
+        deepest = deepest.max(depth);
+        for child in (0..8).filter(|&c| !node.is_child_empty(c) && !node.is_leaf(c)) {
+            if let Some(slot) = depths.get_mut(node.child_node_index(child) as usize) {
+                *slot = depth;
             }
-        } else {
-            for ((probe, best), _) in probes.iter().zip(&mut found).zip(rays) {
-                for (number, body) in (0..).zip(&world.bodies) {
-                    body.closest(probe, number, best);
-                }
-            }
-        }
-        for (i, ((probe, found), _)) in probes.iter().zip(&found).zip(rays).enumerate() {
-            answer(chunk * LANES + i, found.as_ref().map(|(body, nearest)| hit(*body, nearest, probe.start)));
         }
     }
-}
-
-#[inline(always)]
-fn blocked_body(world: &World, ray: &Ray) -> bool {
-    let probe = world.probe(ray);
-    for (number, body) in (0..).zip(&world.bodies) {
-        if body.any(&probe, number) {
-            return true;
-        }
-    }
-    false
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn closest_avx2(world: &World, rays: &[Ray], answer: &mut impl FnMut(usize, Option<Hit>)) {
-    closest_body(world, rays, answer);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn blocked_avx2(world: &World, ray: &Ray) -> bool {
-    blocked_body(world, ray)
+    deepest
 }

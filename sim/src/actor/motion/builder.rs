@@ -6,7 +6,7 @@ use super::super::body::Build;
 use super::super::gait;
 use super::super::low::{Crouch, Lying};
 use super::super::track::Track;
-use super::{Low, MARCH_HZ, Motion, Person, Steps};
+use super::{Low, Motion, Person, Steps};
 
 /// Corners of the path are rounded over this time either way, s.
 const CORNER_S: f64 = 0.35;
@@ -151,7 +151,7 @@ impl MotionBuilder {
             // Within the turn: feet are down again when it ends.
             for (t, sign) in [(begin_s + CORNER_S, 1.0), (end_s - CORNER_S, -1.0)] {
                 self.motion.march.step(t, sign);
-                self.motion.phase.bend(t, sign * MARCH_HZ);
+                self.motion.phase.bend(t, sign * gait::MARCH_HZ);
             }
         }
         self.facing += change;

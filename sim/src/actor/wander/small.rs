@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::super::body::Build;
-use super::super::motion::Small;
+use super::super::moment::Small;
 use super::node::Knot;
 use super::walker::STEP_S;
 use super::{chance, draw};

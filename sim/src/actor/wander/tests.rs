@@ -9,7 +9,7 @@ use super::super::body::PELVIS;
 use super::super::motion::Motion;
 use super::super::program::Program;
 use super::table::Group;
-use super::{motions, room};
+use super::{members, room};
 use crate::field::highlight::Ellipsoid;
 use crate::scene::Scene;
 use crate::scene::ground::blocks;
@@ -316,9 +316,10 @@ fn an_hour_is_short_work() {
     let file = scene.file();
     let wander = file.people.wander.as_ref().expect("wander");
     let group = Arc::new(Group::new(room(file, wander, blocks(&scene), 1), 2));
-    let both = motions(&group, 2);
+    let both = members(&group, 2);
     assert_eq!(both.len(), 2);
-    for motion in &both {
+    for (person, wanderer) in both {
+        let motion = Motion::wandering(person, wanderer);
         let at = motion.walk(3600.0).position_m;
         assert!(at[0] > 0.3 && at[0] < SIZE_M[0] - 0.3 && at[1] > 0.3 && at[1] < SIZE_M[1] - 0.3, "{at:?}");
         assert!(apart(at, motion.walk(0.0).position_m).is_finite());

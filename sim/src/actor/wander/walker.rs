@@ -7,7 +7,6 @@
 use std::f64::consts::{PI, TAU};
 
 use super::super::gait;
-use super::super::motion::MARCH_HZ;
 
 /// Duration of a step, s.
 pub(super) const STEP_S: f64 = 0.05;
@@ -85,7 +84,7 @@ impl Limits {
     pub fn cycles_per_s(&self, speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
         let speed = speed_m_per_s + LEAST_STEP_M_PER_S;
         let cycles_per_m = gait::cycles_per_second(speed, self.leg_m) / (speed * self.stride);
-        speed_m_per_s * cycles_per_m + MARCH_HZ * march(speed_m_per_s, turn_rad_per_s)
+        speed_m_per_s * cycles_per_m + gait::MARCH_HZ * march(speed_m_per_s, turn_rad_per_s)
     }
 }
 

@@ -1,0 +1,168 @@
+//! Draws that belong to a person, whatever they do: body, clothes, small motions and style of walking.
+
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+use glam::DVec3;
+use rand::Rng;
+
+use super::body::{Build, SEGMENTS};
+use super::clip::BodyClip;
+use super::clothing::Clothing;
+use super::gait::Style;
+use super::imported::Actor;
+use crate::random::{Purpose, draw, generator};
+use crate::scene::file::PeopleFile;
+
+/// Fidgets happen at most once in an epoch of this length, s.
+const FIDGET_EPOCH_S: f64 = 5.0;
+
+/// Source of a person's steps.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub enum Steps {
+    /// The gait of [`super::gait`].
+    #[default]
+    Gait,
+    /// A captured clip, on the parametric body.
+    Clip(Arc<BodyClip>),
+    /// An actor from a file, with a body of its own.
+    Actor(Arc<Actor>),
+}
+
+/// Draws that belong to a person, whatever they do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Person {
+    /// Size.
+    pub build: Build,
+    /// Identity for later draws.
+    pub identity: [u64; 2],
+    /// Amplitude factor of each segment: clothes and folds (-4..+2 dB over skin).
+    pub cloth: [f64; SEGMENTS],
+    seed: u64,
+    breath_m: f64,
+    breath_hz: f64,
+    heart_m: f64,
+    heart_hz: f64,
+    sway_m: f64,
+    phases: [f64; 6],
+    /// Probability of a fidget in an epoch.
+    pub fidget_probability: f64,
+    /// Further draws of a person at a desk; `None` elsewhere.
+    pub at_desk: Option<AtDesk>,
+    /// Whose steps they make.
+    pub steps: Steps,
+    /// Style of walking by the built-in gait.
+    pub style: Style,
+    /// Clothes, as fields over the body.
+    pub clothing: Clothing,
+}
+
+/// Draws of a person close before the radar.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AtDesk {
+    /// Amplitude of the double bounce relative to the direct echo; 0 for none.
+    pub double_bounce: f64,
+    /// Length of one way that it is longer than twice the direct one, m.
+    pub double_bounce_offset_m: f64,
+    /// Shoulders, arms, lap.
+    pub points: Vec<BodyPoint>,
+    /// Loss of the points for each metre behind the chest, dB.
+    pub point_decay_db_per_m: f64,
+    /// Shoulder and elbow flexion over that of sitting, rad: `[left, right]`.
+    pub arms_rad: [(f64, f64); 2],
+    /// Lean over that of sitting, rad.
+    pub lean_rad: f64,
+}
+
+/// A point that scatters, fixed to the chest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BodyPoint {
+    /// Place in units of the chest's semi-axes (forward, left, up): its forward part breathes with the chest.
+    pub place: DVec3,
+    /// Square root of cross-section over 4 pi, m.
+    pub scatter_m: f64,
+    /// Detour of its echo, as a length of one way, m.
+    pub detour_m: f64,
+}
+
+impl Person {
+    /// A person drawn from (seed, identity).
+    pub fn draw(seed: u64, identity: [u64; 2], height_m: f64) -> Self {
+        let mut rng = generator(seed, Purpose::Build, identity);
+        let build = Build { height_m, girth: rng.random_range(0.88..1.15) };
+        let cloth = std::array::from_fn(|_| 10f64.powf(rng.random_range(-4.0..2.0) / 20.0));
+        let mut rng = generator(seed, Purpose::MicroMotion, identity);
+        Person {
+            build,
+            identity,
+            cloth,
+            seed,
+            breath_m: rng.random_range(0.004..0.012),
+            breath_hz: rng.random_range(0.20..0.35),
+            heart_m: rng.random_range(0.0002..0.0005),
+            heart_hz: rng.random_range(0.95..1.45),
+            sway_m: rng.random_range(0.0015..0.004),
+            phases: std::array::from_fn(|_| rng.random_range(0.0..TAU)),
+            fidget_probability: 0.4,
+            at_desk: None,
+            steps: Steps::Gait,
+            style: Style::AVERAGE,
+            clothing: Clothing::default(),
+        }
+    }
+
+    /// Slow breath as of somebody who sits, and half the sway: the back rests.
+    pub fn at_ease(&mut self) {
+        let mut rng = generator(self.seed, Purpose::MicroMotion, [self.identity[0], self.identity[1] | 1 << 40]);
+        self.breath_hz = rng.random_range(0.15..0.35);
+        self.sway_m *= rng.random_range(0.2..0.7);
+    }
+
+    /// Chest surface outward of its mean, m: breath peak to peak 4..12 mm, heart 0.2..0.5 mm.
+    pub(super) fn chest_m(&self, t: f64) -> f64 {
+        let breath = TAU * self.breath_hz * t + self.phases[0];
+        let heart = TAU * self.heart_hz * t + self.phases[1];
+        let beat = (3.0 * (heart.cos() - 1.0)).exp() - 0.25;
+        0.5 * self.breath_m * (breath.sin() + 0.15 * (2.0 * breath).cos()) + self.heart_m * beat
+    }
+
+    /// Slow sway, m.
+    pub(super) fn sway_m(&self, t: f64) -> (f64, f64) {
+        let wave = |hz: f64, phase: f64| (TAU * hz * t + phase).sin();
+        let p = &self.phases;
+        (
+            self.sway_m * (0.7 * wave(0.31, p[2]) + 0.4 * wave(0.13, p[3])),
+            self.sway_m * (0.7 * wave(0.23, p[4]) + 0.4 * wave(0.11, p[5])),
+        )
+    }
+
+    /// Arms and trunk now and then: (side, arm flexion, lean, twist).
+    pub(super) fn fidget(&self, t: f64) -> (usize, f64, f64, f64) {
+        let epoch = (t / FIDGET_EPOCH_S).floor();
+        let index = [self.identity[0] << 32 | self.identity[1], (epoch + 1e6).max(0.0) as u64];
+        let mut rng = generator(self.seed, Purpose::Fidget, index);
+        if rng.random::<f64>() >= self.fidget_probability {
+            return (0, 0.0, 0.0, 0.0);
+        }
+        let width_s = rng.random_range(0.5..1.1);
+        let centre_s = rng.random_range(width_s..FIDGET_EPOCH_S - width_s);
+        let x = ((t - epoch * FIDGET_EPOCH_S - centre_s) / width_s).clamp(-1.0, 1.0);
+        let bump = (0.5 * (1.0 + (PI * x).cos())).powi(2);
+        let side = usize::from(rng.random::<bool>());
+        let amplitudes = (rng.random_range(0.1..0.5), rng.random_range(-0.06..0.06), rng.random_range(-0.08..0.08));
+        (side, bump * amplitudes.0, bump * amplitudes.1, bump * amplitudes.2)
+    }
+}
+
+/// Applies the scene's gait and clothes to a person.
+pub(super) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
+    let mut rng = generator(seed, Purpose::Gait, person.identity);
+    person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
+    if let Some(file) = &people.clothing {
+        person.clothing = Clothing::draw(file, seed, person.identity, &person.build);
+        if person.clothing.cloth().is_some() {
+            person.cloth = [1.0; SEGMENTS];
+        }
+    }
+    person
+}
