@@ -85,8 +85,7 @@ mod tests {
     use crate::train::TrainSpec;
 
     fn study(variants: &[&str], seeds: u64, label_fractions: &[f64]) -> StudySpec {
-        let variant =
-            |name: &&str| Variant { name: (*name).to_owned(), network: None, head: None, transposed: None };
+        let variant = |name: &&str| Variant { name: (*name).to_owned(), network: None, head: None, transposed: None };
         StudySpec {
             title: "Small".to_owned(),
             remarks: Vec::new(),

@@ -50,6 +50,7 @@ pub(crate) use data::Indices;
 pub use error::TrainError;
 pub(crate) use maps::Maps;
 pub(crate) use memory::check_memory;
+pub(crate) use outcome::StepTimes;
 pub use outcome::{EpochReport, TrainOutcome};
 pub use recipe::{train, train_with_checkpoint};
 pub(crate) use recipe::{time_steps, train_on};
