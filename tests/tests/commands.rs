@@ -23,4 +23,5 @@ mod people_hard_cases;
 mod program;
 mod simulate;
 mod slurm;
+mod study;
 mod viewers;
