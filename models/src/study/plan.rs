@@ -48,8 +48,8 @@ impl Study<'_> {
     /// Counts the trainings of all shards, and times a few steps of each network that has some left. `tell` gets the name of each
     /// before it is timed.
     ///
-    /// Times are those of steps and of the validation after each epoch. Reading the maps, fitting the head at its start and the
-    /// scores at the end are not in them.
+    /// Times are those of steps, of fitting the head and of the validation after each epoch. Reading the maps and the scores at the
+    /// end are not in them.
     ///
     /// # Errors
     /// [`StudyError`] if the results cannot be read, or a network cannot be trained on the dataset.
@@ -83,8 +83,8 @@ impl Study<'_> {
                 }
                 None => None,
             };
-            let seconds = times.map_or(0.0, |StepTimes { step_s, validation_map_s }| {
-                steps as f64 * step_s + validation_maps as f64 * validation_map_s
+            let seconds = times.map_or(0.0, |StepTimes { head_s, step_s, validation_map_s }| {
+                left.len() as f64 * head_s + steps as f64 * step_s + validation_maps as f64 * validation_map_s
             });
             networks.push(PlannedNetwork {
                 variant: variant.name.clone(),

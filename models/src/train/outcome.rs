@@ -31,6 +31,8 @@ pub struct EpochReport {
 /// Times of the parts of a training.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct StepTimes {
+    /// Time of fitting the head at the end of the warm-up, s.
+    pub head_s: f64,
     /// Time of a step with the whole network, s.
     pub step_s: f64,
     /// Time of one map of the validation split, s.

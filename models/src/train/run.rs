@@ -289,10 +289,12 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Measures steps on the first batch, and the validation of one batch. The first of each is not counted.
+    /// Measures the end of the warm-up, steps behind it on the first batch, and the validation of one batch. Of the last two, the
+    /// first is not counted.
     pub(super) fn time_steps(mut self) -> Result<StepTimes, TrainError> {
-        // A step with the head that the network has in the end: a circuit may take most of it.
-        self.warming_up = false;
+        let began = Instant::now();
+        self.start_head()?;
+        let head_s = began.elapsed().as_secs_f64();
         self.epoch = 1;
         let batch: Vec<usize> = (0..self.data.train.maps.len().min(self.spec.batch_size)).collect();
         let step_s = mean_s(TIMED_STEPS, || self.train_batch(&batch, &mut Vec::new()).map(|_| ()))?;
@@ -300,7 +302,7 @@ impl<'a> Run<'a> {
         let positions: Vec<usize> = (0..part.maps.len().min(start::EVALUATION_BATCH)).collect();
         let output = self.output();
         let batch_s = mean_s(1, || collect(&self.network, self.data, part, &positions, output).map(|_| ()))?;
-        Ok(StepTimes { step_s, validation_map_s: batch_s / positions.len().max(1) as f64 })
+        Ok(StepTimes { head_s, step_s, validation_map_s: batch_s / positions.len().max(1) as f64 })
     }
 
     /// The network (with its head) as it was after its best epoch, and that epoch.
