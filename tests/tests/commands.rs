@@ -23,5 +23,6 @@ mod people_hard_cases;
 mod program;
 mod simulate;
 mod slurm;
+mod statements;
 mod study;
 mod viewers;
