@@ -89,7 +89,7 @@ impl Data {
         let Indices { train, validation, test } = Indices::choose(dataset, spec)?;
         let rows = dataset.rows();
         let part = |indices: Vec<usize>| -> Result<Part, TrainError> {
-            let maps = indices.iter().map(|&index| maps.get(index)).collect::<Result<_, _>>()?;
+            let maps: Vec<Arc<[f32]>> = indices.iter().map(|&index| maps.get(index)).collect::<Result<_, _>>()?;
             let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
             Ok(Part { indices, maps, labels, scales: Vec::new() })
         };
