@@ -6,10 +6,10 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
-use radome_models::study::{Outcome, Progress, Report, Study, StudySpec, Times};
+use radome_models::study::{Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use radome_sim::bounded_file::named_by_spec;
 use serde::Deserialize;
 
@@ -96,7 +96,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return plan::print(&study, arguments.json);
     }
     let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
-    // What is done is reported, whatever ended the work.
+    if worked.as_ref().is_err_and(is_busy) {
+        // The report is the other process's.
+        return worked;
+    }
+    // What is done is reported, whatever else ended the work.
     let is_shard = count > 1 && !arguments.report_only;
     let reported = report(&study, folder, is_shard);
     if let Ok((report, _)) = &reported
@@ -117,9 +121,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn make_dataset(study: &Path, source: &Path, maps: PathBuf) -> anyhow::Result<PathBuf> {
     const WAIT: Duration = Duration::from_millis(500);
     let is_made = || maps.join("dataset.json").exists();
-    let is_busy = |error: &anyhow::Error| {
-        matches!(error.downcast_ref::<DatasetError>(), Some(DatasetError::Busy { .. })) && !output::interrupted()
-    };
     let mut is_told = false;
     while !is_made() {
         let source = named(study, source)?;
@@ -130,11 +131,21 @@ fn make_dataset(study: &Path, source: &Path, maps: PathBuf) -> anyhow::Result<Pa
             Ok(_) => break,
             // Another process has made it since.
             Err(_) if is_made() => break,
-            Err(error) if is_busy(&error) => std::thread::sleep(WAIT),
+            Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
             Err(error) => return Err(error),
         }
     }
     Ok(maps)
+}
+
+/// Whether an error says that another process is at work in a folder.
+fn is_busy(error: &anyhow::Error) -> bool {
+    let is_busy = |error: &DatasetError| matches!(error, DatasetError::Busy { .. });
+    let of_study = match error.downcast_ref::<StudyError>() {
+        Some(StudyError::Dataset(error)) => is_busy(error),
+        _ => false,
+    };
+    of_study || error.downcast_ref::<DatasetError>().is_some_and(is_busy)
 }
 
 /// Report and times of what is there. Those of a shard are not written: it may be behind another that has ended.
@@ -167,6 +178,9 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     });
     bar.finish_and_clear();
     worked?;
+    if output::interrupted() {
+        bail!("interrupted: trainings that have ended are kept\n\nhint: the same command goes on with the others");
+    }
     trouble.into_inner().map_or(Ok(()), Err)
 }
 
