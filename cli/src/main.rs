@@ -16,6 +16,7 @@ mod output_file;
 mod panics;
 mod picture;
 mod shard;
+mod slurm;
 mod source;
 mod viewers;
 

@@ -3,5 +3,6 @@
 mod filter_on_ladder;
 mod hostile_files;
 mod onnx;
+mod study;
 mod support;
 mod training;

@@ -24,4 +24,6 @@ mod program;
 mod schemas;
 mod simulate;
 mod slurm;
+mod statements;
+mod study;
 mod viewers;

@@ -7,7 +7,7 @@ use std::time::Duration;
 use radome_tests::{failure, fixture, json_lines, radome};
 
 /// A small dataset of halls, made once for all tests.
-fn maps() -> &'static Path {
+pub fn maps() -> &'static Path {
     static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
     let (_, path) = MAPS.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,13 +1,17 @@
-//! A real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed: an array builds a dataset, one of its
-//! tasks is killed and requeued, and the shards merge to the bytes of a build without it.
+//! A real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed: an array builds a dataset or runs a study,
+//! one of its tasks is killed and requeued, and the shards merge to the bytes of a single process.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::free_port;
 use radome_tests::{fixture, json_lines, radome, skip};
+
+use super::learning::maps;
+use super::study::{STUDY, TRAININGS, progress, report};
 
 /// Processes that end with the test.
 struct Daemons(Vec<Child>);
@@ -105,19 +109,86 @@ fn start(folder: &Path) -> (Daemons, PathBuf) {
     (daemons, configuration)
 }
 
+/// A cluster of this machine alone, private to a folder.
+struct Cluster {
+    /// They end before their folder is removed.
+    _daemons: Daemons,
+    folder: tempfile::TempDir,
+    configuration: PathBuf,
+    _alone: MutexGuard<'static, ()>,
+}
+
+/// One cluster at a time: each believes that all processors are its own.
+static ALONE: Mutex<()> = Mutex::new(());
+
+impl Cluster {
+    /// Starts it; `None`, which is counted, where Slurm is not installed or this is not root.
+    fn start() -> Option<Self> {
+        let absent: Vec<&str> = ["munged", "slurmctld", "slurmd", "sbatch", "scontrol"]
+            .into_iter()
+            .filter(|name| program(name).is_none())
+            .collect();
+        let is_root = Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout == b"0\n");
+        if !absent.is_empty() || !is_root {
+            skip("slurm", &format!("{absent:?} absent (apt-get install slurm-wlm munge), root: {is_root}"));
+            return None;
+        }
+        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = tempfile::tempdir().expect("a folder");
+        let (daemons, configuration) = start(folder.path());
+        Some(Cluster { _daemons: daemons, folder, configuration, _alone: alone })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A command of Slurm's.
+    fn command(&self, name: &str) -> Command {
+        let mut command = Command::new(name);
+        command.env("SLURM_CONF", &self.configuration).env("RADOME_PATH", fixture("")).current_dir(self.folder.path());
+        command
+    }
+
+    /// Queues a script; the number of its job.
+    fn queue(&self, script: &str) -> String {
+        fs::write(self.path("array.sh"), format!("{script}\n")).expect("writable");
+        text_of(self.command("sbatch").args(["--parsable", "array.sh"]))
+    }
+
+    fn show(&self, task: &str) -> String {
+        let output = self.command("scontrol").args(["show", "job", task]).output().expect("scontrol");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    /// Kills a task without a word, and waits until it is gone.
+    fn kill(&self, task: &str) {
+        text_of(self.command("scancel").args(["--signal=KILL", "--full", task]));
+        wait("the task to be gone", || {
+            let said = self.show(task);
+            !said.contains("JobState=RUNNING") && !said.contains("JobState=COMPLETING")
+        });
+    }
+
+    /// Queues a task again that was killed.
+    fn requeue(&self, task: &str) {
+        text_of(self.command("scontrol").args(["requeue", task]));
+        // Slurm lets what was requeued wait for two minutes; not here.
+        let said = self.show(task);
+        let number = said.split_whitespace().find_map(|word| word.strip_prefix("JobId=")).expect("a number");
+        let _ = self.command("scontrol").args(["update", &format!("JobId={number}"), "StartTime=now"]).output();
+    }
+
+    /// How often a task was queued again.
+    fn restarts(&self, task: &str) -> Option<String> {
+        self.show(task).split_whitespace().find_map(|word| word.strip_prefix("Restarts=")).map(str::to_owned)
+    }
+}
+
 #[test]
 fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() {
-    let absent: Vec<&str> = ["munged", "slurmctld", "slurmd", "sbatch", "scontrol"]
-        .into_iter()
-        .filter(|name| program(name).is_none())
-        .collect();
-    let is_root = Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout == b"0\n");
-    if !absent.is_empty() || !is_root {
-        skip("slurm", &format!("{absent:?} absent (apt-get install slurm-wlm munge), root: {is_root}"));
-        return;
-    }
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = |name: &str| folder.path().join(name);
+    let Some(cluster) = Cluster::start() else { return };
+    let path = |name: &str| cluster.path(name);
     let scene = fixture("scenes/corridor.toml").canonicalize().expect("a scene");
     let spec = path("spec.toml");
     let text = format!(
@@ -129,17 +200,10 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     fs::write(&spec, text).expect("writable");
     json_lines(radome().args(["dataset", "build", "--json"]).arg(&spec).arg("-o").arg(path("single")));
 
-    let (_daemons, configuration) = start(folder.path());
-    let slurm = |name: &str| {
-        let mut command = Command::new(name);
-        command.env("SLURM_CONF", &configuration).env("RADOME_PATH", fixture("")).current_dir(folder.path());
-        command
-    };
     let script = text_of(radome().args(["dataset", "slurm", "--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
-    fs::write(path("array.sh"), script + "\n").expect("writable");
-    let job = text_of(slurm("sbatch").args(["--parsable", "array.sh"]));
+    let job = cluster.queue(&script);
 
-    // Killed, without a word, as soon as it has made a unit; then queued again.
+    // Killed as soon as it has made a unit; then queued again.
     let parts = |index: usize| path(&format!("shards/shard-{index:05}-of-00008.parts"));
     let units = |index: usize| {
         let entries = fs::read_dir(parts(index)).into_iter().flatten().flatten();
@@ -154,24 +218,11 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     });
     let index = killed.expect("one is at work");
     let task = format!("{job}_{index}");
-    text_of(slurm("scancel").args(["--signal=KILL", "--full", &task]));
-    wait("the task to be gone", || {
-        let said = slurm("scontrol").args(["show", "job", &task]).output().expect("scontrol");
-        let said = String::from_utf8_lossy(&said.stdout).into_owned();
-        !said.contains("JobState=RUNNING") && !said.contains("JobState=COMPLETING")
-    });
+    cluster.kill(&task);
     assert!(parts(index).exists(), "task {index} was killed in the middle of its work");
-    let restarts = |said: &str| said.split_whitespace().find_map(|w| w.strip_prefix("Restarts=")).map(str::to_owned);
-    text_of(slurm("scontrol").args(["requeue", &task]));
-    let show = || {
-        String::from_utf8_lossy(&slurm("scontrol").args(["show", "job", &task]).output().expect("scontrol").stdout)
-            .into_owned()
-    };
-    // Slurm lets what was requeued wait for two minutes; not here.
-    let number = show().split_whitespace().find_map(|w| w.strip_prefix("JobId=").map(str::to_owned)).expect("a number");
-    let _ = slurm("scontrol").args(["update", &format!("JobId={number}"), "StartTime=now"]).output();
+    cluster.requeue(&task);
     wait("the array", || (0..8).all(|i| path(&format!("shards/shard-{i:05}-of-00008")).exists()));
-    assert_eq!(restarts(&show()).as_deref(), Some("1"), "{}", show());
+    assert_eq!(cluster.restarts(&task).as_deref(), Some("1"), "{}", cluster.show(&task));
     let log = fs::read_to_string(path(&format!("radome-spec-{job}_{index}.log"))).expect("a log");
     assert!(log.contains("units are there"), "it went on where it was: {log}");
 
@@ -191,4 +242,42 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
         fs::read_dir(path("merged")).expect("a folder").count(),
         fs::read_dir(path("single")).expect("a folder").count()
     );
+}
+
+#[test]
+fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
+    let Some(cluster) = Cluster::start() else { return };
+    let path = |name: &str| cluster.path(name);
+    let spec = path("study.toml");
+    fs::write(&spec, STUDY).expect("writable");
+    let study = |name: &str| {
+        let mut command = radome();
+        command
+            .args(["model", "study"])
+            .arg(&spec)
+            .arg("--dataset")
+            .arg(maps())
+            .arg("-o")
+            .arg(path(name))
+            .arg("--json");
+        command
+    };
+    json_lines(&mut study("single"));
+
+    let mut script = radome();
+    script.args(["model", "slurm", "--tasks", "6"]).arg(&spec).arg("--dataset").arg(maps());
+    let job = cluster.queue(&text_of(script.arg("-o").arg(path("array"))));
+    // Two tasks run at once, the first before the others.
+    wait("the first task to be at work", || progress(&path("array")).iter().any(|count| *count > 0));
+    let task = format!("{job}_0");
+    cluster.kill(&task);
+    cluster.requeue(&task);
+    let log = |index: usize| path(&format!("radome-study-{job}_{index}.log"));
+    let is_done = |index: usize| fs::read_to_string(log(index)).is_ok_and(|text| text.contains("trainings are done"));
+    wait("the array", || progress(&path("array")) == [TRAININGS, 0]);
+    wait("the first task", || cluster.show(&task).contains("JobState=COMPLETED"));
+    assert_eq!(cluster.restarts(&task).as_deref(), Some("1"), "{}", cluster.show(&task));
+    assert!((0..6).any(is_done), "shards say how far the study is");
+    json_lines(study("array").arg("--report-only"));
+    assert_eq!(report(&path("array")), report(&path("single")));
 }

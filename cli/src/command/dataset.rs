@@ -8,8 +8,6 @@ mod slurm;
 mod stats;
 mod verify;
 
-pub use build::whole as build;
-
 /// `radome dataset`
 #[derive(clap::Args)]
 pub struct Arguments {

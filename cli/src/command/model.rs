@@ -5,6 +5,7 @@ mod background;
 mod evaluate;
 mod export;
 mod list;
+mod slurm;
 mod study;
 mod train;
 
@@ -29,6 +30,8 @@ enum Action {
     Evaluate(evaluate::Arguments),
     /// Compare networks over seeds, noise and shares of the labels in one report; resumes where it was stopped
     Study(study::Arguments),
+    /// The script of a Slurm array that runs a study
+    Slurm(slurm::Arguments),
     /// Export a model as ONNX
     Export(export::Arguments),
     /// List the networks: parameters, multiply-adds, input
@@ -46,6 +49,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Action::Background(arguments) => background::run(arguments),
         Action::Evaluate(arguments) => evaluate::run(arguments),
         Action::Study(arguments) => study::run(arguments),
+        Action::Slurm(arguments) => slurm::run(arguments),
         Action::Export(arguments) => export::run(arguments),
         Action::List(arguments) => list::run(arguments),
     }

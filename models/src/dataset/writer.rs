@@ -1,6 +1,6 @@
 //! Writing of dataset folders.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -11,11 +11,9 @@ use sha2::{Digest, Sha256};
 use super::error::DatasetError;
 use super::header::DatasetHeader;
 use super::layout::{MAPS_PER_SHARD, shard_name};
+use super::lock::{LOCK, lock_folder};
 use super::manifest::ManifestRow;
 use crate::whole_file::sync_folder;
-
-/// Name of the file that a writer locks, in its temporary folder.
-const LOCK: &str = ".lock";
 
 /// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
 /// the next writer removes the files of a killed one, and only one process at a time may write it.
@@ -190,27 +188,6 @@ impl Drop for DatasetWriter {
         if !self.finished {
             let _ = fs::remove_dir_all(&self.temporary);
         }
-    }
-}
-
-/// Locks a folder that one process at a time may write, until the returned file is dropped.
-///
-/// # Errors
-/// [`DatasetError::Busy`] if another process holds the lock. On file systems without locks it succeeds without one.
-pub fn lock_folder(folder: &Path) -> Result<File, DatasetError> {
-    let path = folder.join(LOCK);
-    let file = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(DatasetError::Busy { path: folder.to_owned() }),
-        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {
-            tracing::warn!(
-                "{}: this file system knows no locks; see that only one process writes here",
-                path.display()
-            );
-            Ok(file)
-        }
-        Err(TryLockError::Error(error)) => Err(DatasetError::io(&path, "locking")(error)),
     }
 }
 

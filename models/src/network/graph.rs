@@ -168,6 +168,24 @@ impl Graph {
         nodes.map(count).sum::<usize>() as u64
     }
 
+    /// Memory that a training step on `batch` maps of `range x doppler` takes at least, bytes; 0 where the map is too small. It
+    /// holds the results of all layers, which the backward pass reads, and each parameter with its gradient and Adam's moments.
+    pub fn least_training_bytes(&self, range: usize, doppler: usize, batch: usize) -> u64 {
+        let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
+        // These may return their input.
+        let is_free = |layer: &Layer| {
+            matches!(layer, Layer::Dropout { .. } | Layer::DropSamples { .. } | Layer::Standardise { .. })
+        };
+        let results = self.nodes.iter().zip(sizes.iter().skip(1)).filter(|(node, _)| !is_free(&node.layer));
+        let cells = |size: &Size| match *size {
+            Size::Map { rows, columns, channels } => rows * columns * channels,
+            Size::Vector(width) => width,
+        };
+        let of_map: usize = results.map(|(_, size)| cells(size)).sum();
+        let parameters: usize = self.declarations().iter().map(|d| d.shape.iter().product::<usize>()).sum();
+        4 * (of_map as u64 * batch as u64 + 4 * parameters as u64)
+    }
+
     /// All trained arrays, in the order of the nodes.
     pub fn declarations(&self) -> Vec<Declaration> {
         self.nodes.iter().flat_map(Node::declarations).collect()

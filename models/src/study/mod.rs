@@ -1,6 +1,11 @@
 //! Studies: comparisons of networks over seeds, label fractions and noise. A study is a list of jobs, each of which writes one
 //! file, and a report on the files that exist. A stopped study continues where it was, also within a training.
 //!
+//! # Shards
+//! Several processes may run the shards of a study in one folder. Each job is locked by the process that runs it, and its outcome
+//! but for the times is a function of job, dataset and kernel level. The report holds no times: it is the same, byte for byte,
+//! however the jobs were spread.
+//!
 //! # Equal treatment
 //! Every variant is trained by the same recipe ([`crate::train`]) with the same grid of learning rates. The best rate by balanced
 //! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that
@@ -8,17 +13,22 @@
 //! means.
 
 mod error;
+mod jobs;
 mod noise;
 mod outcome;
+mod plan;
 mod report;
 mod run;
 mod spec;
 mod statistics;
+mod times;
 
 pub use error::StudyError;
 pub use noise::{NoisyMaps, with_noise};
 pub use outcome::{FAILED_BELOW, Job, Noisy, Outcome};
-pub use report::{Cell, Report, report};
+pub use plan::{Plan, PlannedNetwork};
+pub use report::{Cell, Failure, Report, report};
 pub use run::{Progress, Study};
 pub use spec::{StudySpec, Variant};
 pub use statistics::{Interval, t_interval};
+pub use times::{CellTimes, Times};

@@ -6,9 +6,9 @@ use std::fmt::Write;
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-use super::outcome::{FAILED_BELOW, Outcome};
+use super::outcome::{FAILED_BELOW, Job, Outcome};
 use super::spec::StudySpec;
-use super::statistics::{Interval, t_interval};
+use super::statistics::{Interval, median, t_interval};
 use crate::dataset::Dataset;
 use crate::metrics::Metrics;
 
@@ -44,23 +44,27 @@ pub struct Cell {
     pub confusion: Confusion,
     /// Balanced accuracy under noise, by signal-to-noise ratio.
     pub noisy: Vec<(f64, Option<Interval>)>,
-    /// Trainings that reached the target on the validation split, and their median time there in epochs and seconds.
+    /// Trainings that reached the target on the validation split.
     pub reached_target: usize,
     /// Median epochs until then.
     pub epochs_to_target: Option<f64>,
-    /// Median seconds until then.
-    pub seconds_to_target: Option<f64>,
-    /// Seconds of a training.
-    pub training_seconds: Option<Interval>,
-    /// Median time of one map through the classifier, ms.
-    pub latency_ms: Option<f64>,
     /// Trained numbers.
     pub parameters: usize,
     /// Multiply-adds of one map.
     pub multiply_adds: u64,
 }
 
-/// A study's results.
+/// Training that failed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The training.
+    pub job: Job,
+    /// Cause, or how little it learnt.
+    pub reason: String,
+}
+
+/// A study's results. They are the same however the trainings were spread and interrupted: what differs from run to run is in
+/// [`Times`](super::Times).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Heading.
@@ -75,51 +79,75 @@ pub struct Report {
     pub done: usize,
     /// Trainings of the plan, less those that only choose learning rates.
     pub planned: usize,
-    /// Time of all trainings that are done, s.
-    pub seconds: f64,
     /// Balanced accuracy whose first epoch is reported.
     pub target: f64,
     /// One for each variant and label fraction.
     pub cells: Vec<Cell>,
+    /// All trainings that failed, those that learning rates were chosen by included.
+    #[serde(default)]
+    pub failures: Vec<Failure>,
+}
+
+/// Outcomes of one variant on one share of the maps.
+pub(super) struct Group<'a> {
+    pub variant: &'a str,
+    pub label_fraction: f64,
+    pub learning_rate: f64,
+    pub outcomes: Vec<&'a Outcome>,
+}
+
+/// Outcomes at the chosen learning rates, in the order of the report.
+pub(super) fn groups<'a>(
+    spec: &'a StudySpec,
+    chosen: &BTreeMap<String, f64>,
+    outcomes: &'a [Outcome],
+) -> Vec<Group<'a>> {
+    let mut groups = Vec::new();
+    for variant in &spec.variants {
+        for &label_fraction in &spec.label_fractions {
+            let learning_rate = chosen.get(&variant.name).copied().unwrap_or(f64::NAN);
+            let is_of_group = |outcome: &&Outcome| {
+                let job = &outcome.job;
+                let is_ours = job.variant == variant.name && job.label_fraction == label_fraction;
+                is_ours && job.learning_rate == learning_rate && spec.seeds.contains(&job.seed)
+            };
+            let outcomes = outcomes.iter().filter(is_of_group).collect();
+            groups.push(Group { variant: &variant.name, label_fraction, learning_rate, outcomes });
+        }
+    }
+    groups
 }
 
 /// Makes the report of outcomes.
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
-    let mut cells = Vec::new();
-    let held_out = if spec.leave_one_recording_out {
-        let names: std::collections::BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
-        names.len()
-    } else {
-        1
-    };
-    for variant in &spec.variants {
-        for &label_fraction in &spec.label_fractions {
-            let learning_rate = chosen.get(&variant.name).copied().unwrap_or(f64::NAN);
-            let of: Vec<&Outcome> = outcomes
-                .iter()
-                .filter(|outcome| {
-                    let job = &outcome.job;
-                    let ours = job.variant == variant.name && job.label_fraction == label_fraction;
-                    ours && job.learning_rate == learning_rate && spec.seeds.contains(&job.seed)
-                })
-                .collect();
-            cells.push(cell(spec, &variant.name, label_fraction, learning_rate, &of));
-        }
-    }
+    let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group)).collect();
     Report {
         title: spec.title.clone(),
         remarks: spec.remarks.clone(),
         dataset_hash: dataset.hash(),
         maps: dataset.rows().len(),
         done: cells.iter().map(|cell| cell.done).sum(),
-        planned: cells.len() * spec.seeds.len() * held_out,
-        seconds: outcomes.iter().map(|outcome| outcome.training_seconds).sum(),
+        planned: cells.len() * spec.seeds.len() * spec.held_out(dataset).len(),
         target: spec.target,
         cells,
+        failures: outcomes.iter().filter_map(failure).collect(),
     }
 }
 
-fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64, of: &[&Outcome]) -> Cell {
+fn failure(outcome: &Outcome) -> Option<Failure> {
+    let reason = match &outcome.error {
+        Some(error) => error.lines().next().unwrap_or_default().to_owned(),
+        None if outcome.failed() => {
+            format!("balanced accuracy {:.3} on its own training maps at the end", outcome.training)
+        }
+        None => return None,
+    };
+    Some(Failure { job: outcome.job.clone(), reason })
+}
+
+fn cell(spec: &StudySpec, group: &Group) -> Cell {
+    let Group { variant, label_fraction, learning_rate, outcomes: of } = group;
+    let (label_fraction, learning_rate) = (*label_fraction, *learning_rate);
     let chance = 1.0 / Occupancy::ALL.len() as f64;
     let interval = |f: &dyn Fn(&Outcome) -> Option<f64>| {
         let values: Vec<f64> = of.iter().filter_map(|outcome| f(outcome)).collect();
@@ -148,7 +176,7 @@ fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64
     };
     let noisy = if label_fraction == 1.0 { spec.snr_db.iter().map(|&snr| (snr, under(snr))).collect() } else { vec![] };
     Cell {
-        variant: variant.to_owned(),
+        variant: (*variant).to_owned(),
         label_fraction,
         learning_rate,
         done: of.len(),
@@ -163,18 +191,9 @@ fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64
         noisy,
         reached_target: of.iter().filter(|outcome| outcome.epochs_to_target.is_some()).count(),
         epochs_to_target: median(of.iter().filter_map(|outcome| Some(outcome.epochs_to_target? as f64))),
-        seconds_to_target: median(of.iter().filter_map(|outcome| outcome.seconds_to_target)),
-        training_seconds: interval(&|outcome| outcome.error.is_none().then_some(outcome.training_seconds)),
-        latency_ms: median(of.iter().filter(|outcome| outcome.error.is_none()).map(|outcome| outcome.latency_ms)),
         parameters: of.first().map_or(0, |outcome| outcome.parameters),
         multiply_adds: of.first().map_or(0, |outcome| outcome.multiply_adds),
     }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// Clean accuracy of the paper on synthetic data, test and training, %.
@@ -220,10 +239,9 @@ impl Report {
         writeln!(out, "# {}\n", self.title)?;
         writeln!(
             out,
-            "{} of {} trainings, {:.0} s of training. Dataset {} of {} maps.",
+            "{} of {} trainings. Dataset {} of {} maps.",
             self.done,
             self.planned,
-            self.seconds,
             self.dataset_hash.get(..12).unwrap_or(&self.dataset_hash),
             self.maps
         )?;
@@ -240,7 +258,8 @@ impl Report {
         self.write_noise(out)?;
         self.write_fractions(out)?;
         self.write_cost(out)?;
-        self.write_confusion(out)
+        self.write_confusion(out)?;
+        self.write_failures(out)
     }
 
     fn write_clean(&self, out: &mut String) -> std::fmt::Result {
@@ -328,26 +347,18 @@ impl Report {
 
     fn write_cost(&self, out: &mut String) -> std::fmt::Result {
         writeln!(out, "## Cost\n")?;
-        writeln!(
-            out,
-            "| network | parameters | multiply-adds | training s | one map ms | reached {} | epochs to it | s to it |",
-            self.target
-        )?;
-        writeln!(out, "|---|---|---|---|---|---|---|---|")?;
-        let number = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+        writeln!(out, "| network | parameters | multiply-adds | reached {} | epochs to it |", self.target)?;
+        writeln!(out, "|---|---|---|---|---|")?;
         for cell in self.whole() {
             writeln!(
                 out,
-                "| {} | {} | {:.1} M | {} | {} | {} of {} | {} | {} |",
+                "| {} | {} | {:.1} M | {} of {} | {} |",
                 cell.variant,
                 cell.parameters,
                 cell.multiply_adds as f64 * 1e-6,
-                number(cell.training_seconds.map(|interval| interval.mean), 1),
-                number(cell.latency_ms, 2),
                 cell.reached_target,
                 cell.done,
-                number(cell.epochs_to_target, 0),
-                number(cell.seconds_to_target, 1)
+                number(cell.epochs_to_target, 0)
             )?;
         }
         writeln!(out)
@@ -364,6 +375,26 @@ impl Report {
         }
         Ok(())
     }
+
+    fn write_failures(&self, out: &mut String) -> std::fmt::Result {
+        if self.failures.is_empty() {
+            return Ok(());
+        }
+        writeln!(out, "\n## Trainings that failed\n")?;
+        writeln!(out, "| network | labels | rate | seed | without | reason |\n|---|---|---|---|---|---|")?;
+        for Failure { job, reason } in &self.failures {
+            let Job { variant, label_fraction, learning_rate, seed, held_out } = job;
+            let held_out = held_out.as_deref().unwrap_or("-");
+            let labels = 100.0 * label_fraction;
+            writeln!(out, "| {variant} | {labels:.0} % | {learning_rate} | {seed} | {held_out} | {reason} |")?;
+        }
+        Ok(())
+    }
+}
+
+/// A number that there may not be.
+pub(super) fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
 }
 
 fn short(interval: Option<Interval>) -> String {

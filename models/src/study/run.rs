@@ -1,26 +1,29 @@
-//! The jobs of a study, run one after the other in a folder.
+//! The jobs of a study, run one after the other in a folder that other processes may share.
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
-
-use sha2::{Digest, Sha256};
+use std::time::{Duration, Instant};
 
 use super::error::StudyError;
+use super::jobs::{name, of_shard};
 use super::noise::with_noise;
 use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
+use super::times::{Times, times};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
-use crate::dataset::{Dataset, Split};
+use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
 use crate::evaluate::evaluate;
 use crate::model::Classifier;
-use crate::train::{EpochReport, TrainError, train_with_checkpoint};
+use crate::train::{EpochReport, Indices, Maps, TrainError, check_memory, train_on};
 use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
+/// Time between two looks at jobs that other processes run.
+const OTHERS_WAIT: Duration = Duration::from_millis(200);
 
 /// Progress of a study.
 pub enum Progress<'a> {
@@ -34,15 +37,18 @@ pub enum Progress<'a> {
 
 /// Study in a folder.
 pub struct Study<'a> {
-    spec: &'a StudySpec,
-    dataset: &'a Dataset,
+    pub(super) spec: &'a StudySpec,
+    pub(super) dataset: &'a Dataset,
+    /// The dataset's maps, which all trainings share.
+    pub(super) maps: Maps<'a>,
     folder: PathBuf,
-    /// Number of this worker, and number of workers that share the jobs.
+    /// Index of this shard, and number of shards.
     shard: (usize, usize),
 }
 
 impl<'a> Study<'a> {
-    /// Opens a study in a folder, or starts one.
+    /// Opens a study in a folder, or starts one. `shard` is the index of the part of the jobs that is run, from 0, and the number of
+    /// parts.
     ///
     /// # Errors
     /// Those of [`StudySpec::check`], [`StudyError::Foreign`] if the folder holds another study, and [`StudyError::File`] if it
@@ -66,51 +72,35 @@ impl<'a> Study<'a> {
             Err(error) if error.kind() == ErrorKind::NotFound => write_whole(&path, identity.as_bytes())?,
             Err(error) => return Err(file(&path, error)),
         }
-        Ok(Study { spec, dataset, folder: folder.to_owned(), shard })
+        let maps = Maps::new(dataset, spec.train.reference);
+        Ok(Study { spec, dataset, maps, folder: folder.to_owned(), shard })
     }
 
-    /// Runs the remaining jobs until `go_on` returns `false`. Returns all outcomes that exist.
+    /// Runs the remaining jobs of this shard until `go_on` returns `false`. Returns all outcomes that exist.
+    ///
+    /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it first. The
+    /// learning rates that a shard needs and another has not tried yet are tried by it, or waited for.
     ///
     /// # Errors
+    /// [`DatasetError::Busy`] if another process works on the study as a whole, or on a shard where this is no shard, and otherwise
     /// [`StudyError`] for the first training that cannot be done, model that cannot be evaluated, or file that cannot be written or
     /// read. A training that ends in a number that is not finite is an outcome and no error.
     pub fn run(&self, go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<Vec<Outcome>, StudyError> {
-        let held_out = self.held_out();
-        let rates = self.spec.rates();
-        // The jobs for the learning rates come first, because the others depend on them.
-        let mut jobs = Vec::new();
+        let _lock = if self.shard.1 > 1 { share_folder(&self.folder) } else { lock_folder(&self.folder) }?;
+        let held_out = self.spec.held_out(self.dataset);
         for variant in &self.spec.variants {
-            for &learning_rate in &rates {
-                jobs.push(Job {
-                    variant: variant.name.clone(),
-                    label_fraction: 1.0,
-                    learning_rate,
-                    seed: self.spec.seeds.first().copied().unwrap_or_default(),
-                    held_out: held_out.first().cloned().flatten(),
-                });
-            }
+            let rate = self.spec.train.learning_rate;
+            check_memory(self.dataset, &self.spec.train_spec(&self.spec.rate_job(&variant.name, rate, &held_out))?)?;
         }
-        if rates.len() > 1 {
-            self.work(&jobs, go_on, tell)?;
-        }
+        let rate_jobs = self.spec.rate_jobs(&held_out);
+        self.work(&of_shard(&rate_jobs, self.shard), go_on, tell)?;
+        self.work(&rate_jobs, go_on, tell)?;
         let chosen = self.chosen_rates()?;
-        let mut jobs = Vec::new();
-        // Seed by seed, so that early results are the whole comparison with few seeds.
-        for &seed in &self.spec.seeds {
-            for &label_fraction in &self.spec.label_fractions {
-                for variant in &self.spec.variants {
-                    let Some(&learning_rate) = chosen.get(&variant.name) else { continue };
-                    jobs.extend(held_out.iter().map(|held_out| Job {
-                        variant: variant.name.clone(),
-                        label_fraction,
-                        learning_rate,
-                        seed,
-                        held_out: held_out.clone(),
-                    }));
-                }
-            }
+        // A rate is missing only if the work was stopped.
+        if chosen.len() == self.spec.variants.len() {
+            let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
+            self.work(&of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard), go_on, tell)?;
         }
-        self.work(&jobs, go_on, tell)?;
         self.outcomes()
     }
 
@@ -124,14 +114,12 @@ impl<'a> Study<'a> {
             return Ok(self.spec.variants.iter().map(|variant| (variant.name.clone(), rate)).collect());
         }
         let outcomes = self.outcomes()?;
+        let held_out = self.spec.held_out(self.dataset);
         let mut chosen = BTreeMap::new();
         for variant in &self.spec.variants {
             let score = |rate: f64| {
-                let tried = outcomes.iter().find(|outcome| {
-                    let job = &outcome.job;
-                    let first = self.spec.seeds.first() == Some(&job.seed);
-                    job.variant == variant.name && job.learning_rate == rate && job.label_fraction == 1.0 && first
-                })?;
+                let job = self.spec.rate_job(&variant.name, rate, &held_out);
+                let tried = outcomes.iter().find(|outcome| outcome.job == job)?;
                 Some(tried.validation.as_ref().map_or(0.0, |metrics| metrics.balanced_accuracy))
             };
             let scores: Option<Vec<f64>> = rates.iter().map(|&rate| score(rate)).collect();
@@ -178,32 +166,77 @@ impl<'a> Study<'a> {
         Ok(report(self.spec, self.dataset, &self.chosen_rates()?, &self.outcomes()?))
     }
 
-    /// Recordings that are held out in turn, or a single `None`.
-    fn held_out(&self) -> Vec<Option<String>> {
-        if !self.spec.leave_one_recording_out {
-            return vec![None];
-        }
-        let names: std::collections::BTreeSet<&str> =
-            self.dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
-        names.into_iter().map(|name| Some(name.to_owned())).collect()
+    /// Times of the trainings that are done.
+    ///
+    /// # Errors
+    /// Those of [`Study::outcomes`].
+    pub fn times(&self) -> Result<Times, StudyError> {
+        Ok(times(self.spec, &self.chosen_rates()?, &self.outcomes()?))
     }
 
+    /// Runs the jobs that have no result: first those that no other process runs, then those whose process ended without one.
     fn work(&self, jobs: &[Job], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
-        let (worker, workers) = self.shard;
-        for (index, job) in jobs.iter().enumerate().filter(|(index, _)| index % workers.max(1) == worker) {
-            let path = self.folder.join("results").join(format!("{}.json", name(job)));
-            if path.exists() {
-                continue;
+        let mut left: Vec<(usize, &Job)> = jobs.iter().enumerate().collect();
+        loop {
+            let mut elsewhere = Vec::new();
+            for (index, job) in left {
+                if self.has_result(job) {
+                    continue;
+                }
+                if !go_on() {
+                    return Ok(());
+                }
+                match self.claim(job)? {
+                    Some(_claim) => self.finish(job, (index + 1, jobs.len()), tell)?,
+                    None => elsewhere.push((index, job)),
+                }
             }
-            if !go_on() {
+            if elsewhere.is_empty() {
                 return Ok(());
             }
-            tell(Progress::Job(job, index + 1, jobs.len()));
+            left = elsewhere;
+            std::thread::sleep(OTHERS_WAIT);
+        }
+    }
+
+    pub(super) fn has_result(&self, job: &Job) -> bool {
+        self.result_path(job).exists()
+    }
+
+    fn result_path(&self, job: &Job) -> PathBuf {
+        self.folder.join("results").join(format!("{}.json", name(job)))
+    }
+
+    fn claim_path(&self, job: &Job) -> PathBuf {
+        self.folder.join("checkpoints").join(format!("{}.lock", name(job)))
+    }
+
+    /// Locks a job until the returned file is dropped; `None` if another process runs it.
+    fn claim(&self, job: &Job) -> Result<Option<File>, StudyError> {
+        match lock_file(&self.claim_path(job)) {
+            Ok(file) => Ok(Some(file)),
+            Err(DatasetError::Busy { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Runs a job that is claimed, unless its result has come meanwhile, and writes the result.
+    fn finish(
+        &self,
+        job: &Job,
+        (number, count): (usize, usize),
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<(), StudyError> {
+        if !self.has_result(job) {
+            tell(Progress::Job(job, number, count));
             let outcome = self.train(job, tell)?;
+            let path = self.result_path(job);
             let text = serde_json::to_string_pretty(&outcome).map_err(|e| file(&path, e))?;
             write_whole(&path, text.as_bytes())?;
             tell(Progress::Done(&outcome));
         }
+        // Whoever opened the file before it was removed finds the result. One that stays does no harm.
+        let _ = std::fs::remove_file(self.claim_path(job));
         Ok(())
     }
 
@@ -228,7 +261,12 @@ impl<'a> Study<'a> {
             multiply_adds: network.multiply_adds(range, doppler),
         };
         let checkpoint = self.folder.join("checkpoints").join(format!("{}.safetensors", name(job)));
-        let trained = train_with_checkpoint(self.dataset, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
+        let mut trained = train_on(&self.maps, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
+        if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
+            // It may be of a machine with other instructions.
+            tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
+            trained = train_on(&self.maps, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
+        }
         let trained = match trained {
             Ok(trained) => trained,
             // A training that diverges is a result; one that cannot be run is an error.
@@ -251,14 +289,7 @@ impl<'a> Study<'a> {
         }
         outcome.validation = Some(trained.validation);
         outcome.test = trained.test;
-        let test: Vec<usize> = self
-            .dataset
-            .splits(&spec.split)?
-            .iter()
-            .enumerate()
-            .filter(|&(_, &split)| split == Split::Test)
-            .map(|(index, _)| index)
-            .collect();
+        let test = Indices::choose(self.dataset, &spec)?.test;
         let mut classifier = Classifier::new(trained.model);
         if job.label_fraction == 1.0 {
             for &snr_db in &self.spec.snr_db {
@@ -284,15 +315,6 @@ impl<'a> Study<'a> {
         times.sort_by(f64::total_cmp);
         Ok(times.get(times.len() / 2).copied().unwrap_or_default())
     }
-}
-
-/// A job's name in files.
-fn name(job: &Job) -> String {
-    let held_out = job.held_out.as_ref().map_or_else(String::new, |sequence| {
-        let hash = Sha256::digest(sequence.as_bytes());
-        format!("-without-{:02x}{:02x}{:02x}{:02x}", hash[0], hash[1], hash[2], hash[3])
-    });
-    format!("{}-{}-{}-{}{held_out}", job.variant, job.label_fraction, job.learning_rate, job.seed)
 }
 
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {

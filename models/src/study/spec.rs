@@ -1,5 +1,7 @@
 //! Settings of a study.
 
+use std::collections::BTreeSet;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -93,6 +95,11 @@ impl StudySpec {
                 jobs.to_string(),
                 "1000000 trainings at most",
             );
+        }
+        let seeds: BTreeSet<u64> = self.seeds.iter().copied().collect();
+        let fractions: BTreeSet<u64> = self.label_fractions.iter().map(|fraction| fraction.to_bits()).collect();
+        if seeds.len() < self.seeds.len() || fractions.len() < self.label_fractions.len() {
+            return fail("seeds and label_fractions", "one twice".to_owned(), "each once");
         }
         self.train.check()?;
         for (index, variant) in self.variants.iter().enumerate() {

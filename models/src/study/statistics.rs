@@ -41,6 +41,13 @@ pub fn t_interval(values: &[f64]) -> Option<Interval> {
     Some(Interval { count, mean, half_width, least, most })
 }
 
+/// Median of the values, the upper one of two; `None` without values.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,6 +1,7 @@
 //! The maps of a training, in memory.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use candle_core::{Device, Result as CandleResult, Tensor};
 use radome_dsp::Occupancy;
@@ -9,8 +10,9 @@ use rayon::prelude::*;
 
 use super::augmentation::{Augmentation, MapUse, Partners};
 use super::error::TrainError;
+use super::maps::Maps;
 use super::spec::TrainSpec;
-use crate::dataset::{Dataset, Split};
+use crate::dataset::{Dataset, DatasetError, Split};
 use crate::model::input_shape;
 use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
@@ -20,7 +22,7 @@ pub(super) struct Part {
     /// Index of each map in the dataset.
     pub indices: Vec<usize>,
     /// Cells in the map's reference, before bound and scaling, because augmentation comes first.
-    pub maps: Vec<Vec<f32>>,
+    pub maps: Vec<Arc<[f32]>>,
     pub labels: Vec<usize>,
     /// Constants of each map.
     scales: Vec<Scale>,
@@ -42,8 +44,40 @@ pub(super) struct Data {
     pub warnings: Vec<String>,
 }
 
+/// Indices of the maps of a training, by split.
+pub(crate) struct Indices {
+    /// Maps that are trained on.
+    pub train: Vec<usize>,
+    pub validation: Vec<usize>,
+    pub test: Vec<usize>,
+}
+
+impl Indices {
+    /// Chooses the maps. How many there are does not depend on the seed.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::splits`].
+    pub(crate) fn choose(dataset: &Dataset, spec: &TrainSpec) -> Result<Self, DatasetError> {
+        let splits = dataset.splits(&spec.split)?;
+        let rows = dataset.rows();
+        let of = |split: Split| -> Vec<usize> {
+            splits.iter().enumerate().filter(|&(_, &s)| s == split).map(|(index, _)| index).collect()
+        };
+        let mut train = of(Split::Train);
+        train.retain(|&index| spec.transitions || rows.get(index).is_none_or(|row| !row.transition));
+        let most = spec.most_training_maps.map_or(1.0, |most| most as f64 / train.len().max(1) as f64);
+        let fraction = spec.label_fraction * most.min(1.0);
+        if fraction < 1.0 {
+            train = fraction_by_class(&train, |i| rows.get(i).map(|r| r.label.index()), fraction, spec.seed);
+        }
+        Ok(Indices { train, validation: of(Split::Validation), test: of(Split::Test) })
+    }
+}
+
 impl Data {
-    pub(super) fn load(dataset: &Dataset, spec: &TrainSpec) -> Result<Self, TrainError> {
+    /// Reads the maps of a training. `maps` are those of the reference of `spec`.
+    pub(super) fn load(maps: &Maps, spec: &TrainSpec) -> Result<Self, TrainError> {
+        let dataset = maps.dataset();
         let shape = dataset.header().shape;
         if shape.rx != 1 {
             return Err(TrainError::Channels { rx: shape.rx });
@@ -52,33 +86,20 @@ impl Data {
         if let Some(layer) = spec.network_spec().too_small_for(rows, columns) {
             return Err(TrainError::TooSmall { layer, range: shape.range, doppler: shape.doppler });
         }
-        let splits = dataset.splits(&spec.split)?;
+        let Indices { train, validation, test } = Indices::choose(dataset, spec)?;
         let rows = dataset.rows();
-        let part = |split: Split| -> Result<Part, TrainError> {
-            let of_split = splits.iter().enumerate().filter(|&(_, &s)| s == split).map(|(index, _)| index);
-            let wanted =
-                |i: &usize| split != Split::Train || spec.transitions || rows.get(*i).is_none_or(|r| !r.transition);
-            let mut indices: Vec<usize> = of_split.filter(wanted).collect();
-            let most = spec.most_training_maps.map_or(1.0, |most| most as f64 / indices.len().max(1) as f64);
-            let fraction = spec.label_fraction * most.min(1.0);
-            if split == Split::Train && fraction < 1.0 {
-                indices = fraction_by_class(&indices, |i| rows.get(i).map(|r| r.label.index()), fraction, spec.seed);
-            }
-            let mut maps: Vec<Vec<f32>> = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
-            maps.iter_mut().for_each(|map| spec.reference.measure(map, shape.doppler));
+        let part = |indices: Vec<usize>| -> Result<Part, TrainError> {
+            let maps: Vec<Arc<[f32]>> = indices.iter().map(|&index| maps.get(index)).collect::<Result<_, _>>()?;
             let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
             Ok(Part { indices, maps, labels, scales: Vec::new() })
         };
-        let (mut train, mut validation) = (part(Split::Train)?, part(Split::Validation)?);
+        let (mut train, mut validation) = (part(train)?, part(validation)?);
         for (split, part) in [(Split::Train, &train), (Split::Validation, &validation)] {
             if part.indices.is_empty() {
                 let sequences = rows.iter().map(|r| r.sequence.as_str()).collect::<BTreeSet<_>>().len();
                 return Err(TrainError::EmptySplit { split, maps: rows.len(), sequences });
             }
         }
-        let test: Vec<usize> =
-            splits.iter().enumerate().filter(|&(_, &s)| s == Split::Test).map(|(index, _)| index).collect();
-
         let count = |part: &Part| Occupancy::ALL.map(|o| part.labels.iter().filter(|&&l| l == o.index()).count());
         let counts = count(&train);
         let present: Vec<Occupancy> = Occupancy::ALL.into_iter().filter(|o| counts[o.index()] > 0).collect();
@@ -148,7 +169,7 @@ impl Data {
     /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.
     pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
         let map = |&position: &usize| {
-            let mut cells = part.maps.get(position)?.clone();
+            let mut cells = part.maps.get(position)?.to_vec();
             self.standardise(part, position, &mut cells)?;
             Some(cells)
         };
@@ -189,11 +210,11 @@ impl Data {
     /// One use of a training map, and its class.
     fn shown(&self, position: usize, augmentation: &Augmentation, map_use: MapUse) -> Option<(Vec<f32>, usize)> {
         let part = &self.train;
-        let (mut cells, mut label) = (part.maps.get(position)?.clone(), *part.labels.get(position)?);
+        let (mut cells, mut label) = (part.maps.get(position)?.to_vec(), *part.labels.get(position)?);
         if augmentation.of_powers().is_some() {
             let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, map_use));
             label += other.and_then(|other| part.labels.get(other)).copied().unwrap_or(0);
-            let other = other.and_then(|other| part.maps.get(other)).map(Vec::as_slice);
+            let other = other.and_then(|other| part.maps.get(other)).map(|map| &**map);
             let skip = self.standardisation.reference.skipped_range_bins().unwrap_or(0);
             augmentation.change_powers(&mut cells, other, self.doppler, skip, map_use);
         }
@@ -257,7 +278,8 @@ mod tests {
 
     fn load(dataset: &Dataset, augmentation: Augmentation, most_db: Option<f32>) -> Data {
         let reference = MapReference::OverNoise { skip_range_bins: 2, most_db };
-        Data::load(dataset, &TrainSpec { reference, augmentation, ..TrainSpec::default() }).expect("data")
+        let maps = Maps::new(dataset, reference);
+        Data::load(&maps, &TrainSpec { reference, augmentation, ..TrainSpec::default() }).expect("data")
     }
 
     fn cells(tensor: &Tensor) -> Vec<f32> {

@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::dataset::{DatasetError, Split};
 use crate::model::{ClassifyError, ModelError};
-use crate::network::{UnreadableMaps, WeightsError};
+use crate::network::{NetworkKind, UnreadableMaps, WeightsError};
 use crate::standardise::StandardiseError;
 
 /// Error of a training.
@@ -87,6 +87,21 @@ pub enum TrainError {
         /// Learning rate of the spec.
         learning_rate: f64,
     },
+    /// A training step does not fit into memory.
+    #[error(
+        "a training of {network:?} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
+        gigabytes(.needed_bytes), gigabytes(.available_bytes)
+    )]
+    Memory {
+        /// Kind of the network.
+        network: NetworkKind,
+        /// Maps in a step.
+        batch_size: usize,
+        /// Estimate of what it takes, bytes.
+        needed_bytes: u64,
+        /// Memory of the machine, or of the process's control group where it has a limit, bytes.
+        available_bytes: u64,
+    },
     /// Initial weights do not fit.
     #[error(transparent)]
     Weights(#[from] WeightsError),
@@ -108,4 +123,8 @@ pub enum TrainError {
     /// A tensor operation failed.
     #[error("network: {0}")]
     Network(#[from] candle_core::Error),
+}
+
+fn gigabytes(bytes: &u64) -> f64 {
+    *bytes as f64 * 1e-9
 }

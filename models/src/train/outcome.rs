@@ -28,6 +28,17 @@ pub struct EpochReport {
     pub seconds: f64,
 }
 
+/// Times of the parts of a training.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct StepTimes {
+    /// Time of fitting the head at the end of the warm-up, s.
+    pub head_s: f64,
+    /// Time of a step with the whole network, s.
+    pub step_s: f64,
+    /// Time of one map of the validation split, s.
+    pub validation_map_s: f64,
+}
+
 /// Result of a training.
 pub struct TrainOutcome {
     /// The trained model.

@@ -5,7 +5,9 @@ use std::path::Path;
 use radome_dsp::Occupancy;
 
 use super::error::TrainError;
-use super::outcome::{EpochReport, TrainOutcome};
+use super::maps::Maps;
+use super::memory::check_memory;
+use super::outcome::{EpochReport, StepTimes, TrainOutcome};
 use super::spec::TrainSpec;
 use super::{checkpoint, data, run, temperature};
 use crate::dataset::Dataset;
@@ -41,11 +43,22 @@ pub fn train_with_checkpoint(
     checkpoint: Option<&Path>,
     report: &mut dyn FnMut(EpochReport),
 ) -> Result<TrainOutcome, TrainError> {
+    train_on(&Maps::new(dataset, spec.reference), spec, checkpoint, report)
+}
+
+/// [`train_with_checkpoint`] on maps that other trainings may share. They are those of the reference of `spec`.
+pub(crate) fn train_on(
+    maps: &Maps,
+    spec: &TrainSpec,
+    checkpoint: Option<&Path>,
+    report: &mut dyn FnMut(EpochReport),
+) -> Result<TrainOutcome, TrainError> {
+    let dataset = maps.dataset();
     spec.check()?;
     spec.check_full_batch()?;
-    let weights =
-        spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
-    let data = data::Data::load(dataset, spec)?;
+    check_memory(dataset, spec)?;
+    let weights = load_weights(spec)?;
+    let data = data::Data::load(maps, spec)?;
     let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
     let (run, history) =
         Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }
@@ -105,6 +118,25 @@ pub fn train_with_checkpoint(
     Ok(TrainOutcome { model, history, validation, test, warnings })
 }
 
+/// Weights to start from, if the settings name a file of them.
+fn load_weights(spec: &TrainSpec) -> Result<Option<TorchvisionWeights>, TrainError> {
+    let load = |path| TorchvisionWeights::load(path, &spec.network_spec());
+    Ok(spec.weights.as_deref().map(load).transpose()?)
+}
+
+/// Measures how long the parts of a training take, by a few steps of it.
+///
+/// # Errors
+/// Those of [`train`].
+pub(crate) fn time_steps(maps: &Maps, spec: &TrainSpec) -> Result<StepTimes, TrainError> {
+    spec.check()?;
+    check_memory(maps.dataset(), spec)?;
+    let weights = load_weights(spec)?;
+    let data = data::Data::load(maps, spec)?;
+    let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
+    run::Run::start(&data, spec, weights.as_ref(), 0, level)?.time_steps()
+}
+
 /// Training of all starts, in their order.
 struct Training<'a> {
     data: &'a data::Data,
@@ -118,7 +150,7 @@ struct Training<'a> {
 impl<'a> Training<'a> {
     fn run(&self, report: &mut dyn FnMut(EpochReport)) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
         let Training { data, spec, weights, level, .. } = *self;
-        let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
+        let trials = spec.trial_epochs();
         let resume = |state| run::Run::resume(data, spec, state, level);
         let (mut leader, mut trial, mut history, mut next_start) = match self.load()? {
             None => (None, None, Vec::new(), 0),

@@ -12,7 +12,7 @@ use super::data::Data;
 use super::error::TrainError;
 use super::full_batch;
 use super::head_start;
-use super::outcome::EpochReport;
+use super::outcome::{EpochReport, StepTimes};
 use super::spec::{LatentStandardisation, TrainSpec};
 use super::start::{
     self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
@@ -21,6 +21,9 @@ use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::metrics::{Metrics, most_probable};
 use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
 use crate::random::stream;
+
+/// Steps that are timed.
+const TIMED_STEPS: usize = 4;
 
 pub(super) struct Run<'a> {
     data: &'a Data,
@@ -286,6 +289,22 @@ impl<'a> Run<'a> {
         })
     }
 
+    /// Measures the end of the warm-up, steps behind it on the first batch, and the validation of one batch. Of the last two, the
+    /// first is not counted.
+    pub(super) fn time_steps(mut self) -> Result<StepTimes, TrainError> {
+        let began = Instant::now();
+        self.start_head()?;
+        let head_s = began.elapsed().as_secs_f64();
+        self.epoch = 1;
+        let batch: Vec<usize> = (0..self.data.train.maps.len().min(self.spec.batch_size)).collect();
+        let step_s = mean_s(TIMED_STEPS, || self.train_batch(&batch, &mut Vec::new()).map(|_| ()))?;
+        let part = &self.data.validation;
+        let positions: Vec<usize> = (0..part.maps.len().min(start::EVALUATION_BATCH)).collect();
+        let output = self.output();
+        let batch_s = mean_s(1, || collect(&self.network, self.data, part, &positions, output).map(|_| ()))?;
+        Ok(StepTimes { head_s, step_s, validation_map_s: batch_s / positions.len().max(1) as f64 })
+    }
+
     /// The network (with its head) as it was after its best epoch, and that epoch.
     pub(super) fn finish(mut self) -> Result<(Network, usize), TrainError> {
         if self.warming_up {
@@ -422,6 +441,16 @@ impl<'a> Run<'a> {
             learning_rate: self.spec.learning_rate,
         }
     }
+}
+
+/// Mean time of `count` calls, s, behind one that is not counted.
+fn mean_s(count: usize, mut call: impl FnMut() -> Result<(), TrainError>) -> Result<f64, TrainError> {
+    call()?;
+    let began = Instant::now();
+    for _ in 0..count {
+        call()?;
+    }
+    Ok(began.elapsed().as_secs_f64() / count.max(1) as f64)
 }
 
 fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<(), TrainError> {

@@ -170,6 +170,17 @@ impl TrainSpec {
         self.linear_epochs.unwrap_or(self.epochs / 2)
     }
 
+    /// Number of epochs that each start is given before one is chosen; 0 where there is one start.
+    pub(super) fn trial_epochs(&self) -> usize {
+        if self.starts > 1 { self.start_epochs.min(self.epochs) } else { 0 }
+    }
+
+    /// Number of epochs of all starts together.
+    pub fn all_epochs(&self) -> usize {
+        let others = (self.starts as usize).saturating_sub(1);
+        self.epochs.saturating_add(others.saturating_mul(self.trial_epochs()))
+    }
+
     /// Checks that [`TrainSpec::full_batch`] goes with the network, which a settings file may leave to the caller.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! `radome dataset build`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::counts;
 use crate::dataset::build::build;
@@ -21,14 +21,6 @@ pub struct Arguments {
     /// One object at the end
     #[arg(long)]
     json: bool,
-}
-
-/// Builds a whole dataset.
-///
-/// # Errors
-/// Those of [`build`].
-pub fn whole(spec: &Path, output: &Path) -> anyhow::Result<()> {
-    run(&Arguments { spec: spec.to_owned(), output: output.to_owned(), shard: None, json: false })
 }
 
 /// Builds a dataset, or one shard of it.

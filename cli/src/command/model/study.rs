@@ -1,14 +1,20 @@
+//! `radome model study`.
+
+mod plan;
+
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
-use radome_models::dataset::Dataset;
-use radome_models::study::{Outcome, Progress, Report, Study, StudySpec};
+use radome_models::dataset::{Dataset, DatasetError};
+use radome_models::study::{Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use radome_sim::bounded_file::named_by_spec;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use crate::dataset::build::build;
 use crate::picture::plot;
 use crate::shard::Shard;
 use crate::{files, output};
@@ -18,19 +24,23 @@ use crate::{files, output};
 pub struct Arguments {
     /// TOML file: which networks, seeds, shares of labels and noise
     spec: PathBuf,
-    /// Folder of the study: results as they come, report.md, report.json and plots. What is there is carried on with
+    /// Folder of the study: results as they come, report, times and plots. What is there is carried on with
     #[arg(short, long)]
     output: PathBuf,
     /// Dataset folder; made from the spec's `dataset` if not given
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Only this part of the trainings: I/N, auto/N, or auto in a Slurm array
-    #[arg(long, default_value_t = Shard::WHOLE)]
+    /// Only part I of N of the trainings (from 0), in the same folder as the others; `auto/N` or `auto` takes I from a Slurm,
+    /// HyperQueue or Kubernetes array. When all are done, --report-only writes the report
+    #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
     shard: Shard,
     /// The report of what is there, without training anything
     #[arg(long)]
     report_only: bool,
-    /// One object a training, and the report
+    /// How many trainings there are and are done, and the hours that the others take, by a few steps of each network
+    #[arg(long, conflicts_with_all = ["report_only", "shard"])]
+    plan: bool,
+    /// One object a training, and the report; with --plan, one object
     #[arg(long)]
     json: bool,
 }
@@ -46,54 +56,111 @@ pub struct StudyFile {
     study: toml::Table,
 }
 
-/// Trains and judges many networks, and writes one report.
+/// Reads a study's file: the study, and the name of its dataset's spec.
 ///
 /// # Errors
-/// The spec or the dataset cannot be read, a training fails, or the report cannot be written.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let path = &arguments.spec;
+/// The file or one that it names cannot be read, or it is no study.
+pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf)> {
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     let file: StudyFile = toml::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
-    let named = |name: &Path| {
-        let base = path.parent().unwrap_or(Path::new(""));
-        named_by_spec(base, name).with_context(|| format!("cannot read {}", base.join(name).display()))
-    };
-    spec.train.weights = spec.train.weights.as_deref().map(named).transpose()?;
+    spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;
+    Ok((spec, file.dataset))
+}
+
+/// Path of a file that a study names.
+///
+/// # Errors
+/// There is no such file, or it lies where a study's files may not be.
+pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    let base = study.parent().unwrap_or(Path::new(""));
+    named_by_spec(base, name).with_context(|| format!("cannot read {}", base.join(name).display()))
+}
+
+/// Trains and judges many networks, and writes one report.
+///
+/// # Errors
+/// The spec or the dataset cannot be read, another process is at work in the folder, a training fails, or the report cannot be
+/// written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let (spec, source) = read(&arguments.spec)?;
+    output::catch_interrupts()?;
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let maps = match &arguments.dataset {
         Some(maps) => maps.clone(),
-        None => {
-            let maps = folder.join("dataset");
-            if !maps.join("dataset.json").exists() {
-                let source = named(&file.dataset)?;
-                eprintln!("building {} from {}", maps.display(), source.display());
-                crate::command::dataset::build(&source, &maps)?;
-            }
-            maps
-        }
+        None => make_dataset(&arguments.spec, &source, folder.join("dataset"))?,
     };
     let dataset = Dataset::open(&maps)?;
     let Shard { index, count } = arguments.shard;
     let study = Study::open(&spec, &dataset, folder, (index, count))?;
+    if arguments.plan {
+        return plan::print(&study, arguments.json);
+    }
     let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
-    // What is done is reported, whatever ended the work.
-    let reported = study.report().map_err(anyhow::Error::from);
-    let reported = reported.and_then(|report| write(&report, folder).map(|()| report));
-    if let Ok(report) = &reported
+    if worked.as_ref().is_err_and(is_busy) {
+        // The report is the other process's.
+        return worked;
+    }
+    // What is done is reported, whatever else ended the work.
+    let is_shard = count > 1 && !arguments.report_only;
+    let reported = report(&study, folder, is_shard);
+    if let Ok((report, _)) = &reported
         && report.done < report.planned
     {
-        eprintln!("{} of {} trainings are done; the same command carries on", report.done, report.planned);
+        let next = if is_shard { "when all shards are, --report-only reports" } else { "the same command carries on" };
+        eprintln!("{} of {} trainings are done; {next}", report.done, report.planned);
     }
     worked?;
-    let report = reported?;
-    if arguments.json { output::json_line(&report) } else { output::text_line(&report.markdown()) }
+    let (report, times) = reported?;
+    if arguments.json {
+        return output::json_line(&report);
+    }
+    output::text_line(&format!("{}\n{}", report.markdown(), times.markdown()))
+}
+
+/// Builds the study's dataset, unless it is there. Where another process builds it, such as another shard, waits for that.
+fn make_dataset(study: &Path, source: &Path, maps: PathBuf) -> anyhow::Result<PathBuf> {
+    const WAIT: Duration = Duration::from_millis(500);
+    let is_made = || maps.join("dataset.json").exists();
+    let mut is_told = false;
+    while !is_made() {
+        let source = named(study, source)?;
+        if !std::mem::replace(&mut is_told, true) {
+            eprintln!("building {} from {}", maps.display(), source.display());
+        }
+        match build(&source, &maps, None) {
+            Ok(_) => break,
+            // Another process has made it since.
+            Err(_) if is_made() => break,
+            Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(maps)
+}
+
+/// Whether an error says that another process is at work in a folder.
+fn is_busy(error: &anyhow::Error) -> bool {
+    let is_busy = |error: &DatasetError| matches!(error, DatasetError::Busy { .. });
+    let of_study = match error.downcast_ref::<StudyError>() {
+        Some(StudyError::Dataset(error)) => is_busy(error),
+        _ => false,
+    };
+    of_study || error.downcast_ref::<DatasetError>().is_some_and(is_busy)
+}
+
+/// Report and times of what is there. Those of a shard are not written: it may be behind another that has ended.
+fn report(study: &Study, folder: &Path, is_shard: bool) -> anyhow::Result<(Report, Times)> {
+    let (report, times) = (study.report()?, study.times()?);
+    if !is_shard {
+        write(&report, &times, folder)?;
+    }
+    Ok((report, times))
 }
 
 fn work(study: &Study, json: bool) -> anyhow::Result<()> {
-    output::catch_interrupts()?;
     let bar = output::progress(0, "study");
     // Who reads no more of it wants no more of it.
     let trouble = RefCell::new(None);
@@ -114,6 +181,9 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     });
     bar.finish_and_clear();
     worked?;
+    if output::interrupted() {
+        bail!("interrupted: trainings that have ended are kept\n\nhint: the same command goes on with the others");
+    }
     trouble.into_inner().map_or(Ok(()), Err)
 }
 
@@ -137,12 +207,14 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write(report: &Report, folder: &Path) -> anyhow::Result<()> {
+fn write(report: &Report, times: &Times, folder: &Path) -> anyhow::Result<()> {
     let save = |name: &str, text: &str| {
         files::write_atomically(&folder.join(name), |file| Ok(std::io::Write::write_all(file, text.as_bytes())?))
     };
     save("report.md", &report.markdown())?;
     save("report.json", &serde_json::to_string_pretty(report)?)?;
+    save("times.md", &times.markdown())?;
+    save("times.json", &serde_json::to_string_pretty(times)?)?;
     let whole = || report.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0);
     let mut names: Vec<&str> = Vec::new();
     for cell in &report.cells {

@@ -87,9 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if checkpoint.exists() {
         eprintln!("carrying on from {}", checkpoint.display());
     }
-    // Starts before the last have their trial epochs too.
-    let trials = if spec.starts > 1 { (spec.starts - 1) * spec.start_epochs.min(spec.epochs) as u64 } else { 0 };
-    let bar = output::progress(spec.epochs as u64 + trials, "training");
+    let bar = output::progress(spec.all_epochs() as u64, "training");
     let mut trouble = None;
     let outcome = train_with_checkpoint(&dataset, &spec, Some(&checkpoint), &mut |report| {
         bar.inc(1);

@@ -1,0 +1,41 @@
+//! `radome model slurm`.
+
+use std::path::PathBuf;
+
+use super::study;
+use crate::output;
+use crate::slurm::{Array, word};
+
+/// `radome model slurm`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// TOML file of a study
+    spec: PathBuf,
+    #[command(flatten)]
+    array: Array,
+    /// Dataset folder; made by the first task from the study's `dataset` if not given
+    #[arg(long)]
+    dataset: Option<PathBuf>,
+}
+
+/// Prints the script of an array job that runs a study; `sbatch` takes it.
+///
+/// # Errors
+/// The study or the spec of its dataset cannot be read, a number is zero, or a path has no full form or cannot stand in a script.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let Arguments { spec: path, array, dataset } = arguments;
+    array.check()?;
+    // What is wrong with the study is said here rather than by every task.
+    let (spec, source) = study::read(path)?;
+    let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();
+    if trainings < array.tasks && !spec.leave_one_recording_out {
+        eprintln!("there are {trainings} trainings for {} tasks: some will have nothing to do", array.tasks);
+    }
+    let mut command = format!("model study {} -o {}", word(path)?, word(&array.output)?);
+    match dataset {
+        Some(dataset) => command += &format!(" --dataset {}", word(dataset)?),
+        None => drop(study::named(path, &source)?),
+    }
+    let merge = format!("{command} --report-only");
+    output::text_line(&array.script(path, &command, &merge)?)
+}

@@ -1,0 +1,40 @@
+//! `radome model study --plan`.
+
+use radome_models::study::{Plan, Study};
+
+use crate::output;
+
+/// Counts and times a study's trainings, and prints them as a table or as one object.
+///
+/// # Errors
+/// A network cannot be trained on the dataset, or standard output cannot be written.
+pub fn print(study: &Study, json: bool) -> anyhow::Result<()> {
+    let bar = output::progress(0, "timing");
+    let plan = study.plan(&mut |variant: &str| {
+        bar.inc(1);
+        bar.set_message(variant.to_owned());
+    });
+    bar.finish_and_clear();
+    let plan = plan?;
+    if json { output::json_line(&plan) } else { table(&plan) }
+}
+
+fn table(plan: &Plan) -> anyhow::Result<()> {
+    let line = |name: &str, trainings: usize, done: usize, steps: usize, step: &str, hours: f64| {
+        output::text_line(&format!("{name:<28} {trainings:>9} {done:>6} {steps:>9} {step:>9} {hours:>8.2}"))
+    };
+    output::text_line(&format!(
+        "{:<28} {:>9} {:>6} {:>9} {:>9} {:>8}",
+        "network", "trainings", "done", "steps", "s a step", "hours"
+    ))?;
+    for network in &plan.networks {
+        let step = network.step_seconds.map_or("-".to_owned(), |seconds| format!("{seconds:.4}"));
+        line(&network.variant, network.trainings, network.done, network.steps, &step, network.hours)?;
+    }
+    let steps = plan.networks.iter().map(|network| network.steps).sum();
+    line("all", plan.trainings, plan.done, steps, "", plan.hours)?;
+    output::text_line(&format!(
+        "{:.2} hours on {} threads of this machine, {:.2} CPU-hours",
+        plan.hours, plan.threads, plan.cpu_hours
+    ))
+}

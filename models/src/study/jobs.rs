@@ -1,0 +1,133 @@
+//! Jobs of a study, in the order in which they are run, and the part of them that a shard runs.
+
+use std::collections::BTreeSet;
+
+use sha2::{Digest, Sha256};
+
+use super::outcome::Job;
+use super::spec::StudySpec;
+use crate::dataset::Dataset;
+
+impl StudySpec {
+    /// Recordings that are held out in turn, or a single `None`.
+    pub(super) fn held_out(&self, dataset: &Dataset) -> Vec<Option<String>> {
+        if !self.leave_one_recording_out {
+            return vec![None];
+        }
+        let names: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        names.into_iter().map(|name| Some(name.to_owned())).collect()
+    }
+
+    /// The job that tries a learning rate.
+    pub(super) fn rate_job(&self, variant: &str, learning_rate: f64, held_out: &[Option<String>]) -> Job {
+        Job {
+            variant: variant.to_owned(),
+            label_fraction: 1.0,
+            learning_rate,
+            seed: self.seeds.first().copied().unwrap_or_default(),
+            held_out: held_out.first().cloned().flatten(),
+        }
+    }
+
+    /// Jobs that learning rates are chosen by; none where there is one rate only.
+    pub(super) fn rate_jobs(&self, held_out: &[Option<String>]) -> Vec<Job> {
+        let rates = self.rates();
+        if rates.len() < 2 {
+            return Vec::new();
+        }
+        let of = |name: &str| rates.iter().map(|&rate| self.rate_job(name, rate, held_out)).collect::<Vec<_>>();
+        self.variants.iter().flat_map(|variant| of(&variant.name)).collect()
+    }
+
+    /// Jobs that are compared. `rate` gives the learning rate of a variant.
+    pub(super) fn compared_jobs(&self, held_out: &[Option<String>], rate: impl Fn(&str) -> f64) -> Vec<Job> {
+        let mut jobs = Vec::new();
+        // Seed by seed, so that early results are the whole comparison with few seeds.
+        for &seed in &self.seeds {
+            for &label_fraction in &self.label_fractions {
+                for variant in &self.variants {
+                    jobs.extend(held_out.iter().map(|held_out| Job {
+                        variant: variant.name.clone(),
+                        label_fraction,
+                        learning_rate: rate(&variant.name),
+                        seed,
+                        held_out: held_out.clone(),
+                    }));
+                }
+            }
+        }
+        jobs
+    }
+}
+
+/// Jobs of shard `index` of `count`, in their order. Trainings of one network on one share of the maps are dealt out one by one,
+/// so that shards take about as long as each other.
+pub(super) fn of_shard(jobs: &[Job], (index, count): (usize, usize)) -> Vec<Job> {
+    let mut dealt: Vec<&Job> = jobs.iter().collect();
+    dealt.sort_by(|a, b| a.variant.cmp(&b.variant).then(b.label_fraction.total_cmp(&a.label_fraction)));
+    let own: BTreeSet<String> = dealt.into_iter().skip(index).step_by(count.max(1)).map(name).collect();
+    jobs.iter().filter(|job| own.contains(&name(job))).cloned().collect()
+}
+
+/// A job's name in files.
+pub(super) fn name(job: &Job) -> String {
+    let held_out = job.held_out.as_ref().map_or_else(String::new, |sequence| {
+        let hash = Sha256::digest(sequence.as_bytes());
+        format!("-without-{:02x}{:02x}{:02x}{:02x}", hash[0], hash[1], hash[2], hash[3])
+    });
+    format!("{}-{}-{}-{}{held_out}", job.variant, job.label_fraction, job.learning_rate, job.seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spec::Variant;
+    use super::*;
+    use crate::train::TrainSpec;
+
+    fn study(variants: &[&str], seeds: u64, label_fractions: &[f64]) -> StudySpec {
+        let variant = |name: &&str| Variant { name: (*name).to_owned(), network: None, head: None, transposed: None };
+        StudySpec {
+            title: "Small".to_owned(),
+            remarks: Vec::new(),
+            variants: variants.iter().map(variant).collect(),
+            seeds: (0..seeds).collect(),
+            label_fractions: label_fractions.to_vec(),
+            learning_rates: Vec::new(),
+            snr_db: Vec::new(),
+            target: 0.9,
+            leave_one_recording_out: false,
+            train: TrainSpec::default(),
+        }
+    }
+
+    /// Every job is of one shard, and every shard has as many of the large networks as the others, or one more.
+    #[test]
+    fn shards_share_the_jobs_of_each_network() {
+        let spec = study(&["hqnn", "resnet18", "doppler_net"], 5, &[1.0, 0.3]);
+        let jobs = spec.compared_jobs(&[None], |_| 1e-3);
+        assert_eq!(jobs.len(), 30);
+        for count in [1, 2, 3, 4, 7, 40] {
+            let shards: Vec<Vec<Job>> = (0..count).map(|index| of_shard(&jobs, (index, count))).collect();
+            let mut all: Vec<String> = shards.iter().flatten().map(name).collect();
+            all.sort();
+            let mut expected: Vec<String> = jobs.iter().map(name).collect();
+            expected.sort();
+            assert_eq!(all, expected, "{count} shards");
+            let large = |jobs: &Vec<Job>| jobs.iter().filter(|job| job.variant == "resnet18").count();
+            let counts: Vec<usize> = shards.iter().map(large).collect();
+            let (most, least) = (counts.iter().max().copied(), counts.iter().min().copied());
+            assert!(most.unwrap_or_default() <= least.unwrap_or_default() + 1, "{count} shards: {counts:?}");
+        }
+    }
+
+    #[test]
+    fn one_rate_is_not_chosen() {
+        let mut spec = study(&["hqnn"], 2, &[1.0]);
+        assert!(spec.rate_jobs(&[None]).is_empty());
+        spec.learning_rates = vec![1e-3, 1e-2];
+        let jobs = spec.rate_jobs(&[None]);
+        assert_eq!(jobs.len(), 2);
+        // The training at the chosen rate is one of those that are compared.
+        assert!(spec.compared_jobs(&[None], |_| 1e-2).contains(&jobs[1]));
+    }
+}

@@ -1,0 +1,129 @@
+//! Plan of a study: how many trainings there are, how many are done, and how long the others take.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use super::error::StudyError;
+use super::jobs::name;
+use super::outcome::Job;
+use super::run::Study;
+use crate::train::{Indices, StepTimes, time_steps};
+
+/// Trainings of one network of a study.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PlannedNetwork {
+    /// Name of the variant.
+    pub variant: String,
+    /// Trainings in all, those that only choose learning rates included.
+    pub trainings: usize,
+    /// Number of them that are done.
+    pub done: usize,
+    /// Steps of the others.
+    pub steps: usize,
+    /// Measured time of a step, s; absent where all are done.
+    pub step_seconds: Option<f64>,
+    /// Time of the others on this machine, hours.
+    pub hours: f64,
+}
+
+/// Trainings of a study.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Plan {
+    /// Trainings in all, those that only choose learning rates included.
+    pub trainings: usize,
+    /// Number of them that are done.
+    pub done: usize,
+    /// Threads of a training.
+    pub threads: usize,
+    /// Time of the others, one after the other on this machine, hours.
+    pub hours: f64,
+    /// The same times the number of threads, hours.
+    pub cpu_hours: f64,
+    /// One for each variant.
+    pub networks: Vec<PlannedNetwork>,
+}
+
+impl Study<'_> {
+    /// Counts the trainings of all shards, and times a few steps of each network that has some left. `tell` gets the name of each
+    /// before it is timed.
+    ///
+    /// Times are those of steps, of fitting the head and of the validation after each epoch. Reading the maps and the scores at the
+    /// end are not in them.
+    ///
+    /// # Errors
+    /// [`StudyError`] if the results cannot be read, or a network cannot be trained on the dataset.
+    pub fn plan(&self, tell: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
+        let held_out = self.spec.held_out(self.dataset);
+        let (rates, chosen) = (self.spec.rates(), self.chosen_rates()?);
+        // Whatever rate is chosen, one training at it is among those that choose.
+        let rate = |name: &str| chosen.get(name).or(rates.first()).copied().unwrap_or_default();
+        let mut jobs = self.spec.rate_jobs(&held_out);
+        jobs.extend(self.spec.compared_jobs(&held_out, rate));
+        let mut seen = BTreeSet::new();
+        jobs.retain(|job| seen.insert(name(job)));
+
+        let mut sizes = BTreeMap::new();
+        let mut networks = Vec::new();
+        for variant in &self.spec.variants {
+            let jobs: Vec<&Job> = jobs.iter().filter(|job| job.variant == variant.name).collect();
+            let left: Vec<&Job> = jobs.iter().copied().filter(|job| !self.has_result(job)).collect();
+            let (mut steps, mut validation_maps) = (0, 0);
+            for job in &left {
+                let (job_steps, job_maps) = self.size(job, &mut sizes)?;
+                steps += job_steps;
+                validation_maps += job_maps;
+            }
+            // The largest of them shows what a full batch takes.
+            let largest = left.iter().max_by(|a, b| a.label_fraction.total_cmp(&b.label_fraction));
+            let times = match largest {
+                Some(job) => {
+                    tell(&variant.name);
+                    Some(time_steps(&self.maps, &self.spec.train_spec(job)?)?)
+                }
+                None => None,
+            };
+            let seconds = times.map_or(0.0, |StepTimes { head_s, step_s, validation_map_s }| {
+                left.len() as f64 * head_s + steps as f64 * step_s + validation_maps as f64 * validation_map_s
+            });
+            networks.push(PlannedNetwork {
+                variant: variant.name.clone(),
+                trainings: jobs.len(),
+                done: jobs.len() - left.len(),
+                steps,
+                step_seconds: times.map(|times| times.step_s),
+                hours: seconds / 3600.0,
+            });
+        }
+        let threads = rayon::current_num_threads();
+        let hours: f64 = networks.iter().map(|network| network.hours).sum();
+        Ok(Plan {
+            trainings: jobs.len(),
+            done: networks.iter().map(|network| network.done).sum(),
+            threads,
+            hours,
+            cpu_hours: hours * threads as f64,
+            networks,
+        })
+    }
+
+    /// Steps of a job, and maps that it validates on over all epochs. `sizes` holds the number of maps of jobs that were met before.
+    fn size(&self, job: &Job, sizes: &mut Sizes) -> Result<(usize, usize), StudyError> {
+        let spec = self.spec.train_spec(job)?;
+        let key = (job.held_out.clone(), job.label_fraction.to_bits());
+        let [training, validation] = match sizes.get(&key) {
+            Some(&found) => found,
+            None => {
+                let Indices { train, validation, .. } = Indices::choose(self.dataset, &spec)?;
+                let found = [train.len(), validation.len()];
+                sizes.insert(key, found);
+                found
+            }
+        };
+        let epochs = spec.all_epochs();
+        Ok((epochs * training.div_ceil(spec.batch_size.max(1)), epochs * validation))
+    }
+}
+
+/// Training and validation maps by the recording that is held out and the share of the maps, which both decide them.
+type Sizes = BTreeMap<(Option<String>, u64), [usize; 2]>;

@@ -1,0 +1,44 @@
+//! Maps that trainings share.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::dataset::{Dataset, DatasetError};
+use crate::standardise::MapReference;
+
+/// Maps of a dataset in a reference, each read and measured once however many trainings ask for it.
+pub(crate) struct Maps<'a> {
+    dataset: &'a Dataset,
+    reference: MapReference,
+    measured: Vec<OnceLock<Arc<[f32]>>>,
+}
+
+impl<'a> Maps<'a> {
+    /// Maps for trainings whose settings have this reference. None is read yet.
+    pub(crate) fn new(dataset: &'a Dataset, reference: MapReference) -> Self {
+        Maps { dataset, reference, measured: vec![OnceLock::new(); dataset.len()] }
+    }
+
+    /// The dataset that the maps are of.
+    pub(crate) fn dataset(&self) -> &'a Dataset {
+        self.dataset
+    }
+
+    /// Cells of a map, `[range][doppler]`, before bound and scaling.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::input`].
+    pub(crate) fn get(&self, index: usize) -> Result<Arc<[f32]>, DatasetError> {
+        let place = self.measured.get(index);
+        if let Some(map) = place.and_then(OnceLock::get) {
+            return Ok(Arc::clone(map));
+        }
+        let mut cells = self.dataset.input(index, 0)?;
+        self.reference.measure(&mut cells, self.dataset.header().shape.doppler);
+        let map: Arc<[f32]> = cells.into();
+        if let Some(place) = place {
+            // Another thread may have read the same cells meanwhile.
+            let _ = place.set(Arc::clone(&map));
+        }
+        Ok(map)
+    }
+}

@@ -1,0 +1,102 @@
+//! Estimate of a training's memory, beside what there is.
+
+use std::path::Path;
+
+use super::data::Indices;
+use super::error::TrainError;
+use super::spec::TrainSpec;
+use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use crate::dataset::Dataset;
+use crate::model::input_shape;
+
+/// Refuses a training that cannot fit into memory, before it has begun. Where the system does not tell how much there is, none is
+/// refused.
+///
+/// # Errors
+/// [`TrainError::Memory`], and [`TrainError::Dataset`] if the dataset cannot be split.
+pub(crate) fn check_memory(dataset: &Dataset, spec: &TrainSpec) -> Result<(), TrainError> {
+    memory_bytes().map_or(Ok(()), |available_bytes| check_within(dataset, spec, available_bytes))
+}
+
+fn check_within(dataset: &Dataset, spec: &TrainSpec, available_bytes: u64) -> Result<(), TrainError> {
+    let Indices { train, validation, .. } = Indices::choose(dataset, spec)?;
+    let shape = dataset.header().shape;
+    let maps = (train.len() + validation.len()) as u64 * (shape.range * shape.doppler) as u64;
+    let [_, rows, columns] = input_shape(shape.range, shape.doppler, spec.transposed);
+    let batch_size = spec.batch_size.min(train.len());
+    let needed_bytes = 4 * maps + spec.network_spec().graph().least_training_bytes(rows, columns, batch_size);
+    if needed_bytes > available_bytes {
+        return Err(TrainError::Memory { network: spec.network, batch_size, needed_bytes, available_bytes });
+    }
+    Ok(())
+}
+
+/// Memory that this process may use, bytes: the machine's, or less where a control group that it is in has a limit.
+fn memory_bytes() -> Option<u64> {
+    let read = |path: &Path| read_text(path, TEXT_LIMIT_BYTES).ok();
+    let information = read(Path::new("/proc/meminfo"))?;
+    let total = information.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let machine = total.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)?;
+    let root = Path::new("/sys/fs/cgroup");
+    let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
+    let group = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
+    let group = root.join(group);
+    let limits = group.ancestors().take_while(|folder| folder.starts_with(root));
+    let limits = limits.filter_map(|folder| read(&folder.join("memory.max"))?.trim().parse::<u64>().ok());
+    Some(limits.fold(machine, u64::min))
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
+
+    use super::*;
+    use crate::dataset::{DatasetHeader, Domain, ManifestRow, Split};
+    use crate::network::NetworkKind;
+
+    const SIZE: usize = 64;
+
+    fn dataset() -> Dataset {
+        let request =
+            WaveformRequest { samples_per_chirp: 2 * SIZE, chirps_per_frame: SIZE, ..WaveformRequest::paper() };
+        let waveform = Waveform::realise(request).expect("waveform");
+        let header = DatasetHeader::new(waveform, RdmSpec::paper()).expect("header");
+        let shape = header.shape;
+        let maps = (0..40u64).map(|index| {
+            let label = Occupancy::from_index(index as usize % 3).expect("class");
+            let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
+            row.split = Some(if index < 32 { Split::Train } else { Split::Validation });
+            let (range_step_m, velocity_step_m_per_s) = (0.1, 0.1);
+            let db = vec![0.0; shape.cells()];
+            (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: 0, flags: MapFlags::default() }, row)
+        });
+        let maps = maps.collect();
+        Dataset::from_maps(header, maps).expect("dataset")
+    }
+
+    /// ResNet-18 has 11 million parameters, of which training keeps four arrays, and its first layer alone has 64 channels of a
+    /// quarter of the cells.
+    #[test]
+    fn a_network_that_does_not_fit_into_memory_is_refused_with_the_estimate() {
+        let dataset = dataset();
+        let spec = TrainSpec { network: NetworkKind::ResNet18, ..TrainSpec::default() };
+        let parameters = 4 * 4 * 11_171_779u64;
+        let first = 4 * 32 * 64 * (SIZE * SIZE) as u64 / 4;
+        let error = check_within(&dataset, &spec, parameters + first).expect_err("more layers than the first");
+        let TrainError::Memory { needed_bytes, batch_size, .. } = &error else { panic!("{error}") };
+        assert!(*needed_bytes > parameters + first && *batch_size == 32, "{error}");
+        let text = error.to_string();
+        assert!(text.contains("GB") && text.contains("batch_size"), "{text}");
+        assert!(check_within(&dataset, &spec, *needed_bytes).is_ok());
+        // Smaller batches need less.
+        let spec = TrainSpec { batch_size: 4, ..spec };
+        assert!(check_within(&dataset, &spec, needed_bytes - 1).is_ok());
+    }
+
+    /// A batch is no larger than the training split, whatever the settings say.
+    #[test]
+    fn batches_are_counted_as_long_as_they_can_be() {
+        let spec = TrainSpec { batch_size: 65_536, ..TrainSpec::default() };
+        assert!(check_within(&dataset(), &spec, 1 << 30).is_ok());
+    }
+}

@@ -1,0 +1,209 @@
+//! Studies in several processes: shards, kills, folders in use, plans and the script of a cluster.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use radome_tests::{failure, fixture, json_lines, radome};
+
+use super::learning::maps;
+
+/// 24 trainings of a second or less, and three that only choose a rate.
+pub const STUDY: &str = "title = \"Small\"\ndataset = \"none.toml\"\nseeds = [1, 2, 3, 4]\nlearning_rates = [1e-3, 1e-2]\n\
+    label_fractions = [1.0, 0.5]\nsnr_db = [20.0]\n\
+    variants = [{ name = \"hqnn\" }, { name = \"estimator_matched\" }, { name = \"dequantization\" }]\n\
+    [train]\nepochs = 3\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
+/// Trainings of it.
+pub const TRAININGS: usize = 24 + 3;
+
+/// A folder with the study's file.
+struct Place {
+    folder: tempfile::TempDir,
+}
+
+impl Place {
+    fn new(study: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("study.toml"), study).expect("writable");
+        Place { folder }
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The command of the study in the folder `name`.
+    fn study(&self, name: &str) -> Command {
+        let mut command = radome();
+        command.args(["model", "study"]).arg(self.at("study.toml")).arg("--dataset").arg(maps());
+        command.arg("--json").arg("-o").arg(self.at(name));
+        command
+    }
+
+    fn shard(&self, name: &str, shard: &str) -> Child {
+        let mut command = self.study(name);
+        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().expect("starts")
+    }
+
+    fn report(&self, name: &str) -> (String, String) {
+        report(&self.at(name))
+    }
+}
+
+/// The written report of a study.
+pub fn report(folder: &Path) -> (String, String) {
+    let read = |name: &str| std::fs::read_to_string(folder.join(name)).expect("a report");
+    (read("report.md"), read("report.json"))
+}
+
+/// Number of results and of checkpoints in the folder of a study.
+pub fn progress(folder: &Path) -> [usize; 2] {
+    ["results/json", "checkpoints/safetensors"].map(|what| {
+        let (name, extension) = what.split_once('/').expect("two words");
+        let entries = std::fs::read_dir(folder.join(name)).into_iter().flatten().flatten();
+        entries.filter(|entry| entry.path().extension().is_some_and(|found| found == extension)).count()
+    })
+}
+
+fn wait(what: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + Duration::from_secs(300);
+    while !done() {
+        assert!(Instant::now() < until, "waited five minutes for {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Four shards at once, one of which is killed within a training and started again: the report is that of one run, byte for byte,
+/// and no training is done twice.
+#[test]
+fn shards_with_one_killed_report_the_bytes_of_one_run() {
+    let place = Place::new(STUDY);
+    let told = json_lines(&mut place.study("whole"));
+    assert_eq!(told.len(), TRAININGS + 1);
+
+    let mut first = place.shard("shards", "0/4");
+    // It is alone: the checkpoint is its own.
+    wait("a training to be at work", || progress(&place.at("shards"))[1] > 0);
+    first.kill().expect("is killed");
+    first.wait().expect("ends");
+    let [done, begun] = progress(&place.at("shards"));
+    assert!(done < TRAININGS, "{done} done, {begun} begun");
+
+    let shards: Vec<Child> = ["0/4", "1/4", "2/4", "3/4"].map(|shard| place.shard("shards", shard)).into();
+    for mut shard in shards {
+        assert!(shard.wait().expect("ends").success());
+    }
+    assert_eq!(progress(&place.at("shards")), [TRAININGS, 0]);
+    assert!(!place.at("shards/report.md").exists(), "shards leave the report to the last command");
+    let merged = json_lines(place.study("shards").arg("--report-only"));
+    assert_eq!(merged.last(), told.last());
+    assert_eq!(place.report("shards"), place.report("whole"));
+    assert!(place.at("shards/times.md").exists());
+}
+
+#[test]
+fn a_plan_says_what_is_left() {
+    let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
+    let plan = || json_lines(place.study("study").arg("--plan")).remove(0);
+    let before = plan();
+    // Three networks at two rates with the whole share, and at one with the half.
+    assert_eq!((before["trainings"].as_u64(), before["done"].as_u64()), (Some(9), Some(0)), "{before}");
+    assert!(before["cpu_hours"].as_f64() > Some(0.0), "{before}");
+    for network in before["networks"].as_array().expect("networks") {
+        assert!(network["step_seconds"].as_f64() > Some(0.0) && network["steps"].as_u64() > Some(0), "{network}");
+    }
+    json_lines(&mut place.study("study"));
+    let after = plan();
+    assert_eq!((after["done"].as_u64(), after["hours"].as_f64()), (Some(9), Some(0.0)), "{after}");
+    let mut command = place.study("study");
+    command.arg("--plan");
+    let arguments: Vec<_> =
+        command.get_args().filter(|argument| *argument != "--json").map(ToOwned::to_owned).collect();
+    let table = String::from_utf8(radome().args(arguments).output().expect("runs").stdout).expect("text");
+    assert!(
+        table.contains("s a step") && table.contains("estimator_matched") && table.contains("CPU-hours"),
+        "{table}"
+    );
+}
+
+/// The script names the study, its shards and what comes behind them; a shell reads it.
+#[test]
+fn the_script_of_an_array_runs_the_study_in_shards() {
+    let place = Place::new(STUDY);
+    let script = |arguments: &[&str]| {
+        let mut command = radome();
+        command.args(["model", "slurm"]).arg(place.at("study.toml")).arg("-o").arg(place.at("out put")).args(arguments);
+        command
+    };
+    let output = script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]).output().expect("runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).expect("text");
+    for part in ["--array=0-5", "--cpus-per-task=2", "model study", "--shard auto/6", "--report-only", "out put'"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let path = place.at("array.sh");
+    std::fs::write(&path, &text).expect("writable");
+    assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());
+    // Without a dataset its spec has to be there.
+    assert!(failure(&mut script(&[])).contains("none.toml"));
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// A run that was killed within a training does that one again and no other.
+    #[test]
+    fn a_study_killed_within_a_training_repeats_no_other() {
+        let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
+        json_lines(&mut place.study("whole"));
+        let mut child = place.study("killed").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        wait("a second training", || progress(&place.at("killed")).iter().all(|count| *count > 0));
+        child.kill().expect("is killed");
+        child.wait().expect("ends");
+        let [done, _] = progress(&place.at("killed"));
+        let told = json_lines(&mut place.study("killed"));
+        assert_eq!(told.len(), 9 - done + 1, "{done} were done");
+        assert_eq!(place.report("killed"), place.report("whole"));
+    }
+
+    /// The second run into one folder says so; reports are given all the same.
+    #[test]
+    fn a_second_run_says_that_the_folder_is_in_use() {
+        // As long as it takes: the first is killed in the end.
+        let place = Place::new(&STUDY.replace("epochs = 3", "epochs = 10000"));
+        let mut child = place.study("study").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        wait("a training", || progress(&place.at("study"))[1] > 0);
+        for shard in ["0/1", "1/3"] {
+            let said = failure(place.study("study").args(["--shard", shard]));
+            assert!(said.contains("another process is at work here") && said.contains("hint: "), "{said}");
+        }
+        let report = json_lines(place.study("study").arg("--report-only")).remove(0);
+        assert_eq!(report["done"].as_u64(), Some(0), "{report}");
+        child.kill().expect("is killed");
+        child.wait().expect("ends");
+    }
+
+    /// Shards of a study without a dataset: one of them builds it, the others wait.
+    #[test]
+    fn shards_build_one_dataset() {
+        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
+        let halls = fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
+        let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
+        let few = quick
+            .replace("seeds = [1, 24]", "seeds = [1, 8]")
+            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        std::fs::write(place.at("maps.toml"), few).expect("writable");
+        let start = |shard: &str| {
+            let mut command = radome();
+            command.args(["model", "study"]).arg(place.at("study.toml")).arg("-o").arg(place.at("study"));
+            command.args(["--json", "--shard", shard]).stdout(Stdio::null()).stderr(Stdio::piped());
+            command.spawn().expect("starts")
+        };
+        for shard in ["0/3", "1/3", "2/3"].map(start) {
+            let output = shard.wait_with_output().expect("ends");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+        assert_eq!(progress(&place.at("study")), [9, 0]);
+    }
+}
