@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use super::kept_dense::DenseFrame;
 use crate::output;
+use crate::source::DEFAULT_SEED;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -31,7 +32,7 @@ pub struct Arguments {
     #[arg(long)]
     people: Option<usize>,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// The slow way takes all ways by walls that are louder than this far below noise, dB
     #[arg(long, default_value_t = 10.0)]
