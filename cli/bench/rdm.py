@@ -3,17 +3,18 @@
 
     python3 -m venv .venv && .venv/bin/pip install numpy scipy && .venv/bin/python cli/bench/rdm.py
 
-Runs radome in between, so that both are measured on the machine as it is now, and prints the ratio as JSON. With --peer it prints
-scipy's time alone: so `radome bench rdm --python .venv/bin/python` calls it.
+Runs radome in between, so that both are measured on the machine as it is now, and prints the ratio as JSON. With --peer, and
+perhaps another shape (1x64x128), it prints scipy's time alone: so `radome bench rdm` and `bench scene --python .venv/bin/python` call it.
 """
 import json, os, pathlib, subprocess, sys, time
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import numpy as np
 import scipy.fft
 
-M, N = 128, 256
+shape = sys.argv[sys.argv.index("--peer") + 1:] if "--peer" in sys.argv else []
+R, M, N = map(int, shape[0].split("x")) if shape else (3, 128, 256)
 rng = np.random.default_rng(1)
-codes = rng.integers(0, 4096, (3, M, N)).astype(np.uint16)
+codes = rng.integers(0, 4096, (R, M, N)).astype(np.uint16)
 periodic = lambda n: (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)).astype(np.float32)
 range_window, doppler_window = periodic(N), periodic(M)
 scale = np.float32(2 / (range_window.sum() * doppler_window.sum()))

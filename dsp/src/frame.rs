@@ -1,6 +1,7 @@
 //! Frames of raw codes, and what is known of them.
 
 use ndarray::ArrayView3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -32,7 +33,7 @@ impl std::fmt::Display for FrameShape {
 }
 
 /// Class of a frame: nobody in the room, one person, or two people or more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Occupancy {
     /// Nobody.

@@ -1,5 +1,6 @@
 //! Levels of vector instructions.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Instruction set of the kernels that compute maps and networks.
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// let level = KernelLevel::detect();
 /// assert!(level.is_available() && level >= KernelLevel::Portable);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KernelLevel {
     /// Scalar arithmetic of every processor, without fused multiply-add.

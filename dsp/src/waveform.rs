@@ -1,5 +1,6 @@
 //! Waveforms: the request, the realisation by the chip, and every quantity that follows from it.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -26,7 +27,7 @@ pub const RF_BAND_HZ: (f64, f64) = (57.4e9, 63.6e9);
 pub const FIFO_SAMPLES: usize = 16_384;
 
 /// Set of receive antennas in use: bit 0 is RX1. Serialised as the list of their 1-based numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "Vec<u8>", into = "Vec<u8>")]
 pub struct RxMask(u8);
 
@@ -88,7 +89,7 @@ impl From<RxMask> for Vec<u8> {
 }
 
 /// Waveform as a user, a scene or a recording requests it. Field names are the keys in TOML and JSON.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WaveformRequest {
     /// Frequency at which the transmitter is switched on, Hz.

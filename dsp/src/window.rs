@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Window over samples or chirps. Periodic (DFT-even) unless the name says symmetric.
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// assert!((weights.iter().sum::<f64>() - 32.0).abs() < 1e-12);
 /// assert_eq!(Window::Rectangular.noise_bandwidth_bins(64), 1.0);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Window {
     /// All weights 1.

@@ -1,6 +1,7 @@
 //! Occupancy filter: a causal filter over probabilities of single frames.
 
 use radome_dsp::Occupancy;
+use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
@@ -20,8 +21,10 @@ const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 /// Settings of the occupancy filter, saved in the model file.
 ///
 /// Older files also have the share of time in which a person is not detected. It is read and not used.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "SmoothingFile")]
+// The keys of `SmoothingFile` that are no longer read are not offered.
+#[schemars(!from, default, deny_unknown_fields)]
 pub struct Smoothing {
     /// Mean time that a number of people stays what it is, s: how long the filter holds on to its answer. Wrong frames last, which
     /// the model of the filter does not know, so the best value is shorter than people stay.

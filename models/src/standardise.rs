@@ -9,6 +9,7 @@ use radome_dsp::Occupancy;
 use radome_dsp::decibel::power_to_db_portable;
 use rand::Rng;
 use rand_distr::{Distribution, Exp1};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -18,7 +19,7 @@ use crate::dataset::Moments;
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
 /// Reference level of the cells of a map before the normalisation by mean and sigma.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MapReference {
     /// The map's own 0 dB.

@@ -1,5 +1,7 @@
 //! Rooms of any shape over the paths that rays find: against boxes, whose images are known, and against geometry by hand.
 
+mod hard_cases;
+
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
@@ -307,85 +309,4 @@ fn an_office_of_ten_thousand_triangles_is_simulated() {
     let (frame, report) = simulator.render_with_report(3);
     assert!(report.static_paths > 0 && report.moving_paths > 0, "{report:?}");
     assert!(frame.codes.iter().any(|&code| code != frame.codes[0]));
-}
-
-mod hard_cases {
-    use super::*;
-
-    fn plan(tables: &str) -> String {
-        format!(
-            "diffuse_share = 0.1\nfloor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n\
-             [room.plan]\ncorners_m = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [2.5, 4.0], [2.5, 3.0], [0.0, 3.0]]\n\
-             height_m = 2.6\nwalls = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n{tables}"
-        )
-    }
-
-    /// Frames of a scene are numbers, and somebody is in them.
-    fn assert_sound(scene: &Scene, what: &str) {
-        let simulator = common::simulator(scene, 1, None);
-        for index in [0, 9] {
-            let power: f64 = simulator.echo_samples(index).iter().map(|&x| f64::from(x).powi(2)).sum();
-            assert!(power.is_finite() && power > 0.0, "{what}, frame {index}: {power}");
-            let frame = simulator.render(index);
-            assert_eq!(frame.codes.len(), frame.shape.codes(), "{what}");
-        }
-    }
-
-    /// On a wall, in a corner of the room and in the outward corner of an L the radar is 1 cm off its walls.
-    #[test]
-    fn the_radar_may_be_on_a_wall_and_in_a_corner() {
-        for (place, azimuth_deg) in
-            [("[0.011, 1.5, 1.2]", 0.0), ("[0.011, 0.011, 0.011]", 45.0), ("[2.511, 2.989, 1.2]", -60.0)]
-        {
-            let text = common::hall(WALKER);
-            let (before, rest) = text.split_once("size_m").expect("written");
-            let (_, after) = rest.split_once("[radar]").expect("written");
-            let text = format!("{before}\n{}\n[radar]\nazimuth_deg = {azimuth_deg:?}\n{after}", plan(""));
-            let text = text.replace("[1.0, 10.0, 1.2]", place).replace("[4.0, 3.2]", "[4.0, 2.2]");
-            let scene = Scene::parse(&text, Path::new("scene.toml")).expect("a good scene");
-            assert_sound(&scene, place);
-        }
-    }
-
-    /// Shoulders in the wall are hidden, the rest is there.
-    #[test]
-    fn somebody_may_touch_a_wall() {
-        for place in ["[4.9, 2.0]", "[4.0, 0.05]", "[4.95, 3.95]"] {
-            let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}]\n");
-            assert_sound(&made(&plan(""), &actor, Path::new("")), place);
-        }
-    }
-
-    #[test]
-    fn a_room_may_have_no_ceiling() {
-        let open = plan("").replace("ceiling = { material = \"concrete\" }", "ceiling = { material = \"open\" }");
-        assert_sound(&made(&open, WALKER, Path::new("")), "no ceiling");
-        let boxed = format!("solver = \"rays\"\n{}", box_keys("open"));
-        assert_sound(&made(&boxed, WALKER, Path::new("")), "no ceiling, by rays");
-    }
-
-    /// Points in all of a room and around it: nothing that is not a number, and nothing louder than two mirrors can make it.
-    #[test]
-    fn fields_are_numbers_everywhere() {
-        let stage = polygons(&made(&plan(""), WALKER, Path::new("")));
-        for index in stage.room.images(2) {
-            for i in 0..300 {
-                let part = |by: f64| (f64::from(i) * by).fract();
-                let point = DVec3::new(6.0 * part(0.618) - 0.5, 5.0 * part(0.755) - 0.5, 3.0 * part(0.57) - 0.2);
-                let field = stage.room.illuminate(&stage.tx, index, point).field.magnitude();
-                assert!(field.is_finite() && field < 3.0, "{index:?} {point}: {field}");
-            }
-        }
-    }
-
-    /// The order of threads changes nothing.
-    #[test]
-    fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
-        let scene = made(&plan(""), WALKER, Path::new(""));
-        let frames = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| common::simulator(&scene, 7, None).render(6).codes)
-        };
-        assert_eq!(frames(1), frames(3));
-    }
 }

@@ -202,6 +202,33 @@ mod hard_cases {
     }
 
     #[test]
+    fn metres_taken_for_millimetres_are_told_of() {
+        let folder = folder();
+        let small = MESHES.replace("unit = \"m\"", "unit = \"mm\"");
+        let room = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
+        for (name, quads) in [("walls.stl", &room[..4]), ("floor.stl", &room[4..5])] {
+            std::fs::write(folder.path().join(name), stl(quads, 1.0)).expect("written");
+        }
+        told(scene(&folder, &small), &["0.0050 x 0.0040", "unit = \"mm\"", "hint: "]);
+    }
+
+    /// Of eight corners: it is triangles that are counted, not bytes.
+    #[test]
+    fn two_million_triangles_are_refused_with_the_limit() {
+        let folder = folder();
+        let mut text = String::new();
+        faces([1.0, 0.0, 0.0], [2.0, 0.5, 0.7])[4..].iter().flatten().for_each(|[x, y, z]| {
+            writeln!(text, "v {x} {y} {z}").expect("text");
+        });
+        text += &"f 1 2 3\n".repeat(2_000_000);
+        std::fs::write(folder.path().join("desk.obj"), text).expect("written");
+        told(
+            scene(&folder, &MESHES.replace("desk.stl", "desk.obj")),
+            &["desk.obj", "2000000", "1000000", "hint: reduce"],
+        );
+    }
+
+    #[test]
     fn a_scene_without_walls_names_the_one_that_is_missing() {
         let text = common::hall("[people.desk]\nmax_people = 0\n").replace("x_high = { material = \"open\" }\n", "");
         let message = Scene::parse(&text, Path::new("scene.toml")).map(|_| ()).expect_err("a fault").to_string();

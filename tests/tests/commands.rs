@@ -21,6 +21,7 @@ mod pair;
 mod paths;
 mod people_hard_cases;
 mod program;
+mod schemas;
 mod simulate;
 mod slurm;
 mod viewers;

@@ -8,6 +8,7 @@ mod point;
 mod rcs;
 mod rdm;
 mod scene;
+mod scene_speed;
 mod solver;
 mod synthesis;
 mod table;
@@ -32,7 +33,7 @@ enum Stage {
     Solver(solver::Arguments),
     /// From paths to samples: 128 chirps of 256 samples on one thread, beside the sum of exponentials
     Synthesis(synthesis::Arguments),
-    /// People with skins in a scene at several tolerances, beside dense physical optics in every chirp
+    /// Frames of scenes beside scipy's maps; of one scene, people with skins at several tolerances beside dense physical optics
     Scene(scene::Arguments),
     /// A training step of the networks at maps of 128 x 128, beside PyTorch's
     Train(networks::Arguments),

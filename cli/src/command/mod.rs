@@ -12,6 +12,7 @@ mod model;
 mod record;
 mod recording;
 mod scene;
+mod schema;
 
 use clap::Subcommand;
 pub use doctor::WireLog;
@@ -43,6 +44,8 @@ pub enum Command {
     Model(model::Arguments),
     /// Measure speed and error of every stage in one table, or of one stage; for developers
     Bench(bench::Arguments),
+    /// Print the JSON schema of a kind of TOML file, by which editors complete and check keys
+    Schema(schema::Arguments),
     /// Print a script that completes commands and options in a shell
     Completions(manual::CompletionArguments),
     /// Write manual pages of all commands
@@ -65,6 +68,7 @@ pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<E
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Model(arguments) => model::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Schema(arguments) => schema::run(&arguments),
         Command::Completions(arguments) => manual::completions(&arguments, program()),
         Command::Man(arguments) => manual::man(&arguments, program()),
     };

@@ -8,6 +8,8 @@ mod list;
 mod study;
 mod train;
 
+pub use study::StudyFile;
+
 /// `radome model`
 #[derive(clap::Args)]
 pub struct Arguments {

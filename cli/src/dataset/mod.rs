@@ -12,5 +12,5 @@ mod folders;
 pub mod merge;
 pub mod pairing;
 pub mod plan;
-mod spec;
+pub mod spec;
 mod unit;

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, StaticRemoval};
-use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
+use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Split, SplitSpec};
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
@@ -20,12 +21,14 @@ const MOST_FRAMES: u64 = 10_000_000;
 const MOST_RUNS: u64 = 1_000_000;
 
 /// The whole file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BuildSpec {
+    /// Version of the schema: 1.
     format: u32,
     /// Kind of map: keys that are left out are those of [`map_of_networks`].
     #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
+    #[schemars(schema_with = "any_keys::<RdmSpec>")]
     pub map: RdmSpec,
     /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
     /// bit if it is given.
@@ -43,7 +46,7 @@ pub struct BuildSpec {
 }
 
 /// Runs of a scene.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Simulated {
     /// Scene file.
@@ -60,6 +63,7 @@ pub struct Simulated {
     pub every: u64,
     /// Other values of keys of the scene's `[waveform]`. Maps on physical axes may come of several waveforms.
     #[serde(default)]
+    #[schemars(schema_with = "any_keys::<WaveformRequest>")]
     pub waveform: toml::Table,
     /// Kind of body; the scene's own if absent.
     #[serde(default)]
@@ -73,7 +77,7 @@ pub struct Simulated {
 }
 
 /// Kind of body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Body {
     /// Ellipsoids: analytic, fast.
@@ -83,7 +87,7 @@ pub enum Body {
 }
 
 /// A recording, or all recordings in a folder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
     /// One recording.
@@ -121,7 +125,7 @@ pub struct Recorded {
 }
 
 /// Label of the recordings whose names fit a pattern.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FolderLabel {
     /// Nobody, throughout.
@@ -155,6 +159,13 @@ fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rd
     };
     all.extend(given);
     serde_json::from_value(Value::Object(all)).map_err(D::Error::custom)
+}
+
+/// Schema of a table of which any key may be left out.
+fn any_keys<T: JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
+    let mut schema = T::json_schema(generator);
+    schema.remove("required");
+    schema
 }
 
 fn one() -> u64 {

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::error::SpecError;
@@ -34,7 +35,7 @@ const ROUNDING: f64 = 1e-9;
 /// - Fewer samples or chirps lower an echo over noise by their processing gain. Nothing compensates for that.
 ///
 /// The velocity axis is over the chirps of a frame only: velocities across frames would depend on the frame rate.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PhysicalAxes {
     /// Distance between neighbouring range cells, m.

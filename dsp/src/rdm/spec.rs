@@ -1,5 +1,6 @@
 //! Specification of a map.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::axes::PhysicalAxes;
@@ -8,7 +9,7 @@ use super::map::RdmShape;
 use crate::{Waveform, WaveformMismatch, Window};
 
 /// Conversion of codes to numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleScale {
     /// `(code - 2048) / 2048`, the default: a full-scale sine has amplitude 1.
@@ -31,7 +32,7 @@ impl SampleScale {
 }
 
 /// Selection of receive channels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Channels {
     /// One map for each channel of the frame.
@@ -46,7 +47,7 @@ pub enum Channels {
 }
 
 /// Removal of static echoes before the Doppler FFT, per channel and range.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticRemoval {
     /// No removal.
@@ -62,7 +63,7 @@ pub enum StaticRemoval {
 }
 
 /// Contents of the slow-time axis.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SlowTime {
     /// The chirps of one frame.
@@ -75,7 +76,7 @@ pub enum SlowTime {
 }
 
 /// Amplitude that reads 0 dB.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AmplitudeScale {
     /// `2|X| / (sum of window products)`, factor 1 at DC and Nyquist: a full-scale sine reads 0 dBFS.
@@ -101,7 +102,7 @@ pub enum AmplitudeScale {
 /// assert_eq!(spec.shape(&waveform)?.to_string(), "1 rx x 128 doppler x 128 range");
 /// # Ok::<(), radome_dsp::rdm::SpecError>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RdmSpec {
     /// Conversion of codes to numbers.

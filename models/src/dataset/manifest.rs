@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use radome_dsp::Occupancy;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Source of frames.
@@ -25,7 +26,7 @@ impl std::fmt::Display for Domain {
 }
 
 /// Purpose of a map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Split {
     /// Training.
@@ -108,7 +109,7 @@ impl ManifestRow {
 }
 
 /// Kind of group that stays within one split.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SplitBy {
     /// Sequences: people in the test split may be in the training split on another day.

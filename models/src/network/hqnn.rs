@@ -17,6 +17,7 @@
 //! The paper does not say whether there is a nonlinearity between the two dense layers. Without one they would be a single linear
 //! map, and 61,504 of the parameters would be redundant, so there is a ReLU here.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::graph::{Graph, INPUT, Layer, Value};
@@ -33,7 +34,7 @@ const HIDDEN: usize = 64;
 const CLASSES: usize = 3;
 
 /// Position of the circuit in the network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Placement {
     /// Between latent and head: the paper's.
@@ -46,7 +47,7 @@ pub enum Placement {
 }
 
 /// Layers behind the latent. Heads with `pi * sigmoid` see the same standardised and scaled latent as the circuit does.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Head {
     /// `pi * sigmoid`, circuit, linear: the HQNN.

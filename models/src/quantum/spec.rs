@@ -1,5 +1,6 @@
 //! Settings of the quantum layer, as files hold them, and their checks.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Qubits of a circuit at most.
@@ -12,7 +13,7 @@ pub const MOST_DEPTH: usize = 1000;
 /// A circuit that encodes one input a qubit, turns it by trained angles and measures Z on each qubit.
 ///
 /// The default is the paper's: two qubits, ZZ feature map and RealAmplitudes, one repetition each, exact.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CircuitSpec {
     /// Qubits, 1 to [`MOST_QUBITS`]; also the number of inputs and of outputs.
@@ -43,7 +44,7 @@ impl Default for CircuitSpec {
 }
 
 /// Encoding of inputs as a state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
     /// Qiskit's ZZFeatureMap with full entanglement (Havlicek et al., Nature 567 (2019) 209): H on each qubit, P(2 x_i),
@@ -54,7 +55,7 @@ pub enum Encoding {
 }
 
 /// Source of expectations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Execution {
     /// The expectations themselves.
@@ -64,7 +65,7 @@ pub enum Execution {
 }
 
 /// Measurements.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Shots {
     /// Measurements of each circuit that is run, at least 1.
@@ -78,7 +79,7 @@ pub struct Shots {
 }
 
 /// Gradients of measured expectations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShotGradient {
     /// Parameter shift from separate shots, as on hardware: two runs of `count` shots for each rotation gate.
@@ -92,7 +93,7 @@ pub enum ShotGradient {
 ///
 /// A depolarising gate of strength `p` replaces the state of the qubits that it acts on by the maximally mixed one with
 /// probability `p` (Qiskit's `depolarizing_error`): `rho -> (1 - p) rho + p I / d`.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
     /// Strength after each gate on one qubit (H, P, RY), 0 to 1.

@@ -1,5 +1,6 @@
 //! Settings of a study.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::error::StudyError;
@@ -12,7 +13,7 @@ const MOST_JOBS: usize = 1_000_000;
 const MOST_VARIANTS: usize = 1000;
 
 /// Settings of a study.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StudySpec {
     /// Heading of the report.
@@ -53,7 +54,7 @@ fn target() -> f64 {
 }
 
 /// One network of a comparison.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Variant {
     /// Name in the report; a network's own name needs nothing else.

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use rand::Rng;
 use rand_distr::{Distribution, Normal};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::error::TrainError;
@@ -29,7 +30,7 @@ const TRIES: usize = 16;
 const CLASSES: usize = radome_dsp::Occupancy::ALL.len();
 
 /// Settings of the changes made to a training map each time it is used; none by default.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Augmentation {
     /// Standard deviation of Gaussian noise added to each cell, dB; 0 for none.
@@ -58,7 +59,7 @@ pub struct Augmentation {
 
 /// Adds to a map the echoes of a map of another sequence, such that there are two people at most: the class is that of both
 /// together. How many people the other map shows is drawn evenly from what is possible.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Superpose {
     /// Share of the maps to which one is added.
@@ -67,7 +68,7 @@ pub struct Superpose {
 
 /// Adds slow energy about zero Doppler to maps of all classes, in stretches of neighbouring range bins. The power of a cell is
 /// exponential.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sway {
     /// Share of the maps that it is added to.

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::augmentation::Augmentation;
@@ -19,7 +20,7 @@ const MOST_STARTS: u64 = 1000;
 
 /// Standardisation of the latent before `pi * sigmoid`, which the paper leaves open. The constants have no gradient and are
 /// saved with the model.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LatentStandardisation {
     /// None: the initialisation alone sets mean and sigma of the latent.
@@ -34,7 +35,7 @@ pub enum LatentStandardisation {
 }
 
 /// Settings of the minimisation over all training maps.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FullBatch {
     /// Steps at most.
@@ -44,7 +45,7 @@ pub struct FullBatch {
 }
 
 /// Settings of a training: with the data, they decide its result.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainSpec {
     /// Seed of initialisation, order and augmentation.

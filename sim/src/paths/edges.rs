@@ -46,6 +46,12 @@ impl SoftEdge {
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
+    /// Whether another facet begins at it before one of this normal: in that inner corner the other takes over what the one
+    /// loses, also where both are sheets whose backs make a wedge.
+    pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
+        self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
+    }
+
     /// Unit vector from the edge into that of its facets which looks the widest along a direction.
     pub(super) fn widest(&self, direction: DVec3) -> DVec3 {
         let across = direction.cross(self.ends[1] - self.ends[0]);

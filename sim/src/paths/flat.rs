@@ -91,7 +91,7 @@ pub(super) struct Flat {
     pub offset_m: f64,
     /// Facets in the same plane, of either side, have the same number.
     pub plane: u32,
-    /// Indices of its soft edges.
+    /// Indices of its soft edges, but for inner corners before it.
     pub soft: Vec<u32>,
     /// Coefficients of its wall.
     pub table: Arc<WallTable>,

@@ -3,13 +3,14 @@
 //! The TOML schema is this module's structs; each field's doc states unit, default and source. A table that is left out
 //! is filled with its defaults; an unknown key is an error. Levels are in LSB: one step of the 12-bit ADC.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Version of the schema that this crate reads and writes.
 pub const RECEIVER_FORMAT: u32 = 1;
 
 /// Constants of one chip with its package and antennas.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Receiver {
     /// Version of the schema: 1.
@@ -64,7 +65,7 @@ pub struct Receiver {
 }
 
 /// Antenna elements: gain on boresight and one-way half-power beamwidths of a separable `cos^q` power pattern.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Antenna {
     /// Transmit gain on boresight, dBi. Default 3.5 (2..5).
@@ -89,7 +90,7 @@ pub struct Antenna {
 ///
 /// Thermal follows from noise figure, conversion gain and IF gain; what lies above half the
 /// sample rate folds.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Noise {
     /// White noise of ADC and rounding, after the anti-alias filter, whatever the gain, LSB rms. Default 0.85.
@@ -116,7 +117,7 @@ pub struct Noise {
 }
 
 /// Phase of a spurious tone from chirp to chirp.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SpurPhase {
     /// The same in every chirp, as of a clock from which the chirps are timed: it has no Doppler.
@@ -128,7 +129,7 @@ pub enum SpurPhase {
 }
 
 /// Phase noise of the transmitter, which falls with the square of the offset from the carrier, as a free oscillator's does.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PhaseNoise {
     /// Power in a hertz on one side of the carrier, relative to it, dBc/Hz. The chip's is -80, at most -75, at 100 kHz
@@ -144,7 +145,7 @@ fn hundred_khz() -> f64 {
 }
 
 /// Deviations of one receive channel and what it sees with nothing in front of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RxChannel {
     /// ADC code that no signal gives. Default 2048.
@@ -164,7 +165,7 @@ pub struct RxChannel {
 
 /// One leakage path: adds `amplitude_lsb cos(2 pi slope delay t + phase_rad)`, t from the first sample of each chirp.
 /// Levels are as seen at the ADC, whatever the IF gain (real chips show about the same span at 23 and at 48 dB).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Leakage {
     /// Delay, s.
@@ -177,7 +178,7 @@ pub struct Leakage {
 }
 
 /// One exponential: adds `amplitude_lsb exp(-t / time_constant_s)`, t from the first sample of each chirp.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Transient {
     /// Level at the first sample, LSB, of either sign.
@@ -189,7 +190,7 @@ pub struct Transient {
 /// Variation of static echoes over time (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
 /// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad). Keys whose default is 0 and that act within a frame change
 /// all echoes alike, those of people too.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClutterDrift {
     /// Standard deviation of an echo's phase from frame to frame, rad. Default 0.03. Of this and of the drift half of the power
@@ -227,7 +228,7 @@ pub struct ClutterDrift {
 }
 
 /// Slow changes of the offset.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OffsetDrift {
     /// Steady drift of the offset, LSB/s. Default 0.08 (43 LSB in nine minutes).

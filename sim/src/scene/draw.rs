@@ -13,21 +13,32 @@ use std::collections::BTreeMap;
 
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::random::{Purpose, generator};
 
 /// Distribution of a key's value: exactly one of the two.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RandomFile {
     /// The least and the greatest value: numbers, each evenly drawn (whole ones where both are), or lists of as many.
     #[serde(default)]
+    #[schemars(schema_with = "two_values")]
     pub between: Option<[Value; 2]>,
     /// Values of which each is as likely.
     #[serde(default)]
+    #[schemars(schema_with = "values")]
     pub of: Option<Vec<Value>>,
+}
+
+fn two_values(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "minItems": 2, "maxItems": 2 })
+}
+
+fn values(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "minItems": 1 })
 }
 
 /// A key that cannot be drawn: which, what was found and what would do.

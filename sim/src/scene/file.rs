@@ -9,12 +9,14 @@ mod people;
 use std::collections::BTreeMap;
 
 use radome_dsp::WaveformRequest;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use toml::Spanned;
 
 use super::draw::RandomFile;
 use super::material::OwnMaterial;
 use crate::geometry::import::{LengthUnit, UpAxis};
+use crate::receiver::Receiver;
 pub use people::{
     ActorFile, BodyFile, ClothingFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
 };
@@ -27,7 +29,7 @@ pub use plan::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, Pl
 pub const SCENE_FORMAT: u32 = 1;
 
 /// A scene as its file states it.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SceneFile {
     /// Version of the schema: 1.
@@ -36,6 +38,7 @@ pub struct SceneFile {
     pub name: String,
     /// Path of a receiver file, relative to the scene file, or the receiver's own table. Datasheet typicals if absent.
     #[serde(default)]
+    #[schemars(schema_with = "path_or_receiver")]
     pub receiver: Option<Spanned<toml::Value>>,
     /// The room.
     pub room: RoomFile,
@@ -67,7 +70,7 @@ pub struct SceneFile {
 
 /// The room: a box with a slab for each surface (`size_m` and six surfaces), upright walls over a floor plan (`[room.plan]`, with
 /// `floor` and `ceiling`), or what meshes say (`[[room.mesh]]`).
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RoomFile {
     /// Inner size along x, y, z, m. Not given beside `plan` or `mesh`: it is that of the box around them then.
@@ -134,7 +137,7 @@ pub struct RoomFile {
 }
 
 /// Ways to find paths.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SolverFile {
     /// By the images of a box.
@@ -144,7 +147,7 @@ pub enum SolverFile {
 }
 
 /// A slab.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceFile {
     /// Material: one of the table's ([`super::material::Material`]) or of the scene's own.
@@ -156,7 +159,7 @@ pub struct SurfaceFile {
 
 /// A group of small reflectors that move a little about where they are: cables, plants, curtains, fans, what stands on a desk
 /// ([`crate::sway`]). They are no people: a room in which only they move is empty.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SwayFile {
     /// Reflectors. Default 4, at most 64; 0 for none.
@@ -198,7 +201,7 @@ impl Default for SwayFile {
 }
 
 /// Places at which swaying reflectors are drawn.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SwayPlaceFile {
     /// On furniture, before a wall or beside the radar, by chance.
@@ -215,7 +218,7 @@ pub enum SwayPlaceFile {
 }
 
 /// A mesh of the room: walls, furniture, or both.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RoomMeshFile {
     /// STL, OBJ or glTF file (`.stl`, `.obj`, `.gltf`, `.glb`), relative to the scene file.
@@ -238,7 +241,7 @@ pub struct RoomMeshFile {
 }
 
 /// Place of the radar and direction in which it looks.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RadarFile {
     /// Position in the room, m.
@@ -255,7 +258,7 @@ pub struct RadarFile {
 }
 
 /// Vibration of the radar along its boresight. All echoes share the phase of an echo on boresight; leakage has none.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct VibrationFile {
     /// Displacement, rms, m. Default 0; 5e-6 to 2e-4 is usual on desks and walls of light boards.
@@ -276,7 +279,7 @@ impl Default for VibrationFile {
 /// A static box, reduced to scattering points on the faces that the radar sees: their places and phases are drawn from the
 /// seed, and together they have the stated radar cross-section. Where rays find the paths (`solver` of `[room]`), a box with a
 /// material has its faces instead of points.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FurnitureFile {
     /// Name, for messages.
@@ -309,7 +312,7 @@ impl FurnitureFile {
 }
 
 /// A place to sit.
-#[derive(Debug, Clone, Copy, Deserialize)]
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SeatFile {
     /// Place at which the hips come to rest, m.
@@ -326,7 +329,7 @@ pub struct SeatFile {
 }
 
 /// A place to lie on the back.
-#[derive(Debug, Clone, Copy, Deserialize)]
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BedFile {
     /// Place at which the hips come to rest, m.
@@ -344,7 +347,7 @@ pub struct BedFile {
 
 /// A door by which people come and go. Beside a floor plan an opening belongs there, too: who goes through a wall of faces is hidden
 /// by it from one chirp to the next.
-#[derive(Debug, Clone, Copy, Deserialize)]
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorFile {
     /// Middle of the door on a wall: x or y is 0 or the room's size, m.
@@ -352,6 +355,11 @@ pub struct DoorFile {
     /// Width, m. Default 0.9.
     #[serde(default = "door_width")]
     pub width_m: f64,
+}
+
+fn path_or_receiver(generator: &mut SchemaGenerator) -> Schema {
+    let receiver = generator.subschema_for::<Receiver>();
+    json_schema!({ "anyOf": [{ "type": "string" }, receiver] })
 }
 
 fn two() -> u32 {

@@ -1,6 +1,7 @@
 //! Materials by ITU-R P.2040: `eps' = a f^b`, `sigma = c f^d` (f in GHz), `eps'' = 17.98 sigma / f`.
 
 use num_complex::Complex64;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The material of a surface that is none.
@@ -37,7 +38,7 @@ pub enum Material {
 }
 
 /// A material of a scene's own: `permittivity`, or coefficients as the table's.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OwnMaterial {
     /// Relative permittivity `[real, loss]`: `real - j loss` at whatever frequency.

@@ -295,6 +295,7 @@ impl Scene {
         check::check(&file).map_err(fault)?;
         plan::check_places(&file).map_err(fault)?;
         let walls = room::walls(&file, &waveform).map_err(fault)?;
+        room::warn_of_bands_within(&file, &meshes, &waveform);
         let steps = actors::load(&file, path, text)?;
         if let Some(plan) = &file.room.plan {
             (_, outlines) = plan::faces(&file, plan, waveform.centre_frequency_hz());

@@ -63,20 +63,37 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
     for ((key, surface), wall) in surfaces(&file.room).into_iter().zip(&mut walls) {
         *wall = slab(file, surface, waveform.centre_frequency_hz())
             .map_or_else(|| fault(key, &surface.material, "a material"), Ok)?;
-        let [low, high] = match (Material::named(&surface.material), file.materials.get(&surface.material)) {
-            (Some(material), _) => material.band_ghz(),
-            (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
-        };
-        let ghz = waveform.centre_frequency_hz() * 1e-9;
-        if !(low..=high).contains(&ghz) && is_news(&surface.material, key) {
-            tracing::warn!(
-                material = surface.material,
-                wall = key,
-                "its constants hold from {low} to {high} GHz; the waveform is at {ghz:.2} GHz, where they are extrapolated"
-            );
-        }
+        warn_of_band(file, &surface.material, key, waveform);
     }
     Ok(walls)
+}
+
+/// Warns of a material whose constants are for another band than the waveform's.
+fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Waveform) {
+    let [low, high] = match (Material::named(material), file.materials.get(material)) {
+        (Some(material), _) => material.band_ghz(),
+        (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
+    };
+    let ghz = waveform.centre_frequency_hz() * 1e-9;
+    if !(low..=high).contains(&ghz) && is_news(material, place) {
+        tracing::warn!(
+            material,
+            wall = place,
+            "its constants hold from {low} to {high} GHz; the waveform is at {ghz:.2} GHz, where they are extrapolated"
+        );
+    }
+}
+
+/// Warns of such materials of furniture, within floor plans and of parts of files, but for those of the box around the room.
+pub(super) fn warn_of_bands_within(file: &SceneFile, meshes: &RoomMeshes, waveform: &Waveform) {
+    let own = file.furniture.iter().take(meshes.own_furniture);
+    let furniture = own.filter_map(|f| Some(("furniture", f.material.as_deref()?)));
+    let plan = file.room.plan.iter().flat_map(|plan| plan.materials()).map(|material| ("room.plan", material));
+    let parts = meshes.pieces.iter().map(|piece| ("room.mesh", piece.surface.material.as_str()));
+    let is_wall = |material: &str| surfaces(&file.room).iter().any(|(_, surface)| surface.material == material);
+    for (place, material) in furniture.chain(plan).chain(parts).filter(|(_, material)| !is_wall(material)) {
+        warn_of_band(file, material, place, waveform);
+    }
 }
 
 /// Reflection and transmission of a slab of a material of the table or of the scene's own; `None` for another name.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use radome_dsp::rdm::reference;
 use radome_dsp::spectrum::{complex_fft_f32, real_fft_f32};
-use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest, Window, decibel};
+use radome_dsp::{Frame, FrameShape, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest, Window, decibel};
 use realfft::RealToComplex;
 use rustfft::Fft;
 use rustfft::num_complex::Complex32;
@@ -91,19 +91,20 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
         let ms = least_ms(rounds, || Ok(processor.process(&frame, &mut map).map(drop)?))?;
         add(way.into(), ms, Some(worst_error_dbc(&map.db, &exact)), false);
     }
-    if let Some(ms) = scipy_ms(python) {
+    if let Some(ms) = scipy_ms(python, waveform.shape()) {
         add("scipy f32".into(), ms, None, true);
     }
     add("Fourier sums f64, the reference".into(), reference_ms, None, false);
     Ok(points)
 }
 
-/// Output of the script of the peer; `None` where it cannot run.
-fn scipy_ms(python: Option<&Path>) -> Option<f64> {
-    let python = python.unwrap_or(Path::new("python3"));
+/// Milliseconds in which scipy makes the maps of a frame of a shape in f32 on one thread; `None` where it cannot run.
+pub fn scipy_ms(python: Option<&Path>, shape: FrameShape) -> Option<f64> {
+    let FrameShape { rx, chirps, samples } = shape;
+    let mut command = Command::new(python.unwrap_or(Path::new("python3")));
     // The script is in the program, so that it is found wherever that runs.
-    let output = Command::new(python).args(["-c", include_str!("../../../bench/rdm.py"), "--peer"]).output().ok()?;
-    let said: serde_json::Value = serde_json::from_slice(&output.stdout).ok()?;
+    command.args(["-c", include_str!("../../../bench/rdm.py"), "--peer", &format!("{rx}x{chirps}x{samples}")]);
+    let said: serde_json::Value = serde_json::from_slice(&command.output().ok()?.stdout).ok()?;
     Some(said.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
 }
 

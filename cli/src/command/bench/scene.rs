@@ -1,7 +1,7 @@
-//! `radome bench scene`: error against time of people with skins in a scene, over tolerances.
+//! `radome bench scene`: times of frames, or in one scene error against time of people with skins, over tolerances.
 
 use std::f64::consts::TAU;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::bail;
@@ -15,30 +15,35 @@ use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
 use super::kept_dense::DenseFrame;
+use super::scene_speed;
 use crate::output;
 use crate::source::DEFAULT_SEED;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene file, with `body = "mesh"`
-    scene: PathBuf,
+    /// Scene file, with `body = "mesh"`: people with skins at several tolerances beside the slow way. Without it, times of frames of
+    /// five scenes beside scipy's maps
+    scene: Option<PathBuf>,
+    /// Python with numpy and scipy, and sionna-rt if it is to be timed; `python3` if not given
+    #[arg(long, conflicts_with = "scene")]
+    python: Option<PathBuf>,
     /// Frames that are also computed the slow way: minutes each
-    #[arg(long, value_delimiter = ',', default_value = "10,30,50")]
+    #[arg(long, value_delimiter = ',', default_value = "10,30,50", requires = "scene")]
     frames: Vec<u64>,
     /// Tolerances, dB
-    #[arg(long, value_delimiter = ',', default_value = "2,0.5,0.2")]
+    #[arg(long, value_delimiter = ',', default_value = "2,0.5,0.2", requires = "scene")]
     tolerances_db: Vec<f64>,
     /// People
-    #[arg(long)]
+    #[arg(long, requires = "scene")]
     people: Option<usize>,
     /// Seed of everything random
-    #[arg(long, default_value_t = DEFAULT_SEED)]
+    #[arg(long, default_value_t = DEFAULT_SEED, requires = "scene")]
     seed: u64,
     /// The slow way takes all ways by walls that are louder than this far below noise, dB
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, requires = "scene")]
     dense_margin_db: f64,
     /// Folder in which frames computed the slow way are kept and looked for
-    #[arg(long)]
+    #[arg(long, requires = "scene")]
     dense_frames: Option<PathBuf>,
     /// A list of objects
     #[arg(long)]
@@ -61,16 +66,24 @@ struct Row {
     beyond_1_db: f64,
 }
 
-/// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
+/// Measures one scene's error against time, or without one the times of several scenes.
 ///
 /// # Errors
-/// The scene cannot be read or simulated, or the dense frames cannot be kept.
+/// A scene cannot be read or simulated, or the dense frames cannot be kept.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let scene = Scene::load(&arguments.scene)?;
+    match &arguments.scene {
+        Some(path) => run_tolerances(arguments, path),
+        None => scene_speed::run(arguments.python.as_deref(), arguments.json),
+    }
+}
+
+/// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
+fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
+    let scene = Scene::load(path)?;
     if scene.file().people.body != BodyFile::Mesh {
         bail!(
             "{}: people are ellipsoids, which have no slow way\n\nhint: body = \"mesh\" under [people]",
-            arguments.scene.display()
+            path.display()
         );
     }
     let simulator = |tolerance_db: f64| {

@@ -6,6 +6,7 @@ use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::Dataset;
 use radome_models::study::{Outcome, Progress, Report, Study, StudySpec};
 use radome_sim::bounded_file::named_by_spec;
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::picture::plot;
@@ -35,11 +36,13 @@ pub struct Arguments {
 }
 
 /// A study's file: what the library knows, and where the maps come from.
-#[derive(Deserialize)]
-struct StudyFile {
+#[derive(Deserialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
+pub struct StudyFile {
     /// Spec of a dataset to build, relative to the file, where no folder is given.
     dataset: PathBuf,
     #[serde(flatten)]
+    #[schemars(with = "StudySpec")]
     study: toml::Table,
 }
 

@@ -11,6 +11,7 @@ mod stl;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use schemars::JsonSchema;
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -21,7 +22,7 @@ pub use obj::parse_obj;
 pub use stl::parse_stl;
 
 /// Unit of a file's numbers.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 pub enum LengthUnit {
     /// 1 m.
     #[default]
@@ -51,7 +52,7 @@ impl LengthUnit {
 }
 
 /// Axis of a file that points up.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 pub enum UpAxis {
     /// z: CAD, and this house. Nothing is turned.
     #[default]

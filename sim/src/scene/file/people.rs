@@ -1,11 +1,12 @@
 //! The part of a scene file that says who is there: `[people]` and its programs.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::geometry::import::{LengthUnit, UpAxis};
 
 /// Bodies of people.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyFile {
     /// Thirteen ellipsoids, each with one highlight: the fastest.
@@ -16,7 +17,7 @@ pub enum BodyFile {
 }
 
 /// Model of the shadows that people throw on static echoes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShadowFile {
     /// One edge weakens them, without phase, at a few times of a frame: [`crate::shadow::past`].
@@ -28,7 +29,7 @@ pub enum ShadowFile {
 }
 
 /// The people of a scene and what they do: exactly one of the four programs.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PeopleFile {
     /// Bodies of people: "ellipsoids" or "mesh" (not at a desk). Default "ellipsoids".
@@ -69,7 +70,7 @@ pub struct PeopleFile {
 }
 
 /// Cloth and folds ([`crate::actor::clothing`]), drawn for each person.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClothingFile {
     /// Mean over the body of what cloth leaves of the skin's echo, dB. Default -1.
@@ -91,7 +92,7 @@ impl Default for ClothingFile {
 }
 
 /// A person with a script.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ActorFile {
     /// Time at which the script begins, s. Default 0. Before that the person waits at the first way-point.
@@ -128,7 +129,7 @@ pub struct ActorFile {
 
 /// One line of a script: `{ walk_to_m = [x, y], speed_m_per_s = 1.2 }`, `{ stand_s = 3 }`, `{ sit_s = 20, seat = 0 }`,
 /// `{ squat_s = 4, depth_m = 0.4 }`, `{ lie_s = 30, bed = 0 }`, `{ face_deg = 90 }`, `{ enter_door = 0 }` or `{ leave_door = 0 }`.
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepFile {
     /// Walk there (the first step: be there), m.
@@ -170,7 +171,7 @@ pub struct StepFile {
 }
 
 /// An endless stream of visits in each of a few slots. Pairs are the least and the largest value drawn.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct VisitsFile {
     /// Slots: the most people at a time. Default 2; of three or more labels say "two", which means two or more.
@@ -243,7 +244,7 @@ impl Default for VisitsFile {
 /// Nobody, one or two people who wander about. Pairs are the least and the largest value drawn.
 ///
 /// `turn_rate_deg_per_s` (120 if absent) and `keep_off_m` (0.35 if absent) of `[people]` hold for them, too.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WanderFile {
     /// Most people at a time; how many there are is drawn for each seed. Default 2.
@@ -330,7 +331,7 @@ impl Default for WanderFile {
 }
 
 /// Weights of what two people do together.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModesFile {
     /// Each goes about alone. Default 3.
@@ -354,7 +355,7 @@ impl Default for ModesFile {
 }
 
 /// Nobody, one or two people sitting before the radar, for good.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DeskFile {
     /// Most people. Default 2.

@@ -1,5 +1,6 @@
 //! Keys of `[room.plan]`: a floor plan with openings and doors, drawn up to a height.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use super::SurfaceFile;
@@ -19,7 +20,7 @@ use super::SurfaceFile;
 /// head_m = 2.0
 /// door = { hinge = "from", open_deg = 40.0, material = "wood" }
 /// ```
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlanFile {
     /// Corners of the floor, `[x, y]`, m, in order and either way round: 3 to 200. The least x and the least y are 0.
@@ -39,8 +40,20 @@ pub struct PlanFile {
     pub partition: Vec<PartitionFile>,
 }
 
+impl PlanFile {
+    /// Materials of the walls that differ, and of partitions, panes and doors.
+    pub(crate) fn materials(&self) -> Vec<&str> {
+        let walls = self.wall.iter().map(|wall| wall.material.as_str());
+        let partitions = self.partition.iter().map(|partition| partition.material.as_str());
+        let openings = || self.opening.iter().chain(self.partition.iter().flat_map(|partition| &partition.opening));
+        let panes = openings().filter_map(|opening| opening.material.as_deref());
+        let doors = openings().filter_map(|opening| opening.door.as_ref()).map(|door| door.material.as_str());
+        walls.chain(partitions).chain(panes).chain(doors).collect()
+    }
+}
+
 /// A wall that is made of something else than the others.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlanWallFile {
     /// Index of the wall.
@@ -53,7 +66,7 @@ pub struct PlanWallFile {
 }
 
 /// A wall within the room: an upright sheet on a straight line.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PartitionFile {
     /// Place at which it begins, m.
@@ -74,7 +87,7 @@ pub struct PartitionFile {
 }
 
 /// A rectangular opening in a wall or a partition: free, with a pane, or with a door.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OpeningFile {
     /// Index of its wall. Needed in `[[room.plan.opening]]`; none in a partition's own.
@@ -101,7 +114,7 @@ pub struct OpeningFile {
 }
 
 /// A door leaf as wide and as high as its opening.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorLeafFile {
     /// End of the opening at which it hangs: "from" or "to".
@@ -118,7 +131,7 @@ pub struct DoorLeafFile {
 }
 
 /// Ends of an opening.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HingeFile {
     /// Beginning of the opening.

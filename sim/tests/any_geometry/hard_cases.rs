@@ -1,0 +1,327 @@
+//! Rooms that geometry makes hard: where radar and people touch walls, and what is missing or wrong in files.
+//!
+//! | case | where |
+//! |---|---|
+//! | coplanar and coincident faces, slivers, normals that look the wrong way | here, `surfaces.rs`, `geometry/lint.rs`, `trace/hard_cases.rs` |
+//! | holes | here, `surfaces.rs`, `paths/environment.rs` |
+//! | the radar on a wall and in a corner, somebody at a wall, no ceiling | here |
+//! | rays along edges and in planes | here, `trace/hard_cases.rs` |
+//! | files in millimetres, two million triangles | `rooms.rs`, `geometry/import/hard_cases.rs` |
+//! | materials outside their bands | `material_bands.rs` |
+
+use radome_sim::field::image::{images, order};
+
+use super::*;
+use crate::surfaces::rooms::Quad;
+
+fn plan(tables: &str) -> String {
+    format!(
+        "diffuse_share = 0.1\nfloor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n\
+         [room.plan]\ncorners_m = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [2.5, 4.0], [2.5, 3.0], [0.0, 3.0]]\n\
+         height_m = 2.6\nwalls = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n{tables}"
+    )
+}
+
+/// Frames of a scene are numbers, and somebody is in them.
+fn assert_sound(scene: &Scene, what: &str) {
+    let simulator = common::simulator(scene, 1, None);
+    for index in [0, 9] {
+        let power: f64 = simulator.echo_samples(index).iter().map(|&x| f64::from(x).powi(2)).sum();
+        assert!(power.is_finite() && power > 0.0, "{what}, frame {index}: {power}");
+        let frame = simulator.render(index);
+        assert_eq!(frame.codes.len(), frame.shape.codes(), "{what}");
+    }
+}
+
+/// On a wall, in a corner of the room and in the outward corner of an L the radar is 1 cm off its walls.
+#[test]
+fn the_radar_may_be_on_a_wall_and_in_a_corner() {
+    for (place, azimuth_deg) in
+        [("[0.011, 1.5, 1.2]", 0.0), ("[0.011, 0.011, 0.011]", 45.0), ("[2.511, 2.989, 1.2]", -60.0)]
+    {
+        let text = common::hall(WALKER);
+        let (before, rest) = text.split_once("size_m").expect("written");
+        let (_, after) = rest.split_once("[radar]").expect("written");
+        let text = format!("{before}\n{}\n[radar]\nazimuth_deg = {azimuth_deg:?}\n{after}", plan(""));
+        let text = text.replace("[1.0, 10.0, 1.2]", place).replace("[4.0, 3.2]", "[4.0, 2.2]");
+        let scene = Scene::parse(&text, Path::new("scene.toml")).expect("a good scene");
+        assert_sound(&scene, place);
+    }
+}
+
+/// Shoulders in the wall are hidden, the rest is there.
+#[test]
+fn somebody_may_touch_a_wall() {
+    for place in ["[4.9, 2.0]", "[4.0, 0.05]", "[4.95, 3.95]"] {
+        let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}]\n");
+        assert_sound(&made(&plan(""), &actor, Path::new("")), place);
+    }
+}
+
+#[test]
+fn a_room_may_have_no_ceiling() {
+    let open = plan("").replace("ceiling = { material = \"concrete\" }", "ceiling = { material = \"open\" }");
+    assert_sound(&made(&open, WALKER, Path::new("")), "no ceiling");
+    let boxed = format!("solver = \"rays\"\n{}", box_keys("open"));
+    assert_sound(&made(&boxed, WALKER, Path::new("")), "no ceiling, by rays");
+}
+
+/// Points in all of a room and around it: nothing that is not a number, and nothing louder than two mirrors can make it.
+#[test]
+fn fields_are_numbers_everywhere() {
+    let stage = polygons(&made(&plan(""), WALKER, Path::new("")));
+    for index in stage.room.images(2) {
+        for i in 0..300 {
+            let part = |by: f64| (f64::from(i) * by).fract();
+            let point = DVec3::new(6.0 * part(0.618) - 0.5, 5.0 * part(0.755) - 0.5, 3.0 * part(0.57) - 0.2);
+            let field = stage.room.illuminate(&stage.tx, index, point).field.magnitude();
+            assert!(field.is_finite() && field < 3.0, "{index:?} {point}: {field}");
+        }
+    }
+}
+
+/// The order of threads changes nothing.
+#[test]
+fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
+    let scene = made(&plan(""), WALKER, Path::new(""));
+    let frames = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| common::simulator(&scene, 7, None).render(6).codes)
+    };
+    assert_eq!(frames(1), frames(3));
+}
+
+/// A room from a file of plasterboard, whose paths rays find.
+fn from_file(name: &str, unit: &str, content: &str) -> Scene {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join(name), content).expect("written");
+    let keys = format!(
+        "solver = \"rays\"\n[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n\
+         unit = {unit:?}\nup = \"z\"\nmaterials = {{ plaster = \"plasterboard\", pane = \"glass\" }}\n"
+    );
+    made(&keys, WALKER, folder.path())
+}
+
+/// The room of most tests from a file, where some faces take the place of the wall at y = 0.
+fn with_other_wall(wall: &[Quad]) -> Scene {
+    let quads = faces([0.0; 3], SIZE_M);
+    let others = [0, 1, 3, 4, 5].map(|side| quads[side]);
+    let all: Vec<(Quad, &str)> = others.iter().chain(wall).map(|&quad| (quad, "plaster")).collect();
+    from_file("room.obj", "m", &obj(&all))
+}
+
+/// The wall at y = 0 from one place along x to another.
+fn panel(from_m: f64, to_m: f64) -> Quad {
+    let height_m = SIZE_M[2];
+    [[from_m, 0.0, 0.0], [to_m, 0.0, 0.0], [to_m, 0.0, height_m], [from_m, 0.0, height_m]]
+}
+
+/// A wall in needles of 5 m by half a millimetre that begin in one of its corners.
+fn in_slivers() -> Scene {
+    let [length_m, _, height_m] = SIZE_M;
+    let quads = faces([0.0; 3], SIZE_M);
+    let mut all = triangles(&[0, 1, 3, 4, 5].map(|side| quads[side]));
+    let heights_m: Vec<f64> = (0..=40).map(|i| 5e-4 * f64::from(i)).chain([height_m]).collect();
+    all.extend(heights_m.windows(2).map(|ends| [[0.0; 3], [length_m, 0.0, ends[0]], [length_m, 0.0, ends[1]]]));
+    all.push([[0.0; 3], [length_m, 0.0, height_m], [0.0, 0.0, height_m]]);
+    from_file("room.stl", "mm", &stl(&all, 1000.0))
+}
+
+/// A wall twice, of two materials of which the first counts, and the floor twice, once from below.
+fn with_faces_twice() -> Scene {
+    let quads = faces([0.0; 3], SIZE_M);
+    let mut all: Vec<(Quad, &str)> = quads.iter().map(|&quad| (quad, "plaster")).collect();
+    let [a, b, c, d] = quads[4];
+    all.extend([(quads[1], "pane"), ([d, c, b, a], "plaster")]);
+    from_file("room.obj", "m", &obj(&all))
+}
+
+/// Half of the triangles look the wrong way.
+fn with_turned_normals() -> Scene {
+    let good = triangles(&faces([0.0; 3], SIZE_M));
+    let turn =
+        |(t, [a, b, c]): (usize, [[f64; 3]; 3])| if 0b1010_0110_0101 >> t & 1 == 1 { [a, c, b] } else { [a, b, c] };
+    let turned: Vec<[[f64; 3]; 3]> = good.into_iter().enumerate().map(turn).collect();
+    from_file("room.stl", "mm", &stl(&turned, 1000.0))
+}
+
+/// The points at which one wall in three panels mirrors the radar lie on a seam of two.
+#[test]
+fn defects_of_files_change_no_path() {
+    let plain = with_other_wall(&[panel(0.0, SIZE_M[0])]);
+    let [expected, wider] = [10.0, 13.0].map(|margin_db| listed(&plain, margin_db));
+    assert!(expected.len() > 20, "{} paths", expected.len());
+    let in_panels = with_other_wall(&[panel(0.0, 0.5), panel(0.5, 2.0), panel(2.0, SIZE_M[0])]);
+    let all = [
+        ("panels", in_panels),
+        ("slivers", in_slivers()),
+        ("faces twice", with_faces_twice()),
+        ("turned normals", with_turned_normals()),
+    ];
+    for (what, scene) in all {
+        assert_among(&expected, &listed(&scene, 13.0), what);
+        assert_among(&listed(&scene, 10.0), &wider, what);
+    }
+}
+
+/// Static paths of a scene.
+fn still(scene: &Scene, margin_db: f64) -> Vec<ListedPath> {
+    let options = PathListOptions { margin_db, people: Some(0), ..PathListOptions::default() };
+    PathList::new(scene, &options).expect("a list").paths
+}
+
+/// Whether a path goes to the wall at y = 0 and straight back: the radar is 1 m before it, and nothing else is as far.
+fn is_straight_from_wall(path: &ListedPath) -> bool {
+    (path.length_m - 2.0).abs() < 0.01
+}
+
+/// Two panels that lie on each other where they mirror the radar are one mirror, not two.
+#[test]
+fn panels_that_overlap_mirror_once() {
+    let of = |wall: &[Quad], margin_db: f64| -> Vec<ListedPath> {
+        still(&with_other_wall(wall), margin_db).into_iter().filter(is_straight_from_wall).collect()
+    };
+    let whole = of(&[panel(0.0, SIZE_M[0])], 10.0);
+    let overlapping = of(&[panel(0.0, 1.25), panel(0.25, SIZE_M[0])], 10.0);
+    assert!(!whole.is_empty());
+    assert_eq!(overlapping.len(), whole.len());
+    assert_among(&whole, &overlapping, "overlapping panels");
+}
+
+/// Without the part of a wall that mirrors the radar its path is gone, and those that are nowhere near are as they were.
+#[test]
+fn a_hole_in_a_wall_takes_its_own_paths_alone() {
+    let [low, high] = [[0.125, 0.75], [1.25, 1.75]];
+    let outer = panel(0.0, SIZE_M[0]);
+    let inner = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]].map(|[x, z]| [x, 0.0, z]);
+    let ring: Vec<Quad> = (0..4).map(|i| [outer[i], outer[(i + 1) % 4], inner[(i + 1) % 4], inner[i]]).collect();
+    let quads = faces([0.0; 3], SIZE_M);
+    let mut all = triangles(&[0, 1, 3, 4, 5].map(|side| quads[side]));
+    all.extend(triangles(&ring));
+    let holed = from_file("room.stl", "mm", &stl(&all, 1000.0));
+    let whole = with_other_wall(&[outer]);
+    // Farther than a metre from the hole no way is within reach of its rim.
+    let is_far = |path: &ListedPath| {
+        path.points_m.iter().all(|[x, y, _]| y.abs() > 1e-6 || !(low[0] - 1.0..high[0] + 1.0).contains(x))
+    };
+    let far = |paths: Vec<ListedPath>| -> Vec<ListedPath> { paths.into_iter().filter(is_far).collect() };
+    assert!(still(&whole, 10.0).iter().any(is_straight_from_wall));
+    assert!(!still(&holed, 13.0).iter().any(is_straight_from_wall));
+    let expected = far(still(&whole, 10.0));
+    assert!(expected.len() > 5, "{} paths", expected.len());
+    assert_among(&expected, &still(&holed, 13.0), "holed");
+    assert_among(&far(still(&holed, 10.0)), &still(&whole, 13.0), "whole");
+}
+
+/// A room lacks exactly the paths by a ceiling that is not there: also corners of walls and floor mirror as before.
+#[test]
+fn without_a_ceiling_its_paths_alone_are_gone() {
+    let room = |ceiling: &str| made(&format!("solver = \"rays\"\n{}", box_keys(ceiling)), WALKER, Path::new(""));
+    let (closed, open) = (room("plasterboard"), room("open"));
+    let is_by_ceiling = |path: &ListedPath| path.points_m.iter().any(|[.., z]| *z > SIZE_M[2] - 1e-6);
+    // Ways in several parts at once have no corners.
+    let below = |paths: Vec<ListedPath>| -> Vec<ListedPath> {
+        paths.into_iter().filter(|path| !path.points_m.is_empty() && !is_by_ceiling(path)).collect()
+    };
+    let of_closed = listed(&closed, 10.0);
+    assert!(of_closed.iter().filter(|path| is_by_ceiling(path)).count() > 5);
+    let expected = below(of_closed);
+    assert!(expected.len() > 20, "{} paths", expected.len());
+    assert_among(&expected, &listed(&open, 13.0), "open");
+    let of_open = listed(&open, 10.0);
+    assert!(!of_open.iter().any(is_by_ceiling));
+    assert_among(&below(of_open), &listed(&closed, 13.0), "closed");
+}
+
+fn metal_box() -> BoxRoom {
+    BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), [Wall::Conductor; 6], WAVENUMBER, false)
+}
+
+/// An antenna that radiates alike all around.
+fn upright(position: DVec3) -> Element {
+    let (polarisation, radar_from_world) = (DVec3::Z, DMat3::IDENTITY);
+    Element { position, polarisation, radar_from_world, pattern: Pattern::isotropic() }
+}
+
+/// On a wall the antenna and its image in that wall are one. All other images are those of an antenna a millimetre off.
+#[test]
+fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
+    let room = metal_box();
+    let environment = Arc::new(Environment::new(Facet::of_box(&room), WAVENUMBER).expect("facets"));
+    let (on_wall, before_wall) = (DVec3::new(0.0, 1.5, 1.2), DVec3::new(0.001, 1.5, 1.2));
+    let paths = ImagePaths::discover(environment, on_wall, &LaunchOptions::default());
+    // Across x, those whose first reflection is at the far wall: once, then twice and three times in turn.
+    let all = images(3).into_iter().filter(|index| [0, 1, -2, 3].contains(&index[0]));
+    let all: Vec<ImageIndex> = all.collect();
+    assert_eq!(paths.images().len(), all.len(), "{:?}", paths.report());
+    for index in all {
+        let place = room.image_position(index, before_wall);
+        let mut found = paths.images().iter();
+        let found = found.position(|i| i.order as u32 == order(index) && i.position.distance(place) < 1.5e-3);
+        let found = found.unwrap_or_else(|| panic!("no image {index:?}"));
+        for point in [DVec3::new(2.1, 2.9, 0.8), DVec3::new(4.2, 0.7, 1.9), DVec3::new(1.3, 1.1, 1.3)] {
+            let on = paths.illuminate(&upright(on_wall), found, point).field;
+            let before = room.illuminate(&upright(before_wall), index, point).field;
+            // Directions differ by a milliradian at most.
+            let apart = (on.re - before.re).length() + (on.im - before.im).length();
+            assert!(apart < 5e-3, "{index:?} {point}: {apart}");
+        }
+    }
+}
+
+/// A millimetre off two walls of metal, three images cancel most of the antenna: the sum is that of a corner reflector antenna.
+/// At 45 degrees the way by both walls goes through their edge.
+#[test]
+fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
+    let off_m = 1e-3;
+    let antenna = upright(DVec3::new(off_m, off_m, 1.2));
+    let environment = Environment::new(Facet::of_box(&metal_box()), WAVENUMBER).expect("facets");
+    let paths = ImagePaths::discover(Arc::new(environment), antenna.position, &LaunchOptions::default());
+    let beside = |i: &usize| paths.images()[*i].position.distance(antenna.position) < 0.01;
+    let of_corner: Vec<usize> = (0..paths.images().len()).filter(beside).collect();
+    assert_eq!(of_corner.len(), 4, "{:?}", paths.report());
+    for degrees in [20.0f64, 30.0, 45.0, 60.0, 70.0] {
+        let (sine, cosine) = degrees.to_radians().sin_cos();
+        let point = DVec3::new(3.0 * cosine, 3.0 * sine, 1.2);
+        let arrives = |&image: &usize| {
+            let lit = paths.illuminate(&antenna, image, point);
+            let wave = Complex64::from_polar(1.0 / lit.distance_m, -WAVENUMBER * lit.distance_m);
+            Complex64::new(lit.field.re.z, lit.field.im.z) * wave
+        };
+        let sum: Complex64 = of_corner.iter().map(arrives).sum();
+        let factor = |part: f64| 2.0 * (WAVENUMBER * off_m * part).sin();
+        let expected = factor(cosine) * factor(sine) / 3.0;
+        assert!((sum.norm() / expected - 1.0).abs() < 0.01, "{degrees}: {} {expected}", sum.norm());
+    }
+}
+
+/// Ways across the rim of a sheet, along it, and in the sheet's own plane, exactly and beside it by less than rays can tell.
+#[test]
+fn ways_along_edges_and_in_planes_are_numbers() {
+    let corners = [[2.0, 0.0, 0.0], [2.0, 1.5, 0.0], [2.0, 1.5, 2.6], [2.0, 0.0, 2.6]].map(DVec3::from_array);
+    let mut facets = Facet::of_box(&metal_box());
+    facets.push(Facet::new(corners.to_vec(), Wall::Conductor));
+    facets.push(Facet::new(corners.into_iter().rev().collect(), Wall::Conductor));
+    let environment = Arc::new(Environment::new(facets, WAVENUMBER).expect("facets"));
+    assert_eq!(environment.soft_edges().len(), 1);
+    let straight = |from: DVec3, to: DVec3, polarisation: DVec3| {
+        let paths = ImagePaths::with_sequences(Arc::clone(&environment), from, Vec::<Vec<u32>>::new());
+        let element = Element { polarisation, ..upright(from) };
+        paths.illuminate(&element, 0, to).field.magnitude()
+    };
+    for off_m in [0.0, 1e-9, -1e-9, 1e-6, -1e-6] {
+        let aside = |axis: DVec3, point: [f64; 3]| DVec3::from_array(point) + axis * off_m;
+        // Of half a plane half of the field is left.
+        let across = straight(aside(DVec3::Y, [1.0, 1.5, 1.2]), aside(DVec3::Y, [3.0, 1.5, 1.2]), DVec3::Z);
+        assert!((across - 0.5).abs() < 0.01, "{off_m}: {across}");
+        let before = straight(aside(DVec3::X, [2.0, 3.5, 1.2]), aside(DVec3::X, [2.0, 2.0, 1.2]), DVec3::Z);
+        assert!((before - 1.0).abs() < 1e-3, "{off_m}: {before}");
+        for axis in [DVec3::X, DVec3::Y] {
+            let in_sheet = straight(aside(axis, [2.0, 3.5, 1.2]), aside(axis, [2.0, 0.5, 1.2]), DVec3::Z);
+            let along_rim = straight(aside(axis, [2.0, 1.5, 0.3]), aside(axis, [2.0, 1.5, 2.3]), DVec3::X);
+            assert!((0.0..1.2).contains(&in_sheet) && (0.0..1.2).contains(&along_rim), "{in_sheet} {along_rim}");
+        }
+    }
+    let in_crease = straight(DVec3::new(1.0, 4.0, 0.0), DVec3::new(4.0, 4.0, 0.0), DVec3::Z);
+    assert!((0.0..1.2).contains(&in_crease), "{in_crease}");
+}
