@@ -37,7 +37,7 @@ pub struct SourceArgs {
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     pub source: String,
     /// Waveform to program a board with: `paper`, a .toml file, a model file, or a recording
-    #[arg(long)]
+    #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
     /// Stop after so many frames
     #[arg(long)]

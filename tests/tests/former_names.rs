@@ -2,18 +2,18 @@
 
 use radome_tests::{help, long_options, radome};
 
-/// Table of former and present names, which the program reads too.
-const TABLE: &str = include_str!("../../cli/src/command/former_names.txt");
+/// Page with the table of former and present names. A test of the program holds its own list to it.
+const PAGE: &str = include_str!("../../docs/commands.md");
 
 /// Options of each command when it had its former name, without those of all commands. Former options that are hidden now are
-/// tested one by one below.
+/// in [`FORMER_OPTIONS`].
 const OPTIONS: [(&str, &str); 23] = [
     ("devices", "--json --probe --udev-rules --watch"),
     ("config", "--json --registers"),
     ("emulate", "--faults --from --json --latency-ms --link --loop --on --probe --protocol --seed --speed"),
     ("convert", "--json --overwrite --to"),
     ("repair", "--json --output --overwrite"),
-    ("results", "--changes --csv --json --overwrite"),
+    ("results", "--changes --json --overwrite"),
     ("labels", "--export --import --json --overwrite --who"),
     (
         "rdm",
@@ -25,9 +25,9 @@ const OPTIONS: [(&str, &str); 23] = [
     ("calibrate", "--base --copies --json --name --output --overwrite --part --people --scene --seed"),
     (
         "dataset pair",
-        "--corrections --frames --height-m --json --labels --map --name --output --people --seated --seed --subject --waypoints",
+        "--corrections --frames --height-m --json --labels --name --output --people --seated --seed --subject --waypoints",
     ),
-    ("paths", "--json --margin-db --people --person --preview --seed --time"),
+    ("paths", "--json --margin-db --people --person --seed --time"),
     ("train", "--checkpoint --epochs --hold-out --json --network --output --overwrite --seed --spec --weights"),
     ("adapt", "--curve --empty --force --json --output --overwrite --simulated"),
     ("background", "--json --model --output --overwrite --seconds --seed"),
@@ -51,9 +51,30 @@ const OPTIONS: [(&str, &str); 23] = [
     ),
 ];
 
+/// Options that have another name now, and that name.
+const FORMER_OPTIONS: [(&str, &str, &str); 3] =
+    [("results", "--csv", "--output"), ("paths", "--preview", "--output"), ("dataset pair", "--map", "--preset")];
+
+/// Commands that take no time, by their former names.
+const CHEAP: [&str; 5] = [
+    "devices --udev-rules",
+    "config paper --registers --json",
+    "models --json",
+    "circuit --x 0.8,2.1 --theta 0.4,-1.2,2,0.7 --json",
+    "paths fixtures/scenes/corridor.toml --time 3 --json",
+];
+
 fn table() -> Vec<(&'static str, &'static str)> {
-    let lines = TABLE.lines().filter(|line| !line.starts_with('#'));
-    lines.map(|line| line.split_once(" -> ").unwrap_or_else(|| panic!("no pair: {line}"))).collect()
+    let (_, section) = PAGE.split_once("\n## Former names\n").expect("a section");
+    let rows = section.lines().filter_map(|line| line.strip_prefix("| `")?.strip_suffix("` |"));
+    rows.map(|row| row.split_once("` | `").unwrap_or_else(|| panic!("no pair: {row}"))).collect()
+}
+
+/// Status, stdout and stderr of a command line.
+fn outcome(line: &str) -> (Option<i32>, String, String) {
+    let output = radome().args(line.split(' ')).output().expect("runs");
+    let text = |bytes| String::from_utf8(bytes).expect("text");
+    (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
 #[test]
@@ -69,6 +90,34 @@ fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
         for option in before.split_whitespace() {
             assert!(taken.contains(&option), "{former} took {option}; {present} takes {taken:?}");
         }
+    }
+}
+
+/// Arguments arrive: both refuse the same ones with the same words, and cheap commands say the same.
+#[test]
+fn former_and_present_names_do_the_same() {
+    let table = table();
+    for (former, present) in &table {
+        let refused = outcome(&format!("{former} --no-such-option"));
+        assert_eq!(refused, outcome(&format!("{present} --no-such-option")), "{former}");
+        assert!(refused.0 == Some(2) && refused.2.contains("'--no-such-option'"), "{former}: {refused:?}");
+    }
+    for line in CHEAP {
+        let name = line.split(' ').next().unwrap_or_default();
+        let (_, present) = table.iter().find(|(former, _)| *former == name).unwrap_or_else(|| panic!("{name}"));
+        let told = outcome(line);
+        assert_eq!(told, outcome(&line.replacen(name, present, 1)), "{line}");
+        assert!(told.0 == Some(0) && !told.1.is_empty(), "{line}: {told:?}");
+    }
+}
+
+#[test]
+fn former_options_are_taken_for_the_present_ones() {
+    for (command, former, present) in FORMER_OPTIONS {
+        let known = help(command);
+        assert!(!long_options(&known).contains(&former) && long_options(&known).contains(&present), "{known}");
+        let (status, _, said) = outcome(&format!("{command} {former}"));
+        assert!(status == Some(2) && said.contains("a value is required") && said.contains(present), "{said}");
     }
 }
 
@@ -93,5 +142,22 @@ fn completions_know_the_groups_and_their_commands() {
         // The hidden ones are not completed.
         let is_listed = script.contains(&format!("radome__subcmd__{group},{name})"));
         assert!(is_listed || present == "recording labels", "{present}");
+    }
+}
+
+/// Sources, recordings, scenes, models and waveforms are completed by the names of files.
+#[test]
+fn completions_offer_files_wherever_one_can_be_named() {
+    let output = radome().args(["completions", "zsh"]).output().expect("runs");
+    let script = String::from_utf8(output.stdout).expect("text");
+    for named in [":source -- ", ":recording -- ", ":recordings -- ", ":inputs -- ", ":scene -- ", ":waveform -- "] {
+        let lines: Vec<&str> = script.lines().filter(|line| line.contains(named)).collect();
+        assert!(!lines.is_empty(), "{named}");
+        assert!(lines.iter().all(|line| line.contains(":_files'")), "{lines:?}");
+    }
+    for option in ["--model=", "--scene=", "--waveform=", "--from=", "--output="] {
+        let lines: Vec<&str> = script.lines().filter(|line| line.contains(option)).collect();
+        assert!(!lines.is_empty(), "{option}");
+        assert!(lines.iter().all(|line| line.contains(":_files'")), "{lines:?}");
     }
 }

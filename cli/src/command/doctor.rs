@@ -22,6 +22,7 @@ pub use wire::WireLog;
 pub struct Arguments {
     /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ...; without it, boards that are attached
     /// are asked who they are
+    #[arg(value_hint = clap::ValueHint::AnyPath)]
     source: Option<String>,
     /// Model that is to judge: whether it can be read, and whether it fits the source
     #[arg(long)]

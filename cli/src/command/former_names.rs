@@ -2,16 +2,32 @@
 
 use std::ffi::OsString;
 
-/// Former and present names, one pair a line: `FORMER -> PRESENT`.
-const TABLE: &str = include_str!("former_names.txt");
-
-/// Pairs of a former and a present name, each as words.
-fn pairs() -> impl Iterator<Item = (Vec<&'static str>, Vec<&'static str>)> {
-    let lines = TABLE.lines().filter(|line| !line.starts_with('#'));
-    lines
-        .filter_map(|line| line.split_once(" -> "))
-        .map(|(former, present)| (former.split(' ').collect(), present.split(' ').collect()))
-}
+/// Former and present names. Former ones stand in no help. They work in version 0.1 and are removed with 0.2.
+const NAMES: [(&str, &str); 23] = [
+    ("devices", "board list"),
+    ("config", "board config"),
+    ("emulate", "board emulate"),
+    ("convert", "recording convert"),
+    ("repair", "recording repair"),
+    ("results", "recording answers"),
+    ("labels", "recording labels"),
+    ("rdm", "recording maps"),
+    ("echoes", "recording echoes"),
+    ("dataset label", "recording label"),
+    ("simulate", "scene simulate"),
+    ("calibrate", "scene calibrate"),
+    ("dataset pair", "scene pair"),
+    ("paths", "scene paths"),
+    ("train", "model train"),
+    ("adapt", "model adapt"),
+    ("background", "model background"),
+    ("evaluate", "model evaluate"),
+    ("study", "model study"),
+    ("export", "model export"),
+    ("models", "model list"),
+    ("circuit", "bench circuit"),
+    ("rcs", "bench rcs"),
+];
 
 /// Arguments of the program, the program's name first, with a former name of a command replaced by the present one. Flags before and
 /// within the name stay; `help` may stand before it.
@@ -22,15 +38,16 @@ pub fn with_present_names(arguments: Vec<OsString>) -> Vec<OsString> {
     });
     // A name is one word or two.
     let given: Vec<(usize, &str)> = words.skip_while(|(_, word)| *word == "help").take(2).collect();
-    let is_former = |former: &[&str]| {
-        former.len() <= given.len() && former.iter().zip(&given).all(|(word, (_, given))| word == given)
+    let is_former = |former: &str| {
+        let mut given = given.iter();
+        former.split(' ').all(|word| given.next().is_some_and(|(_, given)| *given == word))
     };
-    let Some((former, present)) = pairs().find(|(former, _)| is_former(former)) else { return arguments };
-    let replaced: Vec<usize> = given.iter().take(former.len()).map(|(index, _)| *index).collect();
+    let Some((former, present)) = NAMES.iter().find(|(former, _)| is_former(former)) else { return arguments };
+    let replaced: Vec<usize> = given.iter().take(former.split(' ').count()).map(|(index, _)| *index).collect();
     let mut renamed = Vec::with_capacity(arguments.len() + 1);
     for (index, argument) in arguments.iter().enumerate() {
         if replaced.first() == Some(&index) {
-            renamed.extend(present.iter().map(OsString::from));
+            renamed.extend(present.split(' ').map(OsString::from));
         }
         if !replaced.contains(&index) {
             renamed.push(argument.clone());
@@ -67,13 +84,19 @@ mod tests {
     }
 
     #[test]
-    fn every_line_of_the_table_is_a_pair_and_no_name_is_both_former_and_present() {
-        let lines = TABLE.lines().filter(|line| !line.starts_with('#')).count();
-        let all: Vec<_> = pairs().collect();
-        assert_eq!(all.len(), lines);
-        for (former, present) in &all {
-            assert!(!all.iter().any(|(other, _)| other == present), "{present:?}");
-            assert_eq!(all.iter().filter(|(other, _)| other == former).count(), 1, "{former:?}");
+    fn no_name_is_both_former_and_present() {
+        for (former, present) in NAMES {
+            assert!(!NAMES.iter().any(|(other, _)| *other == present), "{present}");
+            assert_eq!(NAMES.iter().filter(|(other, _)| *other == former).count(), 1, "{former}");
         }
+    }
+
+    /// The end-to-end tests run every row of that table.
+    #[test]
+    fn the_page_of_commands_lists_all_former_names() {
+        let page = include_str!("../../../docs/commands.md");
+        let (_, table) = page.split_once("\n## Former names\n").expect("a section");
+        let rows: Vec<_> = table.lines().filter(|line| line.starts_with("| `")).collect();
+        assert_eq!(rows, NAMES.map(|(former, present)| format!("| `{former}` | `{present}` |")));
     }
 }

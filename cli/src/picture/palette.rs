@@ -20,7 +20,7 @@ pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
 pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
 
 /// Colours of the built-in materials.
-const MATERIALS: [(&str, [u8; 3]); 11] = [
+const MATERIALS: &[(&str, [u8; 3])] = &[
     ("concrete", [128, 132, 138]),
     ("brick", [178, 84, 62]),
     ("plasterboard", [214, 200, 172]),
@@ -54,4 +54,18 @@ pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
         .map(|(s, c)| [x + radius * c, y + radius * s])
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_sim::scene::material::Material;
+
+    use super::*;
+
+    /// `open` is no surface.
+    #[test]
+    fn every_material_with_a_surface_has_a_colour() {
+        let coloured: Vec<&str> = MATERIALS.iter().map(|(name, _)| *name).chain(["open"]).collect();
+        assert_eq!(coloured, Material::NAMES);
+    }
 }

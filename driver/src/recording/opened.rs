@@ -38,6 +38,17 @@ pub enum Recording {
     Text(Box<TextReader>),
 }
 
+/// Evaluates an expression of the reader, whatever its format.
+macro_rules! with_reader {
+    ($recording:expr, $reader:ident => $call:expr) => {
+        match $recording {
+            Recording::Mcap($reader) => $call,
+            Recording::Infineon($reader) => $call,
+            Recording::Text($reader) => $call,
+        }
+    };
+}
+
 impl Recording {
     /// Opens a recording; its content decides the format.
     ///
@@ -97,11 +108,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
-        match self {
-            Recording::Mcap(reader) => reader.seek_frame(sequence),
-            Recording::Infineon(reader) => reader.seek_frame(sequence),
-            Recording::Text(reader) => reader.seek_frame(sequence),
-        }
+        with_reader!(self, reader => reader.seek_frame(sequence))
     }
 
     /// Seeks the first frame at or after this time on the frames' own clock (`Frame::time_ns`), s, without reading the
@@ -111,11 +118,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        match self {
-            Recording::Mcap(reader) => reader.seek_time_s(time_s),
-            Recording::Infineon(reader) => reader.seek_time_s(time_s),
-            Recording::Text(reader) => reader.seek_time_s(time_s),
-        }
+        with_reader!(self, reader => reader.seek_time_s(time_s))
     }
 
     /// Finds the first and the last readable frame, without reading the frames between; `None` if there is none. The
@@ -124,41 +127,21 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
-        match self {
-            Recording::Mcap(reader) => reader.extent(),
-            Recording::Infineon(reader) => reader.extent(),
-            Recording::Text(reader) => reader.extent(),
-        }
-    }
-
-    fn source(&mut self) -> &mut dyn FrameSource {
-        match self {
-            Recording::Mcap(reader) => reader.as_mut(),
-            Recording::Infineon(reader) => reader.as_mut(),
-            Recording::Text(reader) => reader.as_mut(),
-        }
+        with_reader!(self, reader => reader.extent())
     }
 }
 
 impl FrameSource for Recording {
     fn waveform(&self) -> &Waveform {
-        match self {
-            Recording::Mcap(reader) => reader.waveform(),
-            Recording::Infineon(reader) => reader.waveform(),
-            Recording::Text(reader) => reader.waveform(),
-        }
+        with_reader!(self, reader => reader.waveform())
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        self.source().next_frame(frame)
+        with_reader!(self, reader => reader.next_frame(frame))
     }
 
     fn frame_count(&self) -> Option<u64> {
-        match self {
-            Recording::Mcap(reader) => reader.frame_count(),
-            Recording::Infineon(reader) => reader.frame_count(),
-            Recording::Text(reader) => reader.frame_count(),
-        }
+        with_reader!(self, reader => reader.frame_count())
     }
 }
 
@@ -167,9 +150,5 @@ impl FrameSource for Recording {
 /// # Errors
 /// [`RecordingError`] if the path cannot be read or is not a recording.
 pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
-    Ok(match Recording::open(path)? {
-        Recording::Mcap(reader) => reader,
-        Recording::Infineon(reader) => reader,
-        Recording::Text(reader) => reader,
-    })
+    Ok(Box::new(Recording::open(path)?))
 }

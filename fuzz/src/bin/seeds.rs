@@ -380,7 +380,7 @@ fn specs() -> Seeds {
 
 fn main() {
     let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
-    let all: [(&str, Seeds); 22] = [
+    let all: [(&str, Seeds); _] = [
         ("usb", usb()),
         ("deepcraft", deepcraft()),
         ("strata_board", strata_board()),

@@ -69,7 +69,7 @@ fn p2040([a, b, c, d]: [f64; 4], frequency_hz: f64) -> Complex64 {
 
 impl Material {
     /// Names by which scenes call them.
-    pub const NAMES: [&str; 12] = [
+    pub const NAMES: &[&str] = &[
         "concrete",
         "brick",
         "plasterboard",
@@ -134,6 +134,16 @@ pub const SKIN_PERMITTIVITY: Complex64 = Complex64::new(7.98, -10.9);
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The error for an unknown name lists the variants.
+    #[test]
+    fn every_material_is_among_the_names() {
+        use serde::de::IntoDeserializer;
+        let unknown: serde::de::value::StrDeserializer<serde::de::value::Error> = "?".into_deserializer();
+        let said = Material::deserialize(unknown).expect_err("no material").to_string();
+        let variants: Vec<&str> = said.split('`').skip(3).step_by(2).collect();
+        assert_eq!(variants, Material::NAMES, "{said}");
+    }
 
     /// Columns "eps' @60" and "eps'' @60" of the table as printed for 60 GHz.
     #[test]

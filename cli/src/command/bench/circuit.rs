@@ -3,6 +3,7 @@ use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Ja
 use serde::{Serialize, Serializer};
 
 use crate::output;
+use crate::source::DEFAULT_SEED;
 
 /// `radome bench circuit`
 #[derive(clap::Args)]
@@ -29,7 +30,7 @@ pub struct Arguments {
     #[arg(long, value_name = "COUNT")]
     shots: Option<u32>,
     /// Seed of the measurements' outcomes
-    #[arg(long, default_value_t = 0, requires = "shots")]
+    #[arg(long, default_value_t = DEFAULT_SEED, requires = "shots")]
     seed: u64,
     /// Gradients with shots: from shots of their own by parameter shift, or exact
     #[arg(long, value_enum, default_value = "shots", requires = "shots")]

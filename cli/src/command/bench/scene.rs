@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::kept_dense::DenseFrame;
 use super::scene_speed;
 use crate::output;
+use crate::source::DEFAULT_SEED;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -36,7 +37,7 @@ pub struct Arguments {
     #[arg(long, requires = "scene")]
     people: Option<usize>,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1, requires = "scene")]
+    #[arg(long, default_value_t = DEFAULT_SEED, requires = "scene")]
     seed: u64,
     /// The slow way takes all ways by walls that are louder than this far below noise, dB
     #[arg(long, default_value_t = 10.0, requires = "scene")]

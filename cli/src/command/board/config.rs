@@ -9,7 +9,7 @@ use crate::{output, source};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// `paper`, a .toml file with the fields of a waveform, a model file, or a recording
-    #[arg(default_value = "paper")]
+    #[arg(default_value = "paper", value_hint = clap::ValueHint::AnyPath)]
     waveform: String,
     /// The register list that it compiles to, with the names of registers and fields
     #[arg(long)]

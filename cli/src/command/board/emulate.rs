@@ -9,7 +9,7 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
 use serde_json::json;
 
 use crate::output;
-use crate::source::{self, SourceOptions};
+use crate::source::{self, DEFAULT_SEED, SourceOptions};
 
 #[derive(Clone, Copy, Default, clap::ValueEnum)]
 enum Protocol {
@@ -33,7 +33,7 @@ enum Protocol {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Recording or SCENE.toml to serve
-    #[arg(long, required_unless_present = "probe")]
+    #[arg(long, value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath, required_unless_present = "probe")]
     from: Option<String>,
     /// Be a CMSIS-DAP debug probe, and no board: on a HID gadget's node such as /dev/hidg0, or on a mounted FunctionFS
     #[arg(long, value_name = "NODE", exclusive = true)]
@@ -60,7 +60,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// Seed of a simulation, and of the board's temperature
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// One object with the path
     #[arg(long)]

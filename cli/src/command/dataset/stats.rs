@@ -22,7 +22,7 @@ pub struct Arguments {
     #[arg(long)]
     features: bool,
     /// With --features: recordings of an empty room, or scenes, whose frames show how clutter jitters and drifts
-    #[arg(long, requires = "features", value_name = "SOURCE")]
+    #[arg(long, requires = "features", value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     frames: Vec<String>,
     /// With --features: what was measured; fixtures/features/walking.toml if absent
     #[arg(long, requires = "features", value_name = "FILE")]

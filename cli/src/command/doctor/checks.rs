@@ -160,7 +160,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
     let options = SourceOptions {
         waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
-        seed: 1,
+        seed: source::DEFAULT_SEED,
         frames: Some(FRAMES as u64),
         ..SourceOptions::default()
     };

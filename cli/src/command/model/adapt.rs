@@ -23,7 +23,7 @@ pub struct Arguments {
     model: PathBuf,
     /// Recordings of the room: with labels of their own, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
     /// RECORDING=two where all of it shows that. Two or more that show the same are held out in turn: that measures what is gained
-    #[arg(value_name = "RECORDING[=LABEL]", required_unless_present_any = ["empty", "curve"])]
+    #[arg(value_name = "RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present_any = ["empty", "curve"])]
     recordings: Vec<String>,
     /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
     #[arg(long, value_name = "RECORDING")]

@@ -33,7 +33,7 @@ pub struct Arguments {
     /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two (two people or
     /// more), RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it holds labels. Frames
     /// without a label are left out. With --ladder: further models
-    #[arg(required_unless_present = "ladder", value_name = "DATASET|RECORDING[=LABEL]")]
+    #[arg(value_name = "DATASET|RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present = "ladder")]
     inputs: Vec<String>,
     /// Each frame of a recording by itself, as a dataset's maps are, rather than as `live` answers: through the causal filter
     /// over the frames before it

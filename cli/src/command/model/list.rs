@@ -40,3 +40,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_notes_name_every_network() {
+        let words: Vec<&str> = NOTES.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).collect();
+        for network in radome_models::networks() {
+            assert!(words.contains(&network.name.as_str()), "{}", network.name);
+        }
+    }
+}

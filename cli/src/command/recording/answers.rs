@@ -14,16 +14,16 @@ use crate::{files, output};
 pub struct Arguments {
     /// Recording that `live -o` has made
     recording: PathBuf,
-    /// Write them to this file instead of to stdout
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
+    /// CSV file to write; without one they go to stdout
+    #[arg(short, long, alias = "csv", value_name = "FILE.csv")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     /// Only where the number of people changes
     #[arg(long)]
     changes: bool,
     /// One object a frame
-    #[arg(long, conflicts_with = "csv")]
+    #[arg(long, conflicts_with = "output")]
     json: bool,
 }
 
@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let is_change = people.replace(result.people) != Some(result.people);
         is_change || !arguments.changes
     });
-    match &arguments.csv {
+    match &arguments.output {
         Some(path) => {
             arguments.overwrite.check(path)?;
             files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))

@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use crate::dataset::pairing::{Settings, pair};
 use crate::map_preset::MapPreset;
 use crate::output;
+use crate::source::DEFAULT_SEED;
 
 /// `radome scene pair`
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Recording of any kind, or another source with --frames
+    #[arg(value_hint = clap::ValueHint::AnyPath)]
     recording: String,
     /// Scene file: room, furniture, radar, receiver. Its people and waveform are not used
     scene: PathBuf,
@@ -32,8 +34,8 @@ pub struct Arguments {
     #[arg(long)]
     seated: bool,
     /// Kind of map
-    #[arg(long, value_enum, default_value_t)]
-    map: MapPreset,
+    #[arg(long, alias = "map", value_enum, default_value_t)]
+    preset: MapPreset,
     /// Name of the pair; the recording's without
     #[arg(long)]
     name: Option<String>,
@@ -47,7 +49,7 @@ pub struct Arguments {
     #[arg(long)]
     frames: Option<u64>,
     /// Seed of what is random in the mirror
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// One object
     #[arg(long)]
@@ -69,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         waypoints: arguments.waypoints.clone(),
         height_m: arguments.height_m,
         seated: arguments.seated,
-        map: arguments.map,
+        map: arguments.preset,
         name: arguments.name.clone(),
         subject: arguments.subject.clone(),
         corrections: arguments.corrections,

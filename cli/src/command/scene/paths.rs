@@ -7,7 +7,9 @@ use glam::DVec3;
 use radome_sim::Scene;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
 
+use crate::output_file::Overwrite;
 use crate::picture::scene::{DrawnPath, Preview, draw};
+use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// `radome scene paths`
@@ -29,15 +31,17 @@ pub struct Arguments {
     #[arg(long)]
     people: Option<usize>,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// Leave out paths this far below the noise of a cell of the map, dB; simulations with 0.5 dB of error leave out those 10 dB
     /// below it
     #[arg(long, default_value_t = 10.0, allow_hyphen_values = true)]
     margin_db: f64,
     /// PNG file to draw the paths of the first receiver into: from above and from the side
-    #[arg(long, value_name = "FILE.png")]
-    preview: Option<PathBuf>,
+    #[arg(short, long, alias = "preview", value_name = "FILE.png")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// One object
     #[arg(long)]
     json: bool,
@@ -54,6 +58,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if !arguments.margin_db.is_finite() {
         bail!("--margin-db {} is no number of decibels", arguments.margin_db);
     }
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
     let scene = Scene::load(&arguments.scene)?;
     let options = PathListOptions {
         seed: arguments.seed,
@@ -68,7 +75,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let there = if there.is_empty() { "nobody".to_owned() } else { there.join(", ") };
         bail!("person {person} is not there at {} s\n\nhint: at that time there is {there}", arguments.time);
     }
-    if let Some(path) = &arguments.preview {
+    if let Some(path) = &arguments.output {
         draw_preview(arguments, &scene, &list, path)?;
     }
     if arguments.json { output::json_line(&list) } else { print(&list) }

@@ -7,6 +7,7 @@ use serde_json::json;
 
 use crate::output_file::Overwrite;
 use crate::picture::scene::{self, Preview};
+use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// `radome scene preview`
@@ -23,7 +24,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 400)]
     frames: u64,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// Number of people, instead of the scene's own
     #[arg(long)]

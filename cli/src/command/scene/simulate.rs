@@ -11,6 +11,7 @@ use serde_json::json;
 use super::preview;
 use crate::output_file::Overwrite;
 use crate::shard::Shard;
+use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// `radome scene simulate`
@@ -27,7 +28,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 400)]
     frames: u64,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// People that the scene is forced to have; the scene's own program if absent
     #[arg(long)]

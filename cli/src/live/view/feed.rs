@@ -111,6 +111,7 @@ struct Point {
 }
 
 impl Point {
+    /// Values in the order in which `History.add` of `timeline.js` takes them.
     fn row(&self) -> serde_json::Value {
         let p = self.probabilities.map(|p| p.values().map(|v| (v * 1e3).round() / 1e3));
         json!([
@@ -218,7 +219,7 @@ impl Feed {
             answer: answer.clone(),
             frame: moment.frame.clone(),
             network_map: moment.map.clone(),
-            health: strip(moment, self.rate(moment)),
+            health: health(moment, self.rate(moment)),
         };
         let mut point = Point {
             sequence: answer.sequence,
@@ -457,8 +458,8 @@ impl PageState {
     }
 }
 
-/// Health of the run.
-fn strip(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
+/// Health of the run, for the line at the top of the page.
+fn health(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     let health = moment.health;
     let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();
     json!({

@@ -8,7 +8,7 @@ use radome_models::bounded_file::read_text;
 use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::source::Playback;
+use crate::source::{DEFAULT_SEED, Playback};
 
 /// A simulation beside a recording.
 pub struct Partner {
@@ -68,7 +68,7 @@ impl Partner {
         }
         let last_sequence = last_sequence.context("the dataset holds no mirror of a recording")?;
         let scene = Scene::load(&folder.join("mirror.toml"))?;
-        let options = SimulateOptions { seed: seed.unwrap_or(1), ..SimulateOptions::default() };
+        let options = SimulateOptions { seed: seed.unwrap_or(DEFAULT_SEED), ..SimulateOptions::default() };
         let simulator = Simulator::new(&scene, options)?;
         waveform.check_compatible(simulator.waveform())?;
         if waveform.shape() != simulator.waveform().shape() {

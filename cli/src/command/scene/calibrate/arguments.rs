@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::output_file::Overwrite;
+use crate::source::DEFAULT_SEED;
 
 /// Windows of slow time, s.
 pub const WINDOW_S: f64 = 10.0;
@@ -32,7 +33,7 @@ pub struct Arguments {
     #[arg(long)]
     pub people: Option<usize>,
     /// First seed of what is random in the simulated copies
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = DEFAULT_SEED)]
     pub seed: u64,
     /// Simulated copies of ten seconds, each of another seed
     #[arg(long, default_value_t = 16)]

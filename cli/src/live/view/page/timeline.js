@@ -7,6 +7,8 @@ const MOST = 36000;
 const NAMES = ['empty', 'one', 'two'];
 const LEFT = 88, RIGHT = 8, TOP = 4, BOTTOM = 18, GRIP = 9;
 const NONE = 255, SPLIT = 1000;
+/** Rows from the top with their shares of the height, and the share between two of them. */
+const ROWS = { probabilities: 50, occupied: 10, truth: 10, labels: 20 }, BETWEEN = 3;
 
 /** Answers in the order of their time. */
 export class History {
@@ -16,7 +18,7 @@ export class History {
     this.columns = ['empty', 'one', 'two', 'occupied', 'truth', 'transition', 'gap', 'label'].map(name => this[name] = new Uint8Array(MOST));
   }
 
-  /** Rows as feed.rs makes them. */
+  /** Rows in the order of `Point::row` in feed.rs. */
   add(rows) {
     for (const [, time, p, label, occupied, truth, transition, gap] of rows) {
       let at = this.length;
@@ -83,8 +85,12 @@ export class Timeline {
     const width = this.canvas.clientWidth, height = this.canvas.clientHeight, [from, to] = this.extent();
     const h = height - TOP - BOTTOM, x = t => LEFT + (t - from) / (to - from) * (width - LEFT - RIGHT);
     const time = px => from + (px - LEFT) / (width - LEFT - RIGHT) * (to - from);
-    // Shares of the height: probabilities, occupied, truth, labels.
-    const rows = { probabilities: [TOP, 0.5 * h], occupied: [TOP + 0.53 * h, 0.1 * h], truth: [TOP + 0.66 * h, 0.1 * h], labels: [TOP + 0.79 * h, 0.2 * h] };
+    const shares = Object.entries(ROWS), unit = h / shares.reduce((sum, [, share]) => sum + share + BETWEEN, -BETWEEN), rows = {};
+    let top = TOP;
+    for (const [name, share] of shares) {
+      rows[name] = [top, share * unit];
+      top += (share + BETWEEN) * unit;
+    }
     return { width, height, from, to, x, time, rows };
   }
 
