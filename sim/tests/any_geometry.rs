@@ -139,7 +139,7 @@ fn a_mesh_that_is_a_box_is_one() {
 }
 
 /// Loudest path whose surfaces are these, by the first receiver.
-fn loudest<'a>(all: &'a [ListedPath], fits: impl Fn(&[String]) -> bool) -> Option<&'a ListedPath> {
+fn loudest(all: &[ListedPath], fits: impl Fn(&[String]) -> bool) -> Option<&ListedPath> {
     let own = all.iter().filter(|path| path.rx == 1 && fits(&path.surfaces));
     own.max_by(|a, b| a.gain_db.total_cmp(&b.gain_db))
 }

@@ -48,7 +48,7 @@ impl Page {
             }
         }
         assert!(open.is_none(), "{}: a block has no end", page.path);
-        assert!(page.prose.matches('`').count() % 2 == 0, "{}: a code span has no end", page.path);
+        assert!(page.prose.matches('`').count().is_multiple_of(2), "{}: a code span has no end", page.path);
         page
     }
 

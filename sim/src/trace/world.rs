@@ -1,6 +1,6 @@
 //! One mesh in an acceleration structure that rays are traced against.
 
-use glam::{Vec3A, UVec2};
+use glam::{UVec2, Vec3A};
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
