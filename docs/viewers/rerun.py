@@ -29,7 +29,7 @@ def lines(topic, message, fields):
         )
         for field in fields
     ]
-    return blueprint.TimeSeriesView(origin=topic, name=topic, overrides={topic: drawn})
+    return blueprint.TimeSeriesView(origin=topic, name=topic.split("/")[-1], overrides={topic: drawn})
 
 
 def layout():
@@ -37,13 +37,13 @@ def layout():
     return blueprint.Blueprint(
         blueprint.Horizontal(
             blueprint.Vertical(
-                blueprint.Spatial2DView(origin="/radome/map", name="/radome/map"),
-                blueprint.Spatial2DView(origin="/radome/chirps", name="/radome/chirps"),
+                blueprint.Spatial2DView(origin="/radome/map", name="map"),
+                blueprint.Spatial2DView(origin="/radome/chirps", name="chirps"),
             ),
             blueprint.Vertical(
                 lines("/radome/answer", "radome.Answer", ["p_empty", "p_one", "p_two"]),
-                lines("/radome/state", "radome.State", ["true_people", "labelled_people", "frames_per_s"]),
-                blueprint.TextLogView(origin="/radome/events", name="/radome/events"),
+                lines("/radome/state", "radome.State", ["true_people", "frames_per_s"]),
+                blueprint.TextLogView(origin="/radome/events", name="events"),
             ),
         ),
         collapse_panels=True,
