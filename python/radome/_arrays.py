@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Tuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Tuple
 
 from ._errors import ArrayTypeError, ArrayValueError
+
+if TYPE_CHECKING:
+    # NumPy takes two thirds of the import, so what needs it imports it.
+    import numpy as np
 
 #: Largest code of the 12-bit ADC.
 MAX_CODE = 4095
@@ -18,6 +20,8 @@ def codes(array: Any, shape: Tuple[int, int, int]) -> np.ndarray:
     Integers of any size and byte order are converted, and so are arrays that are not contiguous. An array that needs
     no conversion is returned as it is.
     """
+    import numpy as np
+
     array = np.asarray(array)
     if array.dtype.kind not in "iu":
         raise ArrayTypeError(
@@ -36,6 +40,8 @@ def codes(array: Any, shape: Tuple[int, int, int]) -> np.ndarray:
 
 def angles(array: Any, axes: int, what: str) -> np.ndarray:
     """Angles as a contiguous array of native float64 with so many axes."""
+    import numpy as np
+
     array = np.asarray(array)
     if array.dtype.kind not in "fiu":
         raise ArrayTypeError(f"{what} is {array.dtype}, expected real numbers")

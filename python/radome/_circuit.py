@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, NamedTuple, Optional
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Dict, NamedTuple, Optional
 
 from . import _radome
 from ._arrays import angles
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class CircuitResult(NamedTuple):
@@ -75,6 +76,8 @@ class Circuit:
 
 
 def _rows(x: Any) -> "tuple[np.ndarray, bool]":
+    import numpy as np
+
     x = np.asarray(x)
     is_row = x.ndim == 1
     return angles(x[None] if is_row else x, 2, "x"), is_row

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Iterable, Iterator, Optional, Union
-
-import numpy as np
+from typing import TYPE_CHECKING, Iterable, Iterator, Optional, Union
 
 from ._radome import Filter, Frame, Model
 from ._source import Gap
+
+if TYPE_CHECKING:
+    import numpy as np
 
 #: Classes in the order of the probabilities.
 CLASSES = ("empty", "one", "two")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Type, Union
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, Type, Union
 
 from . import _radome
 from ._radome import Map, Waveform
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _StrPath = Union[str, "os.PathLike[str]"]
 _SPLITS = ("train", "validation", "test")
@@ -41,6 +42,8 @@ class Dataset:
         transform: Optional[Callable[[np.ndarray], Any]] = None,
         rule: Optional[Dict[str, Any]] = None,
     ) -> None:
+        import numpy as np
+
         if split is not None and split not in _SPLITS:
             raise ValueError(f"split is {split!r}, expected one of {', '.join(_SPLITS)} or None")
         self.path = os.fspath(path)
@@ -71,6 +74,8 @@ class Dataset:
         return self._shard(at // self._shard_length)[at % self._shard_length]
 
     def _shard(self, number: int) -> np.ndarray:
+        import numpy as np
+
         shard = self._shards.get(number)
         if shard is None:
             shard = np.asarray(np.load(self._names[number], mmap_mode="r"))

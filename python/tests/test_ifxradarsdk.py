@@ -80,6 +80,24 @@ def test_frames_of_a_recording_are_its_codes(recording, desk_frames):
         assert np.array_equal(device.get_next_frame()[0], cube)
 
 
+def test_a_board_is_found_by_its_uuid(monkeypatch):
+    """As scripts for two boards name them."""
+    here = f"emulated:{DESK}"
+    with DeviceFmcw(port=here) as device:
+        uuid = device.get_board_uuid()
+    monkeypatch.delenv("RADOME_SOURCE", raising=False)
+    monkeypatch.setattr("radome.ifxradarsdk.fmcw.fmcw.boards", lambda: [("serial:/dev/none", {}), (here, {})])
+    with DeviceFmcw(uuid=uuid.upper()) as device:
+        assert device.get_board_uuid() == uuid
+    other = "00323253-4335-4851-3036-303439303531"
+    with pytest.raises(ErrorNoDevice, match=other):
+        DeviceFmcw(uuid=other)
+    # The variable stands for the board that a script was written for.
+    monkeypatch.setenv("RADOME_SOURCE", here)
+    with DeviceFmcw(uuid=other) as device:
+        assert device.get_next_frame()[0].ndim == 3
+
+
 def test_sequences_and_metrics_describe_each_other():
     device = DeviceFmcw(sensor_type=RadarSensor.BGT60TR13C)
     wanted = FmcwMetrics(

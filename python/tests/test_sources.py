@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -85,6 +86,12 @@ def test_a_recording_that_fails_leaves_no_file(tmp_path, desk_frames):
             recorder.write(desk_frames[0])
             raise RuntimeError("stop")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_importing_does_not_import_numpy():
+    """Two thirds of the import's time would be NumPy's."""
+    code = "import radome, sys; assert not {'numpy', 'torch'} & set(sys.modules), 'imported'"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 def test_waveforms_change_and_travel(desk_frames):
@@ -169,23 +176,47 @@ class TestHardCases:
             with pytest.raises(TimeoutError):
                 source.next_frame(timeout_s=0.1)
 
-    def test_ctrl_c_ends_the_wait_for_a_frame(self):
+    @pytest.mark.parametrize("source", [str(DESK), f"emulated:{DESK}"])
+    def test_ctrl_c_ends_the_wait_for_a_frame(self, source):
         script = f"""
             import radome
-            with radome.open({str(DESK)!r}, frames=2, speed=1e-6) as source:
-                next(source)
-                print("waiting", flush=True)
+            with radome.open({source!r}, frames=2, speed=1e-6) as source:
                 try:
-                    next(source)
+                    print("waiting", flush=True)
+                    list(source)
                 except KeyboardInterrupt:
                     print("interrupted", flush=True)
         """
         command = [sys.executable, "-c", textwrap.dedent(script)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout.readline() == "waiting\n"
+            # By then it waits; if it does not, the signal comes before the wait.
+            time.sleep(0.3)
             process.send_signal(signal.SIGINT)
             assert process.communicate(timeout=60)[0] == "interrupted\n"
             assert process.returncode == 0
+
+    @pytest.mark.skipif(not hasattr(os, "openpty"), reason="the system has no pseudo-terminals")
+    def test_ctrl_c_ends_the_wait_for_a_board_that_says_nothing(self):
+        ours, port = os.openpty()
+        script = f"""
+            import radome
+            print("waiting", flush=True)
+            try:
+                radome.open("serial:{os.ttyname(port)}")
+            except KeyboardInterrupt:
+                print("interrupted", flush=True)
+        """
+        command = [sys.executable, "-c", textwrap.dedent(script)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout.readline() == "waiting\n"
+            # The first request of the handshake: from here on an answer is waited for.
+            assert os.read(ours, 1)
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=60)[0] == "interrupted\n"
+            assert process.returncode == 0
+        os.close(ours)
+        os.close(port)
 
     def test_a_missing_file_is_pythons_own_error(self, tmp_path):
         with pytest.raises(FileNotFoundError) as error:

@@ -33,6 +33,31 @@ SPEED_VARIABLE = "RADOME_SPEED"
 _MAX_CODE = 4095
 
 
+def _uuid(text: Optional[str]) -> Optional[uuids.UUID]:
+    """UUID that a text states; ``None`` if it states none."""
+    try:
+        return uuids.UUID(text or "")
+    except ValueError:
+        return None
+
+
+def _board_with(wanted: uuids.UUID) -> str:
+    """SOURCE of the board with this UUID; ``RADOME_SOURCE`` stands for every UUID, if it is set."""
+    named = os.environ.get(SOURCE_VARIABLE)
+    if named is not None:
+        return named
+    for source, _ in boards():
+        try:
+            # A board says who it is once it is configured.
+            with open_source(source, waveform=Waveform.load("paper")) as opened:
+                known = (opened.board or {}).get("uuid")
+        except RadomeError:
+            continue
+        if _uuid(known) == wanted:
+            return source
+    raise ErrorNoDevice(f"no board has the UUID {wanted}", f"attach it, or name a SOURCE in {SOURCE_VARIABLE}")
+
+
 def _is_file(source: str) -> bool:
     """Whether the frames are those of a scene or a recording, which have a waveform of their own."""
     return Path(source[len("emulated:") :] if source.startswith("emulated:") else source).exists()
@@ -41,7 +66,7 @@ def _is_file(source: str) -> bool:
 class DeviceFmcw:
     """A BGT60TR13C: a board, an emulated board, a recording or a scene.
 
-    :param uuid: SOURCE, one of :meth:`get_list`
+    :param uuid: SOURCE, one of :meth:`get_list`, or the UUID of a board, for which ``RADOME_SOURCE`` stands if it is set
     :param port: serial port of a board, or a SOURCE
     :param sensor_type: a device without frames, for what follows from a configuration
 
@@ -71,7 +96,8 @@ class DeviceFmcw:
     @staticmethod
     def _named(uuid: Optional[str], port: Optional[str], sensor_type: Optional[RadarSensor]) -> Optional[str]:
         if uuid is not None:
-            return uuid
+            wanted = _uuid(uuid)
+            return uuid if wanted is None else _board_with(wanted)
         if port is not None:
             return f"serial:{port}" if port.startswith("/dev/") else port
         if sensor_type is not None:
