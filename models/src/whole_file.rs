@@ -2,13 +2,15 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. A kill or a power cut leaves the old file
 /// or the new one.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    static WRITTEN: AtomicU64 = AtomicU64::new(0);
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    // Another process may write the same file; the last to finish wins.
-    name.push(format!(".partial-{}", std::process::id()));
+    // Another process or thread may write the same file; the last to finish wins.
+    name.push(format!(".partial-{}-{}", std::process::id(), WRITTEN.fetch_add(1, Ordering::Relaxed)));
     let temporary = path.with_file_name(name);
     let attempt = || {
         let mut file = std::fs::File::create(&temporary)?;

@@ -240,11 +240,20 @@ impl Lister<'_> {
             };
             self.scene.file().furniture.iter().find(holds).map(|f| f.name.clone())
         };
-        let name = |p: &DVec3| {
-            let wall = || self.stage.room.surface_name(*p).map(str::to_owned);
-            furniture(*p).or_else(wall).unwrap_or_else(|| object.unwrap_or("wall").to_owned())
-        };
-        inner.iter().map(name).collect()
+        let mut names: Vec<String> = Vec::new();
+        for (i, corner) in inner.iter().enumerate() {
+            // Corners that coincide lie on an edge: each of its surfaces once.
+            let at_once = inner[..i].iter().rev().take_while(|before| before.distance(*corner) < ON_SURFACE_M).count();
+            let wall = || {
+                let before = &names[i - at_once..];
+                let of_point = self.stage.room.surface_names(*corner);
+                let other = of_point.iter().find(|name| before.iter().all(|before| before != *name));
+                other.or(of_point.first()).map(|name| (*name).to_owned())
+            };
+            let name = furniture(*corner).or_else(wall).unwrap_or_else(|| object.unwrap_or("wall").to_owned());
+            names.push(name);
+        }
+        names
     }
 
     /// Paths by way of somebody.

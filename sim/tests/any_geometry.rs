@@ -86,7 +86,8 @@ fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
                 && (other.length_m - path.length_m).abs() < 1e-6
                 && (other.gain_db - path.gain_db).abs() < 0.01
         };
-        assert!(all.iter().any(|other| is_same(&other)), "{what}: {path:?}");
+        let near: Vec<_> = all.iter().filter(|o| (o.length_m - path.length_m).abs() < 1e-3).map(|o| (&o.surfaces, o.length_m, o.gain_db)).collect();
+        assert!(all.iter().any(|other| is_same(&other)), "{what}: {path:?}, beside {near:?}");
     }
 }
 
@@ -212,7 +213,7 @@ fn lit_by(stage: &Stage, name: &str, point: DVec3) -> Vec<ImageIndex> {
     let of_first = stage.room.images(1).into_iter().skip(1);
     let is_lit = |index: &ImageIndex| {
         let way = stage.room.polyline(*index, stage.tx.position, point);
-        way.get(1).filter(|_| way.len() == 3).and_then(|at| stage.room.surface_name(*at)) == Some(name)
+        way.get(1).filter(|_| way.len() == 3).is_some_and(|at| stage.room.surface_names(*at).contains(&name))
     };
     of_first.filter(is_lit).collect()
 }

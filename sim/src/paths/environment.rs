@@ -195,8 +195,13 @@ impl Environment {
 
     /// The facet on which a point lies, if any: an antenna may be mounted on a wall.
     pub fn below(&self, point: DVec3) -> Option<FacetId> {
-        let holds = |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
-        self.flats.iter().position(holds).map(|facet| facet as FacetId)
+        self.all_below(point).next()
+    }
+
+    /// The facets on which a point lies: several at an edge.
+    pub fn all_below(&self, point: DVec3) -> impl Iterator<Item = FacetId> + '_ {
+        let holds = move |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
+        (0..).zip(&self.flats).filter(move |(_, flat)| holds(flat)).map(|(facet, _)| facet)
     }
 
     /// A ray from a point, perhaps on a facet.

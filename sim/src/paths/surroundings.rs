@@ -289,19 +289,18 @@ impl Surroundings {
         }
     }
 
-    /// Name of the wall or the piece of furniture on whose surface a point lies.
-    pub fn surface_name(&self, point: DVec3) -> Option<&str> {
+    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge.
+    pub fn surface_names(&self, point: DVec3) -> Vec<&str> {
         match self {
             Surroundings::Box(room) => {
                 let size_m = room.size_m;
                 let away = [point.x, size_m.x - point.x, point.y, size_m.y - point.y, point.z, size_m.z - point.z];
-                let all = away.map(f64::abs).into_iter().zip(WALL_NAMES);
-                let (nearest_m, name) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
-                (nearest_m < ON_SURFACE_M).then_some(name)
+                let all = away.into_iter().zip(WALL_NAMES);
+                all.filter(|(away_m, _)| away_m.abs() < ON_SURFACE_M).map(|(_, name)| name).collect()
             }
             Surroundings::Polygons(room) => {
-                let facet = room.paths.environment().below(point)?;
-                room.names.get(facet as usize).map(String::as_str)
+                let facets = room.paths.environment().all_below(point);
+                facets.filter_map(|facet| room.names.get(facet as usize)).map(String::as_str).collect()
             }
         }
     }

@@ -39,15 +39,15 @@ const RATE_TAPS: usize = 8;
 const FACTORS: usize = 4;
 
 /// The most that a phase may bend until the run's ends, turns.
-const MOST_BEND: f32 = 0.3;
+const MOST_BEND: f32 = 0.2;
 /// The most that a delay may move until the run's ends, cells.
-const MOST_MOVED: f32 = 0.4;
+const MOST_MOVED: f32 = 0.3;
 /// The most that both may be together: the move of a bent tone is left out.
-const MOST_BENT_MOVE: f32 = 0.032;
+const MOST_BENT_MOVE: f32 = 0.02;
 /// The most by which receivers may drift apart until the run's ends, turns.
-const MOST_APART: f32 = 0.013;
+const MOST_APART: f32 = 0.01;
 /// The most by which the amplitude may change until the run's ends, relative to it.
-const MOST_CHANGE: f32 = 0.06;
+const MOST_CHANGE: f32 = 0.04;
 
 /// Real and imaginary parts of an echo's cells by rate, one after the other.
 type Wide = [f32; 2 * RATE_TAPS];
