@@ -52,6 +52,9 @@ impl Folded {
     }
 }
 
+/// How far on a leg from an edge begins, m.
+const OFF_EDGE_M: f64 = 1e-4;
+
 /// A straight piece of a path.
 #[derive(Debug, Clone, Copy)]
 struct Leg {
@@ -62,6 +65,15 @@ struct Leg {
     before_m: f64,
     /// Length of the whole path, m.
     total_m: f64,
+}
+
+impl Leg {
+    /// The same leg from a little farther on. A leg behind one without length begins on two facets, and may leave the second one
+    /// alone: the back of the first would be in its way.
+    fn from_off_edge(&self) -> Leg {
+        let off_m = OFF_EDGE_M.min(0.5 * self.length_m);
+        Leg { from: self.from + self.direction * off_m, length_m: self.length_m - off_m, ..*self }
+    }
 }
 
 /// Share of a field that is left.
@@ -429,9 +441,12 @@ impl ImagePaths {
         }
         let mut before_m = 0.0;
         let mut crossed = Vec::new();
+        let mut is_from_edge = false;
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
+            let leg = if is_from_edge { leg.from_off_edge() } else { leg };
+            is_from_edge = leg.length_m < BEFORE_M;
             let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
             let on = self.ends_on(sequence, i, antenna);
             let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on, known)?;
