@@ -17,8 +17,8 @@
 //! `points.rs` makes the points of a room, of any shape with `facets.rs`; [`crate::echo::diffuse`] adds a person's echoes by way of
 //! them. There are thousands: each is weak, and together they are a field of random phases, of which the mean power at each delay
 //! and rate is what counts. At a tolerance that allows it, each segment of a body takes a part of the points
-//! ([`crate::echo::diffuse::points_a_segment`]), and every echo keeps its place on the frequency grid for some chirps
-//! ([`crate::synthesis::HeldEchoes`]).
+//! ([`crate::echo::diffuse::points_a_segment`]), and echoes are laid down for many chirps at once
+//! ([`crate::synthesis::RateGrids`]).
 
 mod facets;
 mod points;
