@@ -1,10 +1,13 @@
 """What Python adds to the work of the crates: time of the import, cost of a frame, memory over many frames.
 
 ``target/python-venv/bin/python python/bench/cost.py [FRAMES]`` prints one JSON object. FRAMES (a million) small frames are read for
-the memory. Where the program (``target/release/radome``) is built, simulation and maps are timed beside it: in turns, Python and
-the program one after the other, and a ratio is the median of those of the turns. Both simulate on one thread.
+the memory. Reading, maps and labels are timed beside the example ``frame_cost`` of the crates, simulation beside the program: in
+turns, Python and Rust one after the other, and a ratio is the median of those of the turns, or "absent" where the example or the
+program is not built. ``cargo build --release --workspace --bins --example frame_cost`` builds both; ``RADOME_FRAME_COST`` and
+``RADOME_PROGRAM`` name others. All run on one thread, but for the one that reads for Python.
 """
 
+import collections
 import json
 import os
 import resource
@@ -15,24 +18,24 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
 import radome
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "fixtures" / "scenes"
 PROGRAM = Path(os.environ.get("RADOME_PROGRAM", ROOT / "target" / "release" / "radome"))
+EXAMPLE = Path(os.environ.get("RADOME_FRAME_COST", ROOT / "target" / "release" / "examples" / "frame_cost"))
+MODEL = ROOT / "fixtures" / "models" / "room-hqnn.safetensors"
 # Frames of one simulation are a thread's work each: with several, threads of both sides would take turns on the cores.
 os.environ["RAYON_NUM_THREADS"] = "1"
 
 
-def timed_s(work, turns=5, clock=time.perf_counter):
+def timed_s(work, turns=5):
     """Median time of some turns, s."""
     times = []
     for _ in range(turns):
-        began = clock()
+        began = time.perf_counter()
         work()
-        times.append(clock() - began)
+        times.append(time.perf_counter() - began)
     return statistics.median(times)
 
 
@@ -50,15 +53,44 @@ def simulated_by_program(frames):
     return json.loads(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout)["seconds"]
 
 
-def map_ratio(frame, turns=3):
-    """Time of a map of three receivers, 128 chirps and 256 samples over that in the program."""
-    ratios = []
+def least_us(work, frames, rounds=9):
+    """Least processor time of some rounds over so many frames, us a frame.
+
+    It is that of all threads, as in the example: the time of the thread that reads does not hide behind that of the one that takes.
+    """
+    times = []
+    for _ in range(rounds):
+        began = time.process_time()
+        work()
+        times.append(time.process_time() - began)
+    return 1e6 * min(times) / frames
+
+
+def costs_in_rust(path):
+    return json.loads(subprocess.run([EXAMPLE, path, MODEL], check=True, capture_output=True, text=True).stdout)
+
+
+def frame_costs(path, turns=3):
+    """Costs of a frame of a recording, us, and their ratios to those in Rust: reading, map of the default spec, label."""
+    with radome.open(path) as source:
+        frames = list(source)
+    model = radome.Model(MODEL)
+    works = {
+        "read": lambda: read(path),
+        "map": lambda: collections.deque(map(radome.rdm, frames), 0),
+        "label": lambda: collections.deque(map(model, frames), 0),
+    }
+    ours, ratios = {name: [] for name in works}, {name: [] for name in works}
     for _ in range(turns):
-        python_s = timed_s(lambda: radome.rdm(frame), 500)
-        done = subprocess.run([PROGRAM, "bench", "rdm", "--json"], check=True, capture_output=True, text=True)
-        ours = [row["milliseconds"] for row in json.loads(done.stdout) if not row["is_peer"]]
-        ratios.append(1e3 * python_s / min(ours))
-    return statistics.median(ratios)
+        rust = costs_in_rust(path) if EXAMPLE.exists() else None
+        for name, work in works.items():
+            ours[name].append(least_us(work, len(frames)))
+            if rust:
+                ratios[name].append(ours[name][-1] / rust[f"{name}_us"])
+    said = {f"{name}_us": statistics.median(times) for name, times in ours.items()}
+    for name, of_turns in ratios.items():
+        said[f"{name}_ratio_to_rust"] = statistics.median(of_turns) if of_turns else "absent"
+    return said
 
 
 def simulation_ratio(frames, turns=5):
@@ -72,10 +104,9 @@ def simulation_ratio(frames, turns=5):
     return statistics.median(ratios)
 
 
-def small_recording(folder):
-    """A recording of 1000 frames of 3 receivers, 8 chirps and 64 samples."""
-    path = folder / "small.mcap"
-    with radome.simulate(SCENES / "desk.toml", frames=1000) as source:
+def recording(path, scene, frames):
+    """A recording of so many frames of a scene."""
+    with radome.simulate(SCENES / scene, frames=frames) as source:
         with radome.Recorder(path, source.waveform) as recorder:
             for frame in source:
                 recorder.write(frame)
@@ -99,24 +130,20 @@ def memory_kb(frames, path):
 
 def main():
     frames = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    codes = np.random.default_rng(1).integers(0, 4096, radome.Waveform.load("paper").shape, dtype=np.uint16)
-    frame = radome.Frame.from_array(codes, radome.Waveform.load("paper"))
-    model = radome.Model()
     said = {"import_s": import_s("import radome"), "import_with_numpy_s": import_s("import numpy, radome")}
     said["import_of_numpy_alone_s"] = import_s("import numpy")
-    with radome.simulate(SCENES / "rooms-still.toml", frames=1) as source:
-        room = next(source)
-    said["map_of_paper_frame_us"] = 1e6 * timed_s(lambda: radome.rdm(frame), 200)
+    with radome.simulate(SCENES / "desk.toml", frames=1) as source:
+        frame = next(source)
     said["codes_view_us"] = 1e6 * timed_s(lambda: frame.codes, 200)
-    said["label_of_room_frame_us"] = 1e6 * timed_s(lambda: model(room), 200)
-    if PROGRAM.exists():
-        said["map_ratio_to_program"] = map_ratio(frame)
-        said["simulation_ratio_to_program"] = simulation_ratio(300)
+    said["simulation_ratio_to_program"] = simulation_ratio(300) if PROGRAM.exists() else "absent"
     with tempfile.TemporaryDirectory() as folder:
-        path = small_recording(Path(folder))
-        # Time of all threads: on a busy machine the one that reads and the one that takes wait for each other.
-        said["read_of_small_frame_processor_us"] = 1e3 * timed_s(lambda: read(path), 9, time.process_time)
-        said["memory_growth_kb"] = memory_kb(frames, path)
+        folder = Path(folder)
+        # 3 receivers, 8 chirps and 64 samples; the waveform of the room models, 1 x 64 x 128; 3 x 128 x 256.
+        small = recording(folder / "small.mcap", "desk.toml", 1000)
+        said["small_frame"] = frame_costs(small)
+        said["room_frame"] = frame_costs(recording(folder / "room.mcap", "rooms-still.toml", 200))
+        said["paper_frame"] = frame_costs(recording(folder / "paper.mcap", "corridor.toml", 100))
+        said["memory_growth_kb"] = memory_kb(frames, small)
     print(json.dumps(said))
 
 

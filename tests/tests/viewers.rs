@@ -230,7 +230,7 @@ fn numbers_and_events_are_those_of_the_recording() {
         said,
         [
             (2, "label", "one starts"),
-            (2, "people", "0 to 1"),
+            (2, "people", "people: 0 to 1"),
             (2, "label", "one ends"),
             (2, "label", "two, or \"more\" starts"),
             (3, "gap", "2 frames lost from frame 5 on: crc"),

@@ -72,7 +72,9 @@ def check_messages(messages):
     assert [answer.people for answer in answers] == [0, 0, 0, 1, 1, 1, 1]
     assert answers[0].label == "" and math.isnan(answers[0].p_one)
     assert (answers[1].label, answers[1].p_one) == ("one", 0.75)
-    gaps = [event for _, event in messages["/radome/events"] if event.name == "gap"]
+    events = [event for _, event in messages["/radome/events"]]
+    assert [event.message for event in events if event.name == "people"] == ["people: 0 to 1"]
+    gaps = [event for event in events if event.name == "gap"]
     levels = gaps[0].DESCRIPTOR.fields_by_name["level"].enum_type.values_by_number
     assert [(levels[gap.level].name, gap.message) for gap in gaps] == [
         ("WARNING", "2 frames lost from frame 5 on: crc")

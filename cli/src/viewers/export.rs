@@ -228,7 +228,7 @@ impl<W: Write + Seek> Export<W> {
         self.write(self.topics.answer, time_ns, &answer)?;
         match self.people.replace(result.people) {
             Some(before) if before != result.people => {
-                self.event(time_ns, INFO, "people", format!("{before} to {}", result.people))
+                self.event(time_ns, INFO, "people", format!("people: {before} to {}", result.people))
             }
             _ => Ok(()),
         }
