@@ -15,11 +15,11 @@ use serde::Serialize;
 use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
 use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::Motion;
-use crate::actor::program::Program;
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::field::image::ImageIndex;
-use crate::scene::file::ShadowFile;
+use crate::program::Program;
 use crate::scene::{Scene, SceneError};
+use crate::scene_file::ShadowFile;
 use crate::shadow::{self, Column};
 use crate::slow_time::Key;
 use crate::stage::Stage;
@@ -233,7 +233,7 @@ impl Lister<'_> {
         let inner = polyline.get(1..polyline.len().saturating_sub(1)).unwrap_or_default();
         let furniture = |p: DVec3| {
             object?;
-            let holds = |f: &&crate::scene::file::FurnitureFile| {
+            let holds = |f: &&crate::scene_file::FurnitureFile| {
                 let low = DVec3::from_array(f.position_m);
                 let high = low + DVec3::from_array(f.size_m);
                 p.cmpge(low - ON_SURFACE_M).all() && p.cmple(high + ON_SURFACE_M).all()

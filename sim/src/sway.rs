@@ -17,7 +17,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use crate::paths::Surroundings;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
-use crate::scene::file::{FurnitureFile, SwayFile, SwayPlaceFile};
+use crate::scene_file::{FurnitureFile, SwayFile, SwayPlaceFile};
 use crate::shadow::{self, Column};
 use crate::slow_time::{Bend, Key};
 use crate::stage::Stage;

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use num_complex::Complex64;
 use radome_sim::actor::body::{CHEST, SEGMENTS};
 use radome_sim::actor::motion::Motion;
-use radome_sim::actor::program::Program;
 use radome_sim::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use radome_sim::program::Program;
 use radome_sim::stage::Stage;
 
 use crate::common;

@@ -14,7 +14,7 @@ use radome_sim::field::current::{Arrival, Listener, heard};
 use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::field::pattern::Pattern;
-use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
+use radome_sim::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use rayon::prelude::*;

@@ -9,11 +9,11 @@ use glam::DVec3;
 use radome_dsp::Frame;
 use radome_sim::actor::body::{CHEST, PELVIS};
 use radome_sim::actor::motion::{Bed, Motion, MotionBuilder, Person};
-use radome_sim::actor::program::Program;
 use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
-use radome_sim::scene::file::{BodyFile, SceneFile};
+use radome_sim::program::Program;
+use radome_sim::scene_file::{BodyFile, SceneFile};
 use radome_sim::stage::Stage;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 

@@ -4,10 +4,10 @@ use std::f64::consts::TAU;
 
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
+use radome_sim::material::Material;
 use radome_sim::receiver::adc::quantise;
 use radome_sim::receiver::budget::Filters;
 use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
-use radome_sim::scene::material::Material;
 use radome_sim::stage::Stage;
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};

@@ -190,7 +190,7 @@ fn near_field_cross_section_is_that_of_the_reference_bodies() {
 fn skin_reflects_what_the_reference_says() {
     let reference = common::reference();
     let skin = &reference["skin"];
-    let got = half_space(radome_sim::scene::material::SKIN_PERMITTIVITY, 1.0).te;
+    let got = half_space(radome_sim::material::SKIN_PERMITTIVITY, 1.0).te;
     assert!((got - complex(&skin["Gamma0"])).norm() < 1e-12);
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use radome_sim::Scene;
 use radome_sim::field::image::Wall;
-use radome_sim::scene::material::Material;
+use radome_sim::material::Material;
 
 use crate::common;
 

@@ -1,7 +1,7 @@
 //! Paths that are traced side by side against paths that are traced one by one.
 
-use radome_sim::actor::program::Program;
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
+use radome_sim::program::Program;
 use radome_sim::stage::Stage;
 
 use crate::common;

@@ -7,11 +7,11 @@ use num_complex::Complex64;
 use radome_sim::field::image::Wall;
 use radome_sim::field::triangle;
 use radome_sim::geometry::{Mesh, Surface, shape};
+use radome_sim::material::SKIN_PERMITTIVITY;
 use radome_sim::rcs::facet::{self, Accuracy};
 use radome_sim::rcs::link::Link;
 use radome_sim::rcs::terminal::Terminal;
 use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
-use radome_sim::scene::material::SKIN_PERMITTIVITY;
 
 use crate::common;
 
@@ -283,7 +283,7 @@ fn meshes_without_normals_are_what_they_look_like() {
 #[test]
 fn two_ways_through_plasterboard() {
     use radome_sim::field::fresnel::{slab, straight_through};
-    use radome_sim::scene::material::Material;
+    use radome_sim::material::Material;
     let eps = Material::Plasterboard.permittivity(60e9).expect("dielectric");
     let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
     let sphere = Target::Sphere { radius_m: 0.1 };

@@ -12,7 +12,7 @@ use radome_sim::echo::{EchoReport, Snapshot, audible_pairs, echoes, reflect_at_s
 use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, Wall, images};
 use radome_sim::field::pattern::Pattern;
-use radome_sim::scene::material::Material;
+use radome_sim::material::Material;
 use radome_sim::stage::Stage;
 
 use crate::common::{hall, parse};

@@ -5,7 +5,7 @@ use std::path::Path;
 use radome_dsp::Occupancy;
 use radome_sim::Scene;
 use radome_sim::actor::body::CHEST;
-use radome_sim::actor::program::Program;
+use radome_sim::program::Program;
 
 use crate::common;
 use crate::surfaces::rooms::{Quad, obj};

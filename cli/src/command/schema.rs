@@ -2,7 +2,7 @@
 
 use radome_models::TrainSpec;
 use radome_sim::Receiver;
-use radome_sim::scene::file::SceneFile;
+use radome_sim::scene_file::SceneFile;
 use schemars::generate::SchemaSettings;
 use schemars::transform::RecursiveTransform;
 use schemars::{JsonSchema, Schema};

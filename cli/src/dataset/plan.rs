@@ -12,7 +12,7 @@ use radome_models::bounded_file::read_text;
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
 use radome_sim::bounded_file::named_by_spec;
-use radome_sim::scene::file::BodyFile;
+use radome_sim::scene_file::BodyFile;
 use serde::{Deserialize, Serialize};
 
 use super::fingerprints::Fingerprints;

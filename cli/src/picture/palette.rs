@@ -58,7 +58,7 @@ pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
 
 #[cfg(test)]
 mod tests {
-    use radome_sim::scene::material::Material;
+    use radome_sim::material::Material;
 
     use super::*;
 

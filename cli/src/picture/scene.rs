@@ -8,11 +8,11 @@ use glam::DVec3;
 use radome_sim::Scene;
 use radome_sim::actor::body::PELVIS;
 use radome_sim::actor::motion::Motion;
-use radome_sim::actor::program::Program;
 use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::field::highlight::Ellipsoid;
-use radome_sim::scene::file::{BodyFile, SurfaceFile};
+use radome_sim::program::Program;
+use radome_sim::scene_file::{BodyFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};

@@ -23,7 +23,7 @@ use super::body::{Build, SEGMENTS};
 use super::skin;
 use crate::field::highlight::Ellipsoid;
 use crate::random::{Purpose, generator};
-use crate::scene::file::ClothingFile;
+use crate::scene_file::ClothingFile;
 
 /// Waves of which the field is the sum: its values are Gaussian within a percent.
 const WAVES: usize = 64;

@@ -63,7 +63,7 @@ impl Motion {
     }
 
     /// The motion of somebody who wanders and is there all the time.
-    pub(super) fn wandering(person: Person, wanderer: Wanderer) -> Self {
+    pub(crate) fn wandering(person: Person, wanderer: Wanderer) -> Self {
         let mut motion = MotionBuilder::new(person, f64::NEG_INFINITY, [0.0; 2], 0.0).stay();
         motion.wanderer = Some(wanderer);
         motion

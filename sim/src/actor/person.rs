@@ -12,7 +12,7 @@ use super::clothing::Clothing;
 use super::gait::Style;
 use super::imported::Actor;
 use crate::random::{Purpose, draw, generator};
-use crate::scene::file::PeopleFile;
+use crate::scene_file::PeopleFile;
 
 /// Fidgets happen at most once in an epoch of this length, s.
 const FIDGET_EPOCH_S: f64 = 5.0;
@@ -155,7 +155,7 @@ impl Person {
 }
 
 /// Applies the scene's gait and clothes to a person.
-pub(super) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
+pub(crate) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
     let mut rng = generator(seed, Purpose::Gait, person.identity);
     person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
     if let Some(file) = &people.clothing {

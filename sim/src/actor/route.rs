@@ -8,7 +8,7 @@ const BESIDE_M: f64 = 1e-6;
 
 /// Ground on which people may walk.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Ground {
+pub(crate) struct Ground {
     size_m: [f64; 2],
     blocks: Vec<Block>,
     keep_off_m: f64,

@@ -22,12 +22,12 @@ use std::sync::Arc;
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::low::Crouch;
-use super::moment::{Moment, Small};
-use super::person::{Person, dressed};
-use super::route::{Block, Ground};
+use crate::actor::low::Crouch;
+use crate::actor::moment::{Moment, Small};
+use crate::actor::person::{Person, dressed};
+use crate::actor::route::{Block, Ground};
 use crate::random::{Purpose, draw, generator};
-use crate::scene::file::{SceneFile, SeatFile, WanderFile};
+use crate::scene_file::{SceneFile, SeatFile, WanderFile};
 use crate::smooth::smooth_step;
 use node::Place;
 use setting::{Seat, Setting, View};
@@ -68,7 +68,7 @@ fn person(setting: &Setting, identity: [u64; 2]) -> Person {
 
 /// Everybody who wanders in a scene among blocks, somebody beyond the far wall last; `people` says how many are in the room instead
 /// of the seed.
-pub(super) fn everybody(
+pub(crate) fn everybody(
     scene: &SceneFile,
     file: &WanderFile,
     blocks: Vec<Block>,
@@ -180,7 +180,7 @@ fn member(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> (Person, Wande
 
 /// One person's part in a group's motion.
 #[derive(Debug, Clone)]
-pub(super) struct Wanderer {
+pub(crate) struct Wanderer {
     group: Arc<Group>,
     slot: usize,
     offset_m: [f64; 2],
@@ -198,7 +198,7 @@ impl PartialEq for Wanderer {
 
 impl Wanderer {
     /// Motion at a time.
-    pub fn moment(&self, time_s: f64) -> Moment {
+    pub(super) fn moment(&self, time_s: f64) -> Moment {
         let Some((a, b, part)) = self.group.around(self.slot, time_s) else { return Moment::default() };
         let place = Place::between(&a.pose, &b.pose, part, &self.limits);
         let low = smooth_step(2.0 * (a.down + part * (b.down - a.down)) - 1.0);

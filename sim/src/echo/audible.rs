@@ -22,8 +22,8 @@ use crate::actor::motion::Motion;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::ImageIndex;
+use crate::material::SKIN_PERMITTIVITY;
 use crate::paths::{PolygonRoom, Surroundings};
-use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 
 /// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.

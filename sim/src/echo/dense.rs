@@ -17,7 +17,7 @@ use crate::actor::skin::{PosedSkin, bulge};
 use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex, Wall};
 use crate::field::triangle;
-use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::material::SKIN_PERMITTIVITY;
 use crate::smooth::smooth_step;
 use crate::stage::Stage;
 

@@ -15,7 +15,7 @@ use crate::actor::body::CHEST;
 use crate::diffuse::{LEAST_LEG_M, WallPoint};
 use crate::field::image::Element;
 use crate::field::{fresnel, highlight::Ellipsoid};
-use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::OTHERS;

@@ -178,7 +178,7 @@ fn heard_body(
 mod tests {
     use super::*;
     use crate::field::fresnel::half_space;
-    use crate::scene::material::SKIN_PERMITTIVITY;
+    use crate::material::SKIN_PERMITTIVITY;
 
     #[test]
     fn lanes_have_the_skin_of_the_half_space() {

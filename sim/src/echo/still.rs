@@ -129,7 +129,7 @@ impl StillSkin {
 mod tests {
     use super::*;
     use crate::geometry::shape;
-    use crate::scene::material::SKIN_PERMITTIVITY;
+    use crate::material::SKIN_PERMITTIVITY;
 
     /// Before a larger ball one is not seen: the shadows of skins are those of whatever stands in the light.
     #[test]

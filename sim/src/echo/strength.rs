@@ -269,8 +269,8 @@ mod tests {
     use super::*;
     use crate::field::current::{Arrival, heard_by};
     use crate::field::image::Wall;
+    use crate::material::SKIN_PERMITTIVITY;
     use crate::random::{Purpose, generator};
-    use crate::scene::material::SKIN_PERMITTIVITY;
 
     /// Normals from along the line of sight to grazing, fields as lossy walls leave them, antennas together and apart.
     #[test]

@@ -16,7 +16,7 @@ use crate::field::curved_triangle::{HALVES, Integrator, MomentRows, moments, spa
 use crate::field::image::{Element, ImageIndex};
 use crate::field::quadrature::rule_for;
 use crate::lanes::{LANES, Row};
-use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
 

@@ -284,7 +284,7 @@ impl WallTable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::material::Material;
+    use crate::material::Material;
 
     const K: f64 = 1_257.507_013_171_009;
 

@@ -10,8 +10,8 @@ use super::environment::{Environment, EnvironmentError, FacetId};
 use super::illuminate::{EdgesBeside, Obstruction};
 use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
 use crate::scene::Scene;
-use crate::scene::file::SolverFile;
 use crate::scene::surfaces::Surfaces;
+use crate::scene_file::SolverFile;
 
 /// Rooms of more facets have paths of two reflections at most: in them paths of three are many and weak.
 const MANY_FACETS: usize = 200;

@@ -9,7 +9,7 @@ use super::Renderer;
 use super::paths::Traced;
 use crate::echo::Snapshot;
 use crate::random::{Purpose, generator};
-use crate::scene::file::ShadowFile;
+use crate::scene_file::ShadowFile;
 use crate::shadow::{self, Column};
 use crate::stage::{StaticPath, drift};
 use crate::synthesis::{Grid, Tone};

@@ -7,10 +7,10 @@ use radome_dsp::{Frame, FrameShape, Waveform};
 use rand::Rng;
 
 use crate::actor::motion::Motion;
-use crate::actor::program::Program;
 use crate::echo::diffuse;
 use crate::echo::skin::SkinnedPerson;
 use crate::field::curved_triangle::Integrator;
+use crate::program::Program;
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::leakage_chirp_lsb;

@@ -6,7 +6,7 @@ use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
 use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
-use crate::scene::file::BodyFile;
+use crate::scene_file::BodyFile;
 use crate::shadow::Column;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
 use crate::tracks::Tracks;

@@ -14,7 +14,7 @@ use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::keys::Instants;
-use crate::scene::file::BodyFile;
+use crate::scene_file::BodyFile;
 use crate::stage::threshold_lsb;
 use crate::synthesis::ChirpGrids;
 

@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::file::{ActorFile, SceneFile};
 use super::{SceneError, line_of_key};
 use crate::actor::clip::BodyClip;
 use crate::actor::imported::{Actor, ActorOptions};
@@ -11,6 +10,7 @@ use crate::actor::motion::Steps;
 use crate::bounded_file::{MESH_LIMIT_BYTES, named_by_spec, read};
 use crate::fault::FileFault;
 use crate::geometry::import::UpAxis;
+use crate::scene_file::{ActorFile, SceneFile};
 
 /// At this speed sliding is told, m/s.
 const USUAL_M_PER_S: f64 = 1.2;

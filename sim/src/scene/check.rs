@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use super::file::{
+use super::{SceneError, line_of_key};
+use crate::actor::low::DEEPEST_SQUAT;
+use crate::material::{Material, OPEN};
+use crate::scene_file::{
     ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile, SurfaceFile, SwayFile, VibrationFile,
     WanderFile,
 };
-use super::material::{Material, OPEN};
-use super::{SceneError, line_of_key};
-use crate::actor::low::DEEPEST_SQUAT;
 
 /// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
 const MOST_TABLES: f64 = 1000.0;

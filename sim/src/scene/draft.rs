@@ -1,9 +1,9 @@
 //! Faces before it is known where there is air.
 
-use super::file::{SceneFile, SurfaceFile};
 use super::room::slab;
 use crate::field::image::Wall;
 use crate::geometry::PlanarPolygon;
+use crate::scene_file::{SceneFile, SurfaceFile};
 
 /// The group of faces that close the room.
 pub(super) const ROOM: usize = 0;

@@ -7,7 +7,7 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::Scene;
-use super::file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
+use crate::scene_file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
 
 /// A box on the ground plan: low and high corner, m.

@@ -1,18 +1,14 @@
 //! Scenes: what a file says, checked and resolved.
 
-pub mod file;
 pub(crate) mod ground;
-pub mod material;
 pub mod surfaces;
 
 mod actors;
 mod check;
 mod draft;
-mod draw;
 mod plan;
 mod room;
 
-pub use draw::RandomFile;
 pub use room::Outline;
 
 use std::path::{Path, PathBuf};
@@ -28,8 +24,8 @@ use crate::fault::FileFault;
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
-use draw::Draw;
-use file::{BodyFile, SceneFile};
+use crate::scene_file::draw::{Draw, drawn};
+use crate::scene_file::{BodyFile, SceneFile};
 use room::RoomMeshes;
 use surfaces::Surfaces;
 
@@ -230,7 +226,7 @@ impl Scene {
             let receiver = toml::from_str(&receiver).map_err(|e| parse_error(&of_receiver, &receiver, &e))?;
             table.insert("receiver".to_owned(), toml::Value::Table(receiver));
         }
-        let table = draw::drawn(&table, &self.file.random, draw).map_err(|fault| SceneError::Random {
+        let table = drawn(&table, &self.file.random, draw).map_err(|fault| SceneError::Random {
             path: path.clone(),
             line: line_of_key(text, &fault.key),
             key: fault.key,

@@ -5,8 +5,8 @@ use glam::{DVec2, DVec3};
 use super::Outline;
 use super::check::{Fault, check_material, fault, within};
 use super::draft::{Draft, ROOM, solid};
-use super::file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
+use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 
 /// Places so near are one, m.
 const SAME_M: f64 = 1e-6;

@@ -15,14 +15,14 @@ use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 
 use super::check::{Fault, fault, surfaces};
-use super::file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
-use super::material::{Material, OPEN};
 use super::{SceneError, line_of_key};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
 use crate::field::image::Wall;
 use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
+use crate::material::{Material, OPEN};
+use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
 pub(super) const WELD_M: f64 = 1e-4;

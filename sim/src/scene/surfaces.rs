@@ -14,9 +14,9 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec3;
 
 use super::draft::Draft;
-use super::file::FurnitureFile;
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
+use crate::scene_file::FurnitureFile;
 use touch::{Index, TOUCH_M, Touch, touches};
 
 /// Planes of a mesh that are smaller than this stay triangles, m^2: the first Fresnel zone in the middle of a path of 2 m at 60 GHz

@@ -7,8 +7,8 @@ use glam::DVec3;
 use radome_sim::field::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
+use radome_sim::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
-use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
 use serde::Serialize;
 
 use crate::output;

@@ -9,7 +9,7 @@ use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{FrameShape, Window};
 
 use radome_sim::receiver::noise::density_lsb2;
-use radome_sim::scene::file::BodyFile;
+use radome_sim::scene_file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rustfft::num_complex::Complex64;
 use serde::Serialize;

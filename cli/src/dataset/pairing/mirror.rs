@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 use radome_dsp::Waveform;
 use radome_sim::Scene;
 use radome_sim::bounded_file::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
-use radome_sim::scene::file::StepFile;
+use radome_sim::scene_file::StepFile;
 use toml::{Table, Value};
 
 /// A scene file without its people and with a recording's waveform: what a mirror is made from.

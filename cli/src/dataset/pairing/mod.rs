@@ -256,7 +256,7 @@ fn mirror_text(
     }
     Ok(format!(
         "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome scene pair {} {} -o {}\n# Schema: \
-         sim/src/scene/file.rs.\n{}",
+         sim/src/scene_file/mod.rs.\n{}",
         settings.recording,
         settings.scene.display(),
         settings.output.display(),

@@ -4,7 +4,7 @@
 //! some are given, and through a door where labels say that the person came or went; anything else is refused by name.
 
 use glam::DVec2;
-use radome_sim::scene::file::{DoorFile, SceneFile, StepFile};
+use radome_sim::scene_file::{DoorFile, SceneFile, StepFile};
 use serde::Deserialize;
 use thiserror::Error;
 

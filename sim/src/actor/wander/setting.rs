@@ -5,11 +5,11 @@ use std::f64::consts::PI;
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::super::body::Build;
-use super::super::route::Ground;
 use super::draw;
 use super::walker::{Limits, Pose};
-use crate::scene::file::{PeopleFile, WanderFile};
+use crate::actor::body::Build;
+use crate::actor::route::Ground;
+use crate::scene_file::{PeopleFile, WanderFile};
 
 /// Draws of a place to go to.
 const PLACES: usize = 200;

@@ -6,11 +6,11 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::super::body::Build;
-use super::super::moment::Small;
 use super::node::Knot;
 use super::walker::STEP_S;
 use super::{chance, draw};
+use crate::actor::body::Build;
+use crate::actor::moment::Small;
 use crate::smooth::smooth_step;
 
 /// Waves of each part's sway, each with a frequency in a band of its own.

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::super::body::PELVIS;
-use super::super::motion::Motion;
-use super::super::program::Program;
 use super::table::Group;
 use super::{members, room};
+use crate::actor::body::PELVIS;
+use crate::actor::motion::Motion;
 use crate::field::highlight::Ellipsoid;
+use crate::program::Program;
 use crate::scene::Scene;
 use crate::scene::ground::blocks;
 

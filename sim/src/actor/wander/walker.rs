@@ -6,7 +6,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::super::gait;
+use crate::actor::gait;
 
 /// Duration of a step, s.
 pub(super) const STEP_S: f64 = 0.05;

@@ -6,8 +6,8 @@ use glam::{DVec2, DVec3};
 
 use super::{GroundBox, HEAD_M, SILL_M};
 use crate::geometry::{Mesh, Plane, planes};
+use crate::material::OPEN;
 use crate::scene::Scene;
-use crate::scene::material::OPEN;
 use crate::scene::room::WELD_M;
 
 /// Largest side of a cell, m: cells divide a room evenly.

@@ -6,9 +6,9 @@ use super::{LEAST_FACE_M2, SmallPart, Surfaces};
 use crate::field::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon, oriented, planes};
 use crate::scene::draft::{Draft, ROOM, solid};
-use crate::scene::file::{SceneFile, SurfaceFile};
 use crate::scene::plan;
 use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M};
+use crate::scene_file::{SceneFile, SurfaceFile};
 
 /// Furniture thinner than this is a sheet, m.
 const SHEET_M: f64 = 1e-6;

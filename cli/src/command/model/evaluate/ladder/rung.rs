@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_sim::Scene;
 use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
-use radome_sim::scene::file::BodyFile;
+use radome_sim::scene_file::BodyFile;
 use serde::Deserialize;
 
 /// Format of a rung's file.

@@ -7,14 +7,14 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::motion::{Bed, Motion, MotionBuilder};
-use super::person::{AtDesk, BodyPoint, Person, Steps, dressed};
-use super::route::Ground;
-use super::wander;
+use crate::actor::motion::{Bed, Motion, MotionBuilder};
+use crate::actor::person::{AtDesk, BodyPoint, Person, Steps, dressed};
+use crate::actor::route::Ground;
+use crate::actor::wander;
 use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
-use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
 use crate::scene::ground::{blocks, walls};
+use crate::scene_file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
 
 /// The people of a scene over all time.
 #[derive(Debug)]

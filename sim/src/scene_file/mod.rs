@@ -1,9 +1,10 @@
 //! Scene files: the TOML schema. Each field's doc states unit and default; an unknown key is an error.
-//! Keys of `[people]` are in `file/people.rs`.
+//! Keys of `[people]` are in `people.rs`.
 //!
 //! Frames of reference: the room is the box `0..size_m`, x and y horizontal, z up. Azimuth turns from +x towards +y. The radar's
 //! own axes are x boresight, y left, z up (before tilt); `tilt_down_deg` lowers the boresight.
 
+pub(crate) mod draw;
 mod people;
 
 use std::collections::BTreeMap;
@@ -13,10 +14,10 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::draw::RandomFile;
-use super::material::OwnMaterial;
 use crate::geometry::import::{LengthUnit, UpAxis};
+use crate::material::OwnMaterial;
 use crate::receiver::Receiver;
+pub use draw::RandomFile;
 pub use people::{
     ActorFile, BodyFile, ClothingFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
 };
@@ -150,7 +151,7 @@ pub enum SolverFile {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceFile {
-    /// Material: one of the table's ([`super::material::Material`]) or of the scene's own.
+    /// Material: one of the table's ([`crate::material::Material`]) or of the scene's own.
     pub material: String,
     /// Thickness, m. Default 0.1.
     #[serde(default = "tenth")]

@@ -43,15 +43,15 @@ fn values(_: &mut SchemaGenerator) -> Schema {
 
 /// A key that cannot be drawn: which, what was found and what would do.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct DrawFault {
-    pub(super) key: String,
-    pub(super) found: String,
-    pub(super) expected: &'static str,
+pub(crate) struct DrawFault {
+    pub(crate) key: String,
+    pub(crate) found: String,
+    pub(crate) expected: &'static str,
 }
 
 /// Choice of the place in its range at which every value is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Draw {
+pub(crate) enum Draw {
     /// By chance.
     Seed(u64),
     /// At the least value, or the first.
@@ -64,7 +64,7 @@ pub(super) enum Draw {
 const FIXED: [&str; 4] = ["format", "name", "waveform", "random"];
 
 /// A scene's table with every key of `random` drawn.
-pub(super) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: Draw) -> Result<Table, DrawFault> {
+pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: Draw) -> Result<Table, DrawFault> {
     let mut scene = scene.clone();
     scene.remove("random");
     for (key, from) in random {
@@ -175,7 +175,7 @@ fn hash(key: &str) -> u64 {
 mod tests {
     use std::path::Path;
 
-    use super::super::{Scene, SceneError};
+    use crate::scene::{Scene, SceneError};
 
     const SCENE: &str = concat!(
         r#"
@@ -185,7 +185,7 @@ name = "hall"
 [room]
 size_m = [4.0, 4.0, 2.5]
 "#,
-        include_str!("test_room.toml"),
+        include_str!("../scene/test_room.toml"),
         r#"
 [radar]
 position_m = [0.1, 1.5, 1.2]
