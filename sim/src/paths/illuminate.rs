@@ -70,7 +70,7 @@ struct Leg {
 impl Leg {
     /// The same leg from a little farther on. A leg behind one without length begins on two facets, and may leave the second one
     /// alone: the back of the first would be in its way.
-    fn from_off_edge(&self) -> Leg {
+    fn off_edge(&self) -> Leg {
         let off_m = OFF_EDGE_M.min(0.5 * self.length_m);
         Leg { from: self.from + self.direction * off_m, length_m: self.length_m - off_m, ..*self }
     }
@@ -445,7 +445,7 @@ impl ImagePaths {
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
-            let leg = if is_from_edge { leg.from_off_edge() } else { leg };
+            let leg = if is_from_edge { leg.off_edge() } else { leg };
             is_from_edge = leg.length_m < BEFORE_M;
             let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
             let on = self.ends_on(sequence, i, antenna);
