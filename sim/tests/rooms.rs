@@ -212,7 +212,7 @@ mod hard_cases {
         told(scene(&folder, &small), &["0.0050 x 0.0040", "unit = \"mm\"", "hint: "]);
     }
 
-    /// Of eight corners: it is triangles that are counted, not bytes.
+    /// The file has eight corners: triangles are counted, not bytes.
     #[test]
     fn two_million_triangles_are_refused_with_the_limit() {
         let folder = folder();

@@ -179,7 +179,7 @@ impl Cluster {
         let _ = self.command("scontrol").args(["update", &format!("JobId={number}"), "StartTime=now"]).output();
     }
 
-    /// How often a task was queued again.
+    /// Number of times that a task was queued again.
     fn restarts(&self, task: &str) -> Option<String> {
         self.show(task).split_whitespace().find_map(|word| word.strip_prefix("Restarts=")).map(str::to_owned)
     }

@@ -49,7 +49,7 @@ pub struct Person {
     pub fidget_probability: f64,
     /// Further draws of a person at a desk; `None` elsewhere.
     pub at_desk: Option<AtDesk>,
-    /// Whose steps they make.
+    /// Their way of making steps.
     pub steps: Steps,
     /// Style of walking by the built-in gait.
     pub style: Style,

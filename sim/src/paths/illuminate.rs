@@ -52,7 +52,7 @@ impl Folded {
     }
 }
 
-/// How far on a leg from an edge begins, m.
+/// Distance from an edge at which a leg from it begins, m.
 const OFF_EDGE_M: f64 = 1e-4;
 
 /// A straight piece of a path.

@@ -8,7 +8,7 @@ const LEAST_EIGENVALUE: f64 = 1e-6;
 /// A point of the domain that a grid is transformed to: a sample of a chirp, or a chirp of a run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point {
-    /// What multiplies the transformed grid there.
+    /// Factor of the transformed grid there.
     pub(super) weight: f64,
     /// Angle there of a tone one cell up, rad.
     pub(super) angle: f64,

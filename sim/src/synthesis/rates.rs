@@ -2,7 +2,7 @@
 //!
 //! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It is laid on
 //! four cells by delay times eight by rate, with taps of least squares, and one transform along rates gives all chirps of a run.
-//! That is a fourth of the work of laying the echo down in each block of chirps, as [`super::held`] does. Three things are not a
+//! This takes less than a third of the time of laying the echo down in each block of chirps, as [`super::held`] does. Three things are not a
 //! tone:
 //!
 //! - The rate changes. A phase of `q` turns that grows with the square of the time from the run's middle to its ends is
@@ -33,7 +33,7 @@ pub const RUN: usize = 32;
 const HALF: usize = RUN / 2;
 /// Cells by rate.
 const RATES: usize = 2 * RUN;
-/// Of these an echo lies on so many.
+/// Cells by rate that an echo lies on.
 const RATE_TAPS: usize = 8;
 /// Factors of an echo: constant, both terms of its bend, and its move.
 const FACTORS: usize = 4;
@@ -237,9 +237,9 @@ struct Middle {
     /// Places on the grid by delay and by rate, cells.
     position: Lane,
     rate: Lane,
-    /// How far the delay moves until the run's ends, cells.
+    /// Change of the delay until the run's ends, cells.
     moved: Lane,
-    /// How far the phase bends until there, turns.
+    /// Part of the phase that grows with the square of the time, at the run's ends, turns.
     bend: Lane,
     /// Phasor at each receiver.
     re: [Lane; RECEIVERS],

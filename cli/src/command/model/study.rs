@@ -37,7 +37,7 @@ pub struct Arguments {
     /// The report of what is there, without training anything
     #[arg(long)]
     report_only: bool,
-    /// How many trainings there are and are done, and the hours that the others take, by a few steps of each network
+    /// Count the trainings that there are and that are done, and the hours that the others take, by a few steps of each network
     #[arg(long, conflicts_with_all = ["report_only", "shard"])]
     plan: bool,
     /// One object a training, and the report; with --plan, one object

@@ -69,7 +69,7 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
     assert!(laid > 3 * echoes.len(), "{laid} of {}", 5 * echoes.len());
 }
 
-/// What does not change much is nearly exact; the worst that is not left out is within -26 dB.
+/// Echoes that change little are nearly exact. The worst that is not left out is within -26 dB.
 #[test]
 fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     let level = KernelLevel::detect();
