@@ -2,8 +2,8 @@
 //!
 //! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It is laid on
 //! four cells by delay times eight by rate, with taps of least squares, and one transform along rates gives all chirps of a run.
-//! This takes less than a third of the time of laying the echo down in each block of chirps, as [`super::held`] does. Three things are not a
-//! tone:
+//! This takes less than a third of the time of laying the echo down in each block of chirps, as [`super::held`] does. Three
+//! things are not a tone:
 //!
 //! - The rate changes. A phase of `q` turns that grows with the square of the time from the run's middle to its ends is
 //!   `exp(j pi q) exp(j pi q T2)`, of which two terms are kept beside the constant (Jacobi and Anger): what is left out is
