@@ -2,7 +2,7 @@
 //!
 //! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It is laid on
 //! four cells by delay times eight by rate, with taps of least squares, and one transform along rates gives all chirps of a run.
-//! This takes less than a third of the time of laying the echo down in each block of chirps, as [`super::held`] does. Three
+//! With ten thousand echoes this takes about a third of the time of [`super::held`], which lays them down in each block. Three
 //! things are not a tone:
 //!
 //! - The rate changes. A phase of `q` turns that grows with the square of the time from the run's middle to its ends is
