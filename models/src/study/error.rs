@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 use crate::dataset::DatasetError;
-use crate::model::ClassifyError;
+use crate::model::{ClassifyError, ModelError};
 use crate::train::TrainError;
 
 /// Error of a study.
@@ -41,6 +41,9 @@ pub enum StudyError {
     /// A model cannot be evaluated.
     #[error(transparent)]
     Classify(#[from] ClassifyError),
+    /// A trained model cannot be written.
+    #[error(transparent)]
+    Model(#[from] ModelError),
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

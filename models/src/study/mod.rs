@@ -12,6 +12,7 @@
 //! stops on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the
 //! means.
 
+mod cost;
 mod error;
 mod jobs;
 mod noise;
@@ -23,11 +24,12 @@ mod spec;
 mod statistics;
 mod times;
 
+pub use cost::Cost;
 pub use error::StudyError;
 pub use noise::{NoisyMaps, with_noise};
 pub use outcome::{FAILED_BELOW, Job, Noisy, Outcome};
 pub use plan::{Plan, PlannedNetwork};
-pub use report::{Cell, Failure, Report, report};
+pub use report::{Cell, CurvePoint, Failure, Report, report};
 pub use run::{Progress, Study};
 pub use spec::{StudySpec, Variant};
 pub use statistics::{Interval, t_interval};

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::cost::Cost;
 use crate::metrics::Metrics;
+use crate::train::EpochReport;
 
 /// Balanced accuracy on the training maps below which a training has failed: chance is a third.
 pub const FAILED_BELOW: f64 = 0.45;
@@ -42,8 +44,17 @@ pub struct Outcome {
     pub epochs_to_target: Option<usize>,
     /// Time of that, s.
     pub seconds_to_target: Option<f64>,
+    /// Epochs of the initialisation that was chosen; none if the training broke off.
+    #[serde(default)]
+    pub curve: Vec<EpochReport>,
     /// Time of the epochs, s.
     pub training_seconds: f64,
+    /// What the training cost this process: less than all of it if it carried on with a checkpoint.
+    #[serde(default)]
+    pub training_cost: Cost,
+    /// What one map through the classifier cost.
+    #[serde(default)]
+    pub label_cost: Cost,
     /// Median time of one map through the classifier, ms.
     pub latency_ms: f64,
     /// Trained numbers.

@@ -11,6 +11,7 @@ use super::spec::StudySpec;
 use super::statistics::{Interval, median, t_interval};
 use crate::dataset::Dataset;
 use crate::metrics::Metrics;
+use crate::train::EpochReport;
 
 /// Confusion matrices summed over seeds: `[truth][prediction]`.
 type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
@@ -44,6 +45,9 @@ pub struct Cell {
     pub confusion: Confusion,
     /// Balanced accuracy under noise, by signal-to-noise ratio.
     pub noisy: Vec<(f64, Option<Interval>)>,
+    /// Means over seeds by epoch.
+    #[serde(default)]
+    pub curve: Vec<CurvePoint>,
     /// Trainings that reached the target on the validation split.
     pub reached_target: usize,
     /// Median epochs until then.
@@ -52,6 +56,21 @@ pub struct Cell {
     pub parameters: usize,
     /// Multiply-adds of one map.
     pub multiply_adds: u64,
+}
+
+/// One epoch of a variant's trainings, each by the initialisation that was chosen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Epoch, from 1.
+    pub epoch: usize,
+    /// Balanced accuracy on the training maps over the epoch, measured batch by batch.
+    pub training: Option<Interval>,
+    /// Balanced accuracy on the validation split after the epoch.
+    pub validation: Option<Interval>,
+    /// Mean loss on the training maps.
+    pub training_loss: Option<Interval>,
+    /// Loss on the validation split.
+    pub validation_loss: Option<Interval>,
 }
 
 /// Training that failed.
@@ -189,11 +208,31 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
         validation: interval(&|outcome| Some(outcome.validation.as_ref()?.balanced_accuracy)),
         confusion,
         noisy,
+        curve: curve(of),
         reached_target: of.iter().filter(|outcome| outcome.epochs_to_target.is_some()).count(),
         epochs_to_target: median(of.iter().filter_map(|outcome| Some(outcome.epochs_to_target? as f64))),
         parameters: of.first().map_or(0, |outcome| outcome.parameters),
         multiply_adds: of.first().map_or(0, |outcome| outcome.multiply_adds),
     }
+}
+
+/// Means over outcomes by epoch, as far as any of them went.
+fn curve(outcomes: &[&Outcome]) -> Vec<CurvePoint> {
+    let epochs = outcomes.iter().map(|outcome| outcome.curve.len()).max().unwrap_or_default();
+    let point = |index: usize| {
+        let mean = |of: &dyn Fn(&EpochReport) -> f64| {
+            let values: Vec<f64> = outcomes.iter().filter_map(|outcome| outcome.curve.get(index)).map(of).collect();
+            t_interval(&values)
+        };
+        CurvePoint {
+            epoch: index + 1,
+            training: mean(&|epoch| epoch.training_balanced_accuracy),
+            validation: mean(&|epoch| epoch.validation_balanced_accuracy),
+            training_loss: mean(&|epoch| epoch.training_loss),
+            validation_loss: mean(&|epoch| epoch.validation_loss),
+        }
+    };
+    (0..epochs).map(point).collect()
 }
 
 /// Clean accuracy of the paper on synthetic data, test and training, %.

@@ -6,12 +6,14 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use super::cost::{Cost, Meter};
 use super::error::StudyError;
 use super::jobs::{name, of_shard};
 use super::noise::with_noise;
 use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
+use super::statistics::median;
 use super::times::{Times, times};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
@@ -24,6 +26,10 @@ use crate::whole_file;
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
 /// Time between two looks at jobs that other processes run.
 const OTHERS_WAIT: Duration = Duration::from_millis(200);
+/// Maps before the times of labels are taken, maps that are timed at least, and how long: energy counters step every millisecond.
+const WARM_UP_LABELS: usize = 3;
+const LEAST_LABELS: usize = 30;
+const LABELS_LAST: Duration = Duration::from_millis(300);
 
 /// Progress of a study.
 pub enum Progress<'a> {
@@ -60,7 +66,7 @@ impl<'a> Study<'a> {
         shard: (usize, usize),
     ) -> Result<Self, StudyError> {
         spec.check()?;
-        for part in ["results", "checkpoints"] {
+        for part in ["results", "checkpoints", "models"] {
             let path = folder.join(part);
             std::fs::create_dir_all(&path).map_err(|e| file(&path, e))?;
         }
@@ -207,6 +213,11 @@ impl<'a> Study<'a> {
         self.folder.join("results").join(format!("{}.json", name(job)))
     }
 
+    /// Model of a job on all training maps: other sets are put to it without training it again.
+    fn model_path(&self, job: &Job) -> PathBuf {
+        self.folder.join("models").join(format!("{}.safetensors", name(job)))
+    }
+
     fn claim_path(&self, job: &Job) -> PathBuf {
         self.folder.join("checkpoints").join(format!("{}.lock", name(job)))
     }
@@ -255,12 +266,16 @@ impl<'a> Study<'a> {
             noisy: Vec::new(),
             epochs_to_target: None,
             seconds_to_target: None,
+            curve: Vec::new(),
             training_seconds: 0.0,
+            training_cost: Cost::default(),
+            label_cost: Cost::default(),
             latency_ms: 0.0,
             parameters: network.parameter_count(),
             multiply_adds: network.multiply_adds(range, doppler),
         };
         let checkpoint = self.folder.join("checkpoints").join(format!("{}.safetensors", name(job)));
+        let meter = Meter::start();
         let mut trained = train_on(&self.maps, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
         if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
             // It may be of a machine with other instructions.
@@ -277,6 +292,7 @@ impl<'a> Study<'a> {
             }
             Err(error) => return Err(error.into()),
         };
+        outcome.training_cost = meter.read();
         outcome.training = trained.history.last().map_or(0.0, |epoch| epoch.training_balanced_accuracy);
         outcome.training_seconds = trained.history.iter().map(|epoch| epoch.seconds).sum();
         let mut seconds = 0.0;
@@ -287,8 +303,13 @@ impl<'a> Study<'a> {
                 outcome.seconds_to_target = Some(seconds);
             }
         }
+        let chosen = trained.model.card.training.chosen_start;
+        outcome.curve = trained.history.into_iter().filter(|epoch| epoch.start == chosen).collect();
         outcome.validation = Some(trained.validation);
         outcome.test = trained.test;
+        if job.label_fraction == 1.0 {
+            trained.model.save(&self.model_path(job))?;
+        }
         let test = Indices::choose(self.dataset, &spec)?.test;
         let mut classifier = Classifier::new(trained.model);
         if job.label_fraction == 1.0 {
@@ -297,23 +318,28 @@ impl<'a> Study<'a> {
                 outcome.noisy.push(Noisy { snr_db, metrics: noisy.evaluate(&mut classifier)? });
             }
         }
-        outcome.latency_ms = self.latency_ms(&mut classifier, &test)?;
+        (outcome.latency_ms, outcome.label_cost) = self.time_labels(&mut classifier, &test)?;
         Ok(outcome)
     }
 
-    /// Median time of one map, ms, over up to 30 maps after a few to warm up.
-    fn latency_ms(&self, classifier: &mut Classifier, test: &[usize]) -> Result<f64, StudyError> {
-        let maps = test.iter().cycle().take(if test.is_empty() { 0 } else { 33 });
-        let mut times = Vec::new();
-        for index in maps {
-            let one = [*index];
-            let began = Instant::now();
-            evaluate(classifier, self.dataset, &one)?;
-            times.push(1e3 * began.elapsed().as_secs_f64());
+    /// Median time of one map, ms, and its mean cost, over as many maps as energy counters need, after a few to warm up.
+    fn time_labels(&self, classifier: &mut Classifier, test: &[usize]) -> Result<(f64, Cost), StudyError> {
+        let mut maps = test.iter().cycle();
+        for &index in maps.by_ref().take(WARM_UP_LABELS) {
+            evaluate(classifier, self.dataset, &[index])?;
         }
-        let mut times = times.split_off(times.len().min(3));
-        times.sort_by(f64::total_cmp);
-        Ok(times.get(times.len() / 2).copied().unwrap_or_default())
+        let (meter, start) = (Meter::start(), Instant::now());
+        let mut times = Vec::new();
+        for &index in maps {
+            let began = Instant::now();
+            evaluate(classifier, self.dataset, &[index])?;
+            times.push(1e3 * began.elapsed().as_secs_f64());
+            if times.len() >= LEAST_LABELS && start.elapsed() >= LABELS_LAST {
+                break;
+            }
+        }
+        let cost = meter.read().each(times.len());
+        Ok((median(times.into_iter()).unwrap_or_default(), cost))
     }
 }
 

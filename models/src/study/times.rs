@@ -23,6 +23,15 @@ pub struct CellTimes {
     pub seconds_to_target: Option<f64>,
     /// Median time of one map through the classifier, ms.
     pub latency_ms: Option<f64>,
+    /// Median processor time of a training, s.
+    #[serde(default)]
+    pub training_cpu_seconds: Option<f64>,
+    /// Median processor time of one map through the classifier, ms.
+    #[serde(default)]
+    pub label_cpu_ms: Option<f64>,
+    /// Median energy of one map through the classifier, mJ, where the machine counts it.
+    #[serde(default)]
+    pub label_energy_mj: Option<f64>,
 }
 
 /// Times of a study's trainings.
@@ -46,6 +55,9 @@ pub(super) fn times(spec: &StudySpec, chosen: &BTreeMap<String, f64>, outcomes: 
             training_seconds: t_interval(&seconds),
             seconds_to_target: median(whole().filter_map(|outcome| outcome.seconds_to_target)),
             latency_ms: median(whole().map(|outcome| outcome.latency_ms)),
+            training_cpu_seconds: median(whole().filter_map(|outcome| outcome.training_cost.cpu_seconds)),
+            label_cpu_ms: median(whole().filter_map(|outcome| Some(1e3 * outcome.label_cost.cpu_seconds?))),
+            label_energy_mj: median(whole().filter_map(|outcome| Some(1e3 * outcome.label_cost.energy_joules?))),
         });
     }
     Times { seconds: outcomes.iter().map(|outcome| outcome.training_seconds).sum(), cells }
@@ -62,16 +74,23 @@ impl Times {
 
     fn write(&self, out: &mut String) -> std::fmt::Result {
         writeln!(out, "# Times\n\n{:.0} s of training in all.\n", self.seconds)?;
-        writeln!(out, "| network | labels | training s | s to the target | one map ms |\n|---|---|---|---|---|")?;
+        writeln!(
+            out,
+            "| network | labels | training s | its CPU s | s to the target | one map ms | its CPU ms | its mJ |\n\
+             |---|---|---|---|---|---|---|---|"
+        )?;
         for cell in self.cells.iter().filter(|cell| cell.training_seconds.is_some()) {
             writeln!(
                 out,
-                "| {} | {:.0} % | {} | {} | {} |",
+                "| {} | {:.0} % | {} | {} | {} | {} | {} | {} |",
                 cell.variant,
                 100.0 * cell.label_fraction,
                 number(cell.training_seconds.map(|interval| interval.mean), 1),
+                number(cell.training_cpu_seconds, 1),
                 number(cell.seconds_to_target, 1),
-                number(cell.latency_ms, 2)
+                number(cell.latency_ms, 2),
+                number(cell.label_cpu_ms, 2),
+                number(cell.label_energy_mj, 2)
             )?;
         }
         Ok(())
