@@ -48,6 +48,11 @@ impl Network {
         self.level
     }
 
+    /// The same network with inner loops of this level, or of the fastest below it that the machine has.
+    pub(crate) fn at_level(self, level: KernelLevel) -> Self {
+        Network { level: level.available(), ..self }
+    }
+
     /// Trained arrays in the order of the layers.
     pub fn trained(&self) -> &[Parameter] {
         self.parameters.list()

@@ -35,6 +35,33 @@ pub enum StudyError {
         /// Folder.
         path: PathBuf,
     },
+    /// The maps of a condition are of another kind than those that the networks are trained on.
+    #[error(
+        "condition '{condition}': {what}\n\nhint: build its dataset with the [map] of the study's, from like waveforms"
+    )]
+    Maps {
+        /// Name of the condition.
+        condition: String,
+        /// Difference.
+        what: String,
+    },
+    /// All maps of a condition are of sequences that a training saw.
+    #[error(
+        "condition '{condition}': all of its maps are of sequences that the networks are trained or chosen by\n\nhint: name a \
+         dataset with other sequences, or with all of the study's"
+    )]
+    NothingUnseen {
+        /// Name of the condition.
+        condition: String,
+    },
+    /// The model of a training is not there, although the training is done.
+    #[error("{path} is not there\n\nhint: remove {result} and the study trains it again")]
+    NoModel {
+        /// File of the model.
+        path: PathBuf,
+        /// Outcome of the training.
+        result: PathBuf,
+    },
     /// A training cannot be run.
     #[error(transparent)]
     Train(#[from] TrainError),

@@ -11,7 +11,15 @@
 //! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that
 //! stops on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the
 //! means.
+//!
+//! # Conditions
+//! Models of trainings on all labels are kept, and put to other sets ([`Condition`]) without training again. A map is put to a model
+//! unless its sequence is, by name, one of the study's that is not in the test split of the training. So the same frames under
+//! other noise are judged by the test split, and strangers by all of their maps. Conditions are no part of a study's identity:
+//! they can be added to one that is whole. Each model and condition has one file, which names the hash of the condition's dataset;
+//! a dataset with another hash is judged anew.
 
+mod condition;
 mod cost;
 mod error;
 mod jobs;
@@ -24,6 +32,7 @@ mod spec;
 mod statistics;
 mod times;
 
+pub use condition::{Condition, ConditionCell, ConditionReport, Judgement, condition_file_name};
 pub use cost::Cost;
 pub use error::StudyError;
 pub use noise::{NoisyMaps, with_noise};

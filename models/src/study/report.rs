@@ -6,6 +6,7 @@ use std::fmt::Write;
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
+use super::condition::ConditionReport;
 use super::outcome::{FAILED_BELOW, Job, Outcome};
 use super::spec::StudySpec;
 use super::statistics::{Interval, median, t_interval};
@@ -105,6 +106,9 @@ pub struct Report {
     /// All trainings that failed, those that learning rates were chosen by included.
     #[serde(default)]
     pub failures: Vec<Failure>,
+    /// Scores of the models of all labels on other sets, one for each condition.
+    #[serde(default)]
+    pub conditions: Vec<ConditionReport>,
 }
 
 /// Outcomes of one variant on one share of the maps.
@@ -137,7 +141,7 @@ pub(super) fn groups<'a>(
     groups
 }
 
-/// Makes the report of outcomes.
+/// Makes the report of outcomes, without conditions.
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group)).collect();
     Report {
@@ -150,6 +154,7 @@ pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64
         target: spec.target,
         cells,
         failures: outcomes.iter().filter_map(failure).collect(),
+        conditions: Vec::new(),
     }
 }
 
@@ -296,6 +301,7 @@ impl Report {
         self.write_clean(out)?;
         self.write_noise(out)?;
         self.write_fractions(out)?;
+        self.write_conditions(out)?;
         self.write_cost(out)?;
         self.write_confusion(out)?;
         self.write_failures(out)
@@ -382,6 +388,39 @@ impl Report {
             writeln!(out, "| {name} | {} |", told.join(" | "))?;
         }
         writeln!(out)
+    }
+
+    fn write_conditions(&self, out: &mut String) -> std::fmt::Result {
+        let mut groups: Vec<Option<&str>> = Vec::new();
+        for condition in &self.conditions {
+            if !groups.contains(&condition.group.as_deref()) {
+                groups.push(condition.group.as_deref());
+            }
+        }
+        for group in groups {
+            let of_group: Vec<&ConditionReport> =
+                self.conditions.iter().filter(|condition| condition.group.as_deref() == group).collect();
+            writeln!(out, "## {}\n", group.unwrap_or("Other sets"))?;
+            writeln!(
+                out,
+                "Balanced accuracy of the models of all labels, on maps of sequences that they have not seen.\n"
+            )?;
+            let heads: Vec<&str> = of_group.iter().map(|condition| condition.name.as_str()).collect();
+            writeln!(out, "| network | test split | {} |\n|---|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+            for cell in self.whole() {
+                let told: Vec<String> = of_group
+                    .iter()
+                    .map(|condition| {
+                        let of_network = condition.cells.iter().find(|other| other.variant == cell.variant);
+                        short(of_network.and_then(|other| other.balanced_accuracy))
+                    })
+                    .collect();
+                writeln!(out, "| {} | {} | {} |", cell.variant, short(cell.test), told.join(" | "))?;
+            }
+            let maps: Vec<String> = of_group.iter().map(|condition| condition.maps.to_string()).collect();
+            writeln!(out, "| maps | | {} |\n", maps.join(" | "))?;
+        }
+        Ok(())
     }
 
     fn write_cost(&self, out: &mut String) -> std::fmt::Result {

@@ -6,6 +6,9 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
+
+use super::condition::{self, Condition, ConditionReport, Judgement};
 use super::cost::{Cost, Meter};
 use super::error::StudyError;
 use super::jobs::{name, of_shard};
@@ -18,7 +21,7 @@ use super::times::{Times, times};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
 use crate::evaluate::evaluate;
-use crate::model::Classifier;
+use crate::model::{Classifier, Model};
 use crate::train::{EpochReport, Indices, Maps, TrainError, check_memory, train_on};
 use crate::whole_file;
 
@@ -39,6 +42,31 @@ pub enum Progress<'a> {
     Epoch(&'a EpochReport),
     /// End of the job.
     Done(&'a Outcome),
+    /// Maps of a condition are put to the model of the job: name of the condition, number of this work, and of all such work.
+    Judging(&'a Job, &'a str, usize, usize),
+    /// End of that.
+    Judged(&'a Judgement),
+}
+
+/// Work whose outcome is one file: a training, or maps of a condition that are put to its model.
+#[derive(Clone, Copy)]
+struct Task<'j> {
+    job: &'j Job,
+    condition: Option<&'j Condition>,
+}
+
+impl Task<'_> {
+    /// Name in files.
+    fn name(self) -> String {
+        match self.condition {
+            None => name(self.job),
+            Some(condition) => format!("{}@{}", name(self.job), condition.file_name),
+        }
+    }
+}
+
+fn trainings(jobs: &[Job]) -> Vec<Task<'_>> {
+    jobs.iter().map(|job| Task { job, condition: None }).collect()
 }
 
 /// Study in a folder.
@@ -47,6 +75,7 @@ pub struct Study<'a> {
     pub(super) dataset: &'a Dataset,
     /// The dataset's maps, which all trainings share.
     pub(super) maps: Maps<'a>,
+    conditions: &'a [Condition],
     folder: PathBuf,
     /// Index of this shard, and number of shards.
     shard: (usize, usize),
@@ -66,7 +95,7 @@ impl<'a> Study<'a> {
         shard: (usize, usize),
     ) -> Result<Self, StudyError> {
         spec.check()?;
-        for part in ["results", "checkpoints", "models"] {
+        for part in ["results", "checkpoints", "models", "judged"] {
             let path = folder.join(part);
             std::fs::create_dir_all(&path).map_err(|e| file(&path, e))?;
         }
@@ -79,10 +108,21 @@ impl<'a> Study<'a> {
             Err(error) => return Err(file(&path, error)),
         }
         let maps = Maps::new(dataset, spec.train.reference);
-        Ok(Study { spec, dataset, maps, folder: folder.to_owned(), shard })
+        Ok(Study { spec, dataset, maps, conditions: &[], folder: folder.to_owned(), shard })
     }
 
-    /// Runs the remaining jobs of this shard until `go_on` returns `false`. Returns all outcomes that exist.
+    /// The study with conditions that the models of its trainings are put to.
+    ///
+    /// # Errors
+    /// [`StudyError::Setting`] if two conditions have one name in files, or if no training is on all labels, and
+    /// [`StudyError::Maps`] if the maps of a condition are of another kind than the study's.
+    pub fn with_conditions(self, conditions: &'a [Condition]) -> Result<Self, StudyError> {
+        condition::check(self.spec, self.dataset, conditions)?;
+        Ok(Study { conditions, ..self })
+    }
+
+    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and puts the conditions to their models. Returns all
+    /// outcomes that exist.
     ///
     /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it first. The
     /// learning rates that a shard needs and another has not tried yet are tried by it, or waited for.
@@ -99,13 +139,15 @@ impl<'a> Study<'a> {
             check_memory(self.dataset, &self.spec.train_spec(&self.spec.rate_job(&variant.name, rate, &held_out))?)?;
         }
         let rate_jobs = self.spec.rate_jobs(&held_out);
-        self.work(&of_shard(&rate_jobs, self.shard), go_on, tell)?;
-        self.work(&rate_jobs, go_on, tell)?;
+        self.work(&trainings(&of_shard(&rate_jobs, self.shard)), go_on, tell)?;
+        self.work(&trainings(&rate_jobs), go_on, tell)?;
         let chosen = self.chosen_rates()?;
         // A rate is missing only if the work was stopped.
         if chosen.len() == self.spec.variants.len() {
             let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
-            self.work(&of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard), go_on, tell)?;
+            let jobs = of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard);
+            self.work(&trainings(&jobs), go_on, tell)?;
+            self.work(&self.judgings(&jobs), go_on, tell)?;
         }
         self.outcomes()
     }
@@ -157,11 +199,7 @@ impl<'a> Study<'a> {
             .filter(|path| path.extension().is_some_and(|extension| extension == "json"))
             .collect();
         paths.sort();
-        let read = |path: &PathBuf| {
-            let text = read_text(path, TEXT_LIMIT_BYTES).map_err(|e| file(path, e))?;
-            serde_json::from_str(&text).map_err(|e| file(path, e))
-        };
-        paths.iter().map(read).collect()
+        paths.iter().map(|path| read_outcome(path)).collect()
     }
 
     /// Makes the report on the outcomes that exist.
@@ -169,7 +207,18 @@ impl<'a> Study<'a> {
     /// # Errors
     /// Those of [`Study::outcomes`].
     pub fn report(&self) -> Result<Report, StudyError> {
-        Ok(report(self.spec, self.dataset, &self.chosen_rates()?, &self.outcomes()?))
+        let chosen = self.chosen_rates()?;
+        let mut report = report(self.spec, self.dataset, &chosen, &self.outcomes()?);
+        // A training at a rate that is not chosen yet has no files.
+        let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
+        let mut jobs = self.spec.compared_jobs(&self.spec.held_out(self.dataset), rate);
+        jobs.retain(|job| job.label_fraction == 1.0);
+        let of = |condition: &Condition| {
+            let judgement = |job: &Job| self.judgement(job, condition);
+            ConditionReport::new(self.spec, &jobs, condition, &judgement)
+        };
+        report.conditions = self.conditions.iter().map(of).collect();
+        Ok(report)
     }
 
     /// Times of the trainings that are done.
@@ -180,21 +229,28 @@ impl<'a> Study<'a> {
         Ok(times(self.spec, &self.chosen_rates()?, &self.outcomes()?))
     }
 
-    /// Runs the jobs that have no result: first those that no other process runs, then those whose process ended without one.
-    fn work(&self, jobs: &[Job], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
-        let mut left: Vec<(usize, &Job)> = jobs.iter().enumerate().collect();
+    /// Conditions and the trainings among `jobs` that keep models, which are those on all labels.
+    fn judgings<'j>(&'j self, jobs: &'j [Job]) -> Vec<Task<'j>> {
+        let whole = jobs.iter().filter(|job| job.label_fraction == 1.0);
+        let of_job = |job| self.conditions.iter().map(move |condition| Task { job, condition: Some(condition) });
+        whole.flat_map(of_job).collect()
+    }
+
+    /// Does the tasks that have no result: first those that no other process works on, then those whose process ended without one.
+    fn work(&self, tasks: &[Task], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
+        let mut left: Vec<(usize, Task)> = tasks.iter().copied().enumerate().collect();
         loop {
             let mut elsewhere = Vec::new();
-            for (index, job) in left {
-                if self.has_result(job) {
+            for (index, task) in left {
+                if self.is_done(task) {
                     continue;
                 }
                 if !go_on() {
                     return Ok(());
                 }
-                match self.claim(job)? {
-                    Some(_claim) => self.finish(job, (index + 1, jobs.len()), tell)?,
-                    None => elsewhere.push((index, job)),
+                match self.claim(task)? {
+                    Some(_claim) => self.finish(task, (index + 1, tasks.len()), tell)?,
+                    None => elsewhere.push((index, task)),
                 }
             }
             if elsewhere.is_empty() {
@@ -202,6 +258,13 @@ impl<'a> Study<'a> {
             }
             left = elsewhere;
             std::thread::sleep(OTHERS_WAIT);
+        }
+    }
+
+    fn is_done(&self, Task { job, condition }: Task) -> bool {
+        match condition {
+            None => self.has_result(job),
+            Some(condition) => self.judgement(job, condition).is_some(),
         }
     }
 
@@ -218,37 +281,80 @@ impl<'a> Study<'a> {
         self.folder.join("models").join(format!("{}.safetensors", name(job)))
     }
 
-    fn claim_path(&self, job: &Job) -> PathBuf {
-        self.folder.join("checkpoints").join(format!("{}.lock", name(job)))
+    fn judgement_path(&self, task: Task) -> PathBuf {
+        self.folder.join("judged").join(format!("{}.json", task.name()))
     }
 
-    /// Locks a job until the returned file is dropped; `None` if another process runs it.
-    fn claim(&self, job: &Job) -> Result<Option<File>, StudyError> {
-        match lock_file(&self.claim_path(job)) {
+    /// Scores of a job's model under a condition; `None` if there are none of this content of its dataset.
+    fn judgement(&self, job: &Job, condition: &Condition) -> Option<Judgement> {
+        let path = self.judgement_path(Task { job, condition: Some(condition) });
+        let found: Judgement = serde_json::from_str(&read_text(&path, TEXT_LIMIT_BYTES).ok()?).ok()?;
+        (found.dataset_hash == condition.hash).then_some(found)
+    }
+
+    fn claim_path(&self, task: Task) -> PathBuf {
+        self.folder.join("checkpoints").join(format!("{}.lock", task.name()))
+    }
+
+    /// Locks a task until the returned file is dropped; `None` if another process works on it.
+    fn claim(&self, task: Task) -> Result<Option<File>, StudyError> {
+        match lock_file(&self.claim_path(task)) {
             Ok(file) => Ok(Some(file)),
             Err(DatasetError::Busy { .. }) => Ok(None),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Runs a job that is claimed, unless its result has come meanwhile, and writes the result.
+    /// Does a task that is claimed, unless its result has come meanwhile, and writes the result.
     fn finish(
         &self,
-        job: &Job,
+        task: Task,
         (number, count): (usize, usize),
         tell: &mut dyn FnMut(Progress),
     ) -> Result<(), StudyError> {
-        if !self.has_result(job) {
-            tell(Progress::Job(job, number, count));
-            let outcome = self.train(job, tell)?;
-            let path = self.result_path(job);
-            let text = serde_json::to_string_pretty(&outcome).map_err(|e| file(&path, e))?;
-            write_whole(&path, text.as_bytes())?;
-            tell(Progress::Done(&outcome));
+        let job = task.job;
+        if !self.is_done(task) {
+            match task.condition {
+                None => {
+                    tell(Progress::Job(job, number, count));
+                    let outcome = self.train(job, tell)?;
+                    write_json(&self.result_path(job), &outcome)?;
+                    tell(Progress::Done(&outcome));
+                }
+                Some(condition) => {
+                    tell(Progress::Judging(job, &condition.name, number, count));
+                    let judgement = self.judge(job, condition)?;
+                    write_json(&self.judgement_path(task), &judgement)?;
+                    tell(Progress::Judged(&judgement));
+                }
+            }
         }
         // Whoever opened the file before it was removed finds the result. One that stays does no harm.
-        let _ = std::fs::remove_file(self.claim_path(job));
+        let _ = std::fs::remove_file(self.claim_path(task));
         Ok(())
+    }
+
+    /// Puts the maps of a condition to the model of a job, with the instructions that it was trained with.
+    fn judge(&self, job: &Job, condition: &Condition) -> Result<Judgement, StudyError> {
+        let (path, result) = (self.model_path(job), self.result_path(job));
+        let metrics = if path.exists() {
+            let splits = self.dataset.splits(&self.spec.train_spec(job)?.split)?;
+            let maps = condition.unseen(self.dataset, &splits)?;
+            let Model { card, network } = Model::load(&path)?;
+            let network = network.at_level(card.training.kernel_level);
+            let mut classifier = Classifier::new(Model { card, network });
+            Some(evaluate(&mut classifier, &condition.dataset, &maps)?)
+        } else if read_outcome(&result)?.error.is_some() {
+            None
+        } else {
+            return Err(StudyError::NoModel { path, result });
+        };
+        Ok(Judgement {
+            job: job.clone(),
+            condition: condition.name.clone(),
+            dataset_hash: condition.hash.clone(),
+            metrics,
+        })
     }
 
     fn train(&self, job: &Job, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, StudyError> {
@@ -341,6 +447,16 @@ impl<'a> Study<'a> {
         let cost = meter.read().each(times.len());
         Ok((median(times.into_iter()).unwrap_or_default(), cost))
     }
+}
+
+fn read_outcome(path: &Path) -> Result<Outcome, StudyError> {
+    let text = read_text(path, TEXT_LIMIT_BYTES).map_err(|e| file(path, e))?;
+    serde_json::from_str(&text).map_err(|e| file(path, e))
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StudyError> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| file(path, e))?;
+    write_whole(path, text.as_bytes())
 }
 
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {

@@ -1,0 +1,237 @@
+//! Conditions of a study: other sets of maps that its trained models are put to.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+use super::error::StudyError;
+use super::outcome::Job;
+use super::spec::StudySpec;
+use super::statistics::{Interval, t_interval};
+use crate::dataset::{Dataset, Split};
+use crate::metrics::Metrics;
+
+/// Longest name of a condition or of its group, in characters: names are headings of tables, and parts of file names.
+const LONGEST_NAME: usize = 100;
+/// Balanced accuracy and accuracy of a guess among three classes.
+const CHANCE: f64 = 1.0 / 3.0;
+
+/// A set of maps that the models of a study are put to. No model is trained on it.
+#[derive(Debug, Clone)]
+pub struct Condition {
+    pub(super) name: String,
+    group: Option<String>,
+    pub(super) dataset: Dataset,
+    /// Hash of the dataset.
+    pub(super) hash: String,
+    pub(super) file_name: String,
+}
+
+impl Condition {
+    /// Makes a condition of a dataset. `group` is the heading of its table in the report; conditions without one share a table.
+    ///
+    /// # Errors
+    /// Those of [`condition_file_name`], for either name.
+    pub fn new(name: &str, group: Option<&str>, dataset: Dataset) -> Result<Self, StudyError> {
+        group.map_or(Ok(()), |group| check_name("group of a condition", group))?;
+        Ok(Condition {
+            name: name.to_owned(),
+            group: group.map(str::to_owned),
+            hash: dataset.hash(),
+            dataset,
+            file_name: condition_file_name(name)?,
+        })
+    }
+
+    /// Indices of the maps that are put to a model: all but those of sequences that the training saw or chose its numbers by.
+    /// `splits` are those of the training, one for each map of the study's dataset.
+    ///
+    /// # Errors
+    /// [`StudyError::NothingUnseen`] if no map is left.
+    pub(super) fn unseen(&self, study: &Dataset, splits: &[Split]) -> Result<Vec<usize>, StudyError> {
+        let rows = study.rows().iter().zip(splits);
+        let seen: BTreeSet<&str> =
+            rows.filter(|(_, split)| **split != Split::Test).map(|(row, _)| row.sequence.as_str()).collect();
+        let rows = self.dataset.rows().iter().enumerate();
+        let unseen: Vec<usize> =
+            rows.filter(|(_, row)| !seen.contains(row.sequence.as_str())).map(|(index, _)| index).collect();
+        if unseen.is_empty() {
+            return Err(StudyError::NothingUnseen { condition: self.name.clone() });
+        }
+        Ok(unseen)
+    }
+}
+
+/// Name of a condition in files: letters, digits, `-` and `+` stay, anything else becomes `_`.
+///
+/// # Errors
+/// [`StudyError::Setting`] if the name has no letter or digit of ASCII, is longer than 100 characters, or has a character that a
+/// table of the report cannot hold.
+pub fn condition_file_name(name: &str) -> Result<String, StudyError> {
+    check_name("name of a condition", name)?;
+    Ok(name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' || c == '+' { c } else { '_' }).collect())
+}
+
+fn check_name(what: &str, name: &str) -> Result<(), StudyError> {
+    let is_plain = !name.chars().any(|c| c.is_control() || c == '|');
+    let has_letter = name.chars().any(|c| c.is_ascii_alphanumeric());
+    if is_plain && has_letter && name.chars().count() <= LONGEST_NAME {
+        return Ok(());
+    }
+    Err(StudyError::Setting {
+        what: what.to_owned(),
+        value: format!("{name:?}"),
+        expected: format!("a letter or digit, no '|', and {LONGEST_NAME} characters at most"),
+    })
+}
+
+/// Checks that the models of a study can be put to conditions.
+///
+/// # Errors
+/// [`StudyError::Setting`] if two conditions have one name in files, or if the study trains no model on all labels, and
+/// [`StudyError::Maps`] if the maps of one are of another kind than the study's.
+pub(super) fn check(spec: &StudySpec, study: &Dataset, conditions: &[Condition]) -> Result<(), StudyError> {
+    let fail = |what: &str, value: String, expected: &str| {
+        Err(StudyError::Setting { what: what.to_owned(), value, expected: expected.to_owned() })
+    };
+    if !conditions.is_empty() && !spec.label_fractions.contains(&1.0) {
+        let value = format!("{:?}", spec.label_fractions);
+        return fail("label_fractions", value, "1 among them: models of all labels are put to conditions");
+    }
+    let mut names = BTreeSet::new();
+    for condition in conditions {
+        if !names.insert(condition.file_name.to_ascii_lowercase()) {
+            let expected = "names that differ in letters and digits, '-' and '+'";
+            return fail("name of a condition", format!("'{}', like another", condition.name), expected);
+        }
+        let (expected, got) = (study.header(), condition.dataset.header());
+        let other = |what: String| Err(StudyError::Maps { condition: condition.name.clone(), what });
+        if got.shape != expected.shape {
+            return other(format!("its maps are {}, the study's are {}", got.shape, expected.shape));
+        }
+        if got.rdm_spec != expected.rdm_spec {
+            return other("its maps were made by another map spec than the study's".to_owned());
+        }
+        if let Err(mismatch) = expected.rdm_spec.check_compatible(&got.waveform, &expected.waveform) {
+            return other(mismatch.to_string());
+        }
+    }
+    Ok(())
+}
+
+/// Scores of one trained model under one condition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Judgement {
+    /// The training.
+    pub job: Job,
+    /// Name of the condition.
+    pub condition: String,
+    /// Hash of the condition's dataset. With another one the models are judged anew.
+    pub dataset_hash: String,
+    /// Scores; absent where the training broke off and left no model.
+    pub metrics: Option<Metrics>,
+}
+
+/// Scores of all networks under one condition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConditionReport {
+    /// Name of the condition.
+    pub name: String,
+    /// Heading of its table.
+    pub group: Option<String>,
+    /// Hash of its dataset.
+    pub dataset_hash: String,
+    /// Maps that were put to a model, at most: test splits of studies that hold out each recording differ.
+    pub maps: usize,
+    /// Number of models that were judged, trainings that broke off included.
+    pub done: usize,
+    /// Number of trainings on all labels.
+    pub planned: usize,
+    /// One for each variant.
+    pub cells: Vec<ConditionCell>,
+}
+
+/// Scores of one network under one condition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConditionCell {
+    /// Name of the variant.
+    pub variant: String,
+    /// Number of its models that were judged, trainings that broke off included.
+    pub done: usize,
+    /// Balanced accuracy; chance where a training broke off.
+    pub balanced_accuracy: Option<Interval>,
+    /// Accuracy; chance where a training broke off.
+    pub accuracy: Option<Interval>,
+    /// `confusion[truth][prediction]`, summed over models.
+    pub confusion: [[u64; 3]; 3],
+}
+
+impl ConditionReport {
+    /// Makes the report of one condition. `jobs` are the trainings on all labels, and `judgement` reads what is known of one.
+    pub(super) fn new(
+        spec: &StudySpec,
+        jobs: &[Job],
+        condition: &Condition,
+        judgement: &dyn Fn(&Job) -> Option<Judgement>,
+    ) -> Self {
+        let mut maps = 0;
+        let mut cells = Vec::new();
+        for variant in &spec.variants {
+            let of_variant = jobs.iter().filter(|job| job.variant == variant.name);
+            let judgements: Vec<Judgement> = of_variant.filter_map(judgement).collect();
+            let scores = || judgements.iter().map(|judgement| judgement.metrics.as_ref());
+            let interval = |score: &dyn Fn(&Metrics) -> f64| {
+                let values: Vec<f64> = scores().map(|metrics| metrics.map_or(CHANCE, score)).collect();
+                t_interval(&values)
+            };
+            let mut confusion = [[0u64; 3]; 3];
+            for metrics in scores().flatten() {
+                maps = maps.max(metrics.samples);
+                for (sum, counts) in confusion.iter_mut().flatten().zip(metrics.confusion.iter().flatten()) {
+                    *sum += counts;
+                }
+            }
+            cells.push(ConditionCell {
+                variant: variant.name.clone(),
+                done: judgements.len(),
+                balanced_accuracy: interval(&|metrics| metrics.balanced_accuracy),
+                accuracy: interval(&|metrics| metrics.accuracy),
+                confusion,
+            });
+        }
+        ConditionReport {
+            name: condition.name.clone(),
+            group: condition.group.clone(),
+            dataset_hash: condition.hash.clone(),
+            maps,
+            done: cells.iter().map(|cell| cell.done).sum(),
+            planned: jobs.len(),
+            cells,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_in_files_keep_signs() {
+        let name = |name: &str| condition_file_name(name).expect("a name");
+        assert_eq!(name("thermal noise +10 dB"), "thermal_noise_+10_dB");
+        assert_eq!(name("thermal noise -10 dB"), "thermal_noise_-10_dB");
+        assert_eq!(name("../gait.parts"), "___gait_parts");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn names_that_no_table_or_file_can_hold_are_refused() {
+            for name in ["", " ", "..", "a|b", "a\nb", &"a".repeat(101)] {
+                let error = condition_file_name(name).expect_err(name).to_string();
+                assert!(error.contains("name of a condition") && error.contains("100 characters"), "{error}");
+            }
+        }
+    }
+}
