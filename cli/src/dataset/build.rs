@@ -34,21 +34,28 @@ pub struct Built {
 /// # Errors
 /// The spec or a source cannot be read, the folder holds something else, a unit fails, or the user interrupts.
 pub fn build(spec: &Path, output: &Path, shard: Option<Shard>) -> anyhow::Result<Built> {
-    let plan = Plan::new(spec, shard.unwrap_or(Shard::WHOLE))?;
+    build_plan(&Plan::new(spec, shard.unwrap_or(Shard::WHOLE))?, output, shard)
+}
+
+/// Builds a dataset, or one shard of it, as [`build`] does, by its plan.
+///
+/// # Errors
+/// A source cannot be read, the folder holds something else, a unit fails, or the user interrupts.
+pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::Result<Built> {
     let target = match shard {
         Some(shard) => output.join(shard.name()),
         None => output.to_owned(),
     };
     let parts = Parts::of(&target);
     let found = match (shard, target.exists()) {
-        (Some(_), true) => shard_again(&plan, &target)?,
-        (None, true) if !parts.was_merged(&plan, &target) => {
+        (Some(_), true) => shard_again(plan, &target)?,
+        (None, true) if !parts.was_merged(plan, &target) => {
             return Err(DatasetError::Exists { path: target }.into());
         }
         (None, true) => parts.remove().map(|()| plan.units.len())?,
         (shard, false) => {
-            let _lock = parts.enter(&plan)?;
-            let found = parts.make(&plan)?;
+            let _lock = parts.enter(plan)?;
+            let found = parts.make(plan)?;
             match shard {
                 Some(_) => parts.finish_shard(&target)?,
                 None => {

@@ -12,5 +12,7 @@ mod folders;
 pub mod merge;
 pub mod pairing;
 pub mod plan;
+pub mod rung;
 pub mod spec;
+pub mod thermal;
 mod unit;

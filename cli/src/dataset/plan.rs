@@ -77,7 +77,14 @@ impl Plan {
     /// # Errors
     /// The spec or a source cannot be read, a name occurs twice, or the machine lacks the kernel.
     pub fn new(path: &Path, shard: Shard) -> anyhow::Result<Self> {
-        let spec = BuildSpec::load(path)?;
+        Self::of_spec(BuildSpec::load(path)?, path, shard)
+    }
+
+    /// The plan of a spec; its paths are relative to the file `path`.
+    ///
+    /// # Errors
+    /// A source cannot be read, a name occurs twice, or the machine lacks the kernel.
+    pub fn of_spec(spec: BuildSpec, path: &Path, shard: Shard) -> anyhow::Result<Self> {
         let base = path.parent().unwrap_or(Path::new("."));
         let mut list = List { units: Vec::new(), prints: Fingerprints::new(base), header: None, spec: &spec };
         for source in &spec.simulated {

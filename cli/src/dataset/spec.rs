@@ -19,6 +19,8 @@ const FORMAT: u32 = 1;
 const MOST_FRAMES: u64 = 10_000_000;
 /// Runs of all scenes together at most: each is a folder of its own while a dataset is built.
 const MOST_RUNS: u64 = 1_000_000;
+/// Largest magnitude of a ratio of signal to noise, dB: at more, either of them is not to be seen.
+const MOST_SNR_DB: f64 = 100.0;
 
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -30,6 +32,12 @@ pub struct BuildSpec {
     #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
     #[schemars(schema_with = "any_keys::<RdmSpec>")]
     pub map: RdmSpec,
+    /// White Gaussian noise on the raw samples, before maps are made of them, by its ratio, dB; none if absent. Its power in a
+    /// receiver's samples of a frame is their mean square about the mean of each chirp, over 10^(raw_snr_db / 10): static echoes and
+    /// leakage count as signal. Sequences, frames and labels are those of the dataset without noise. A receiver that gives no
+    /// signal is not replaced by another.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub raw_snr_db: Option<f64>,
     /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
     /// bit if it is given.
     #[serde(default)]
@@ -192,9 +200,27 @@ impl BuildSpec {
         Ok(spec)
     }
 
+    /// Spec of maps of runs, without splits.
+    pub fn of_runs(map: RdmSpec, simulated: Vec<Simulated>) -> Self {
+        BuildSpec { format: FORMAT, map, raw_snr_db: None, kernel: None, split: None, simulated, recorded: Vec::new() }
+    }
+
+    /// The spec with noise of this ratio on the raw samples, or with its own if `raw_snr_db` is `None`.
+    ///
+    /// # Errors
+    /// The ratio is out of range.
+    pub fn with_raw_snr_db(mut self, raw_snr_db: Option<f64>) -> anyhow::Result<Self> {
+        self.raw_snr_db = raw_snr_db.or(self.raw_snr_db);
+        self.check()?;
+        Ok(self)
+    }
+
     fn check(&self) -> anyhow::Result<()> {
         if self.format != FORMAT {
             bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        if let Some(snr_db) = self.raw_snr_db.filter(|snr_db| !(-MOST_SNR_DB..=MOST_SNR_DB).contains(snr_db)) {
+            bail!("raw_snr_db is {snr_db}, expected -{MOST_SNR_DB} to {MOST_SNR_DB}; leave it out for no noise");
         }
         let mut runs = 0u64;
         for (index, source) in self.simulated.iter().enumerate() {
@@ -256,6 +282,20 @@ mod tests {
         assert!(error.contains("channel"), "{error}");
     }
 
+    /// A build is continued only with the spec that it was begun with, which its plan holds as JSON.
+    #[test]
+    fn another_ratio_is_another_spec_and_none_is_not_written() {
+        let read = |text: &str| BuildSpec::parse(text).expect("valid");
+        let (none, ten) = (read("format = 1"), read("format = 1\nraw_snr_db = 10.0"));
+        let kept = |spec: &BuildSpec| serde_json::to_string(spec).expect("JSON");
+        assert!(!kept(&none).contains("raw_snr_db"));
+        assert_eq!(serde_json::from_str::<BuildSpec>(&kept(&ten)).expect("a plan's spec"), ten);
+        assert_ne!(none, ten);
+        assert_eq!(none.with_raw_snr_db(Some(10.0)).expect("in range"), ten);
+        assert_eq!(ten.clone().with_raw_snr_db(None).expect("its own"), ten);
+        assert!(ten.with_raw_snr_db(Some(f64::NAN)).is_err());
+    }
+
     mod hard_cases {
         use super::*;
 
@@ -275,6 +315,11 @@ mod tests {
             refused("seeds = [1, 1]\nframes = 9223372036854775807\n", "10000000 at most");
             refused("seeds = [2, 1]\nframes = 1\n", "the first one first");
             refused("seeds = [1, 1]\nframes = -1\n", "frames");
+            for ratio in ["inf", "nan", "-100.1", "1e300"] {
+                let error =
+                    BuildSpec::parse(&format!("format = 1\nraw_snr_db = {ratio}\n")).expect_err(ratio).to_string();
+                assert!(error.contains("raw_snr_db") && error.contains("-100 to 100"), "{error}");
+            }
             let deep = format!("format = 1\nmap = {}", "{ a = ".repeat(100_000));
             assert!(BuildSpec::parse(&deep).is_err());
         }

@@ -12,6 +12,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
 use super::plan::{Plan, Unit, UnitSource};
+use super::thermal::{NoisyProcessor, RawNoise};
 use crate::output::Interrupted;
 use crate::{labels, output};
 
@@ -25,6 +26,8 @@ const CHUNK: usize = 32;
 /// The source cannot be read or simulated, a map cannot be written, or the user interrupts.
 pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::Result<()> {
     let mut sink = Sink { writer: DatasetWriter::create(folder, &plan.header)?, unit, made: 0 };
+    let noise =
+        |seed: u64| plan.card.spec.raw_snr_db.map(|snr_db| RawNoise { snr_db, seed, recording: &unit.recording });
     match &unit.source {
         UnitSource::Run { scene, seed, people, frames, tolerance_db } => {
             let mut options =
@@ -32,12 +35,14 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
             options.tolerance_db = tolerance_db.unwrap_or(options.tolerance_db);
             // Receivers that no map shows are not simulated.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, scene.waveform(), plan.kernel)?;
+            let processor = NoisyProcessor::new(processor, noise(*seed));
             run(scene, options, &plan.header.rdm_spec, processor, parallel, &mut sink)?;
         }
         UnitSource::Recording { path, label, label_file } => {
             let mut recording = Recording::open(path)?;
             // A recording's own axes may differ from the first's within what counts as the same; on physical axes its waveform may.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, recording.waveform(), plan.kernel)?;
+            let processor = NoisyProcessor::new(processor, noise(0));
             let spans = match (label, label_file) {
                 (Some(_), _) => Vec::new(),
                 (None, Some(file)) => labels::read(file)?,
@@ -84,7 +89,7 @@ fn run(
     scene: &Scene,
     options: SimulateOptions,
     spec: &RdmSpec,
-    mut processor: RdmProcessor,
+    mut processor: NoisyProcessor,
     parallel: bool,
     sink: &mut Sink,
 ) -> anyhow::Result<()> {
@@ -93,7 +98,7 @@ fn run(
     // Maps of single frames need no others: render only those that are taken.
     let step = if is_single { sink.unit.every as usize } else { 1 };
     let wanted: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();
-    let mut map = processor.empty_map();
+    let mut map = processor.processor.empty_map();
     for chunk in wanted.chunks(if parallel { CHUNK } else { 1 }) {
         if output::interrupted() {
             return Err(Interrupted.into());
@@ -116,12 +121,12 @@ fn recording(
     frames: &mut Recording,
     spans: &[LabelSpan],
     fixed: Option<Truth>,
-    mut processor: RdmProcessor,
+    mut processor: NoisyProcessor,
     sink: &mut Sink,
 ) -> anyhow::Result<()> {
     check_spans(spans, None)?;
     let waveform = frames.waveform().clone();
-    let mut map = processor.empty_map();
+    let mut map = processor.processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());
     let mut unlabelled = 0u64;
     let mut extent_s: Option<(f64, f64)> = None;
@@ -131,7 +136,7 @@ fn recording(
         }
         match frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
-            SourceEvent::Gap(_) => processor.reset(),
+            SourceEvent::Gap(_) => processor.processor.reset(),
             SourceEvent::Frame => {
                 let end_s = frame.time_s() + waveform.frame_interval_s();
                 extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));

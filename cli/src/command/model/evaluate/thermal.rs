@@ -5,6 +5,8 @@ use std::path::Path;
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use rand_distr::{Distribution, Normal};
 
+use crate::dataset::thermal::signal_squares;
+
 /// Gaussian noise on every sample, before it is a code again.
 pub struct ThermalNoise {
     normal: Normal<f64>,
@@ -30,11 +32,8 @@ impl ThermalNoise {
                 SourceEvent::End => break,
                 SourceEvent::Gap(_) => {}
                 SourceEvent::Frame => {
-                    for chirp in frame.codes.chunks_exact(shape.samples.max(1)) {
-                        let mean = chirp.iter().map(|&c| f64::from(c)).sum::<f64>() / chirp.len() as f64;
-                        sum += chirp.iter().map(|&c| (f64::from(c) - mean).powi(2)).sum::<f64>();
-                        count += chirp.len() as u64;
-                    }
+                    sum += signal_squares(&frame.codes, shape.samples);
+                    count += frame.codes.len() as u64;
                 }
             }
         }

@@ -1,51 +1,16 @@
-//! Rungs of a ladder: their files, and the recordings that are simulated of them.
+//! Rungs of a ladder, and the recordings that are simulated of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_sim::Scene;
-use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
-use radome_sim::scene_file::BodyFile;
-use serde::Deserialize;
+use radome_sim::bounded_file::named_by_spec;
 
-/// Format of a rung's file.
-const FORMAT: u32 = 1;
-/// Most frames of a rung: a day at ten a second.
-const MOST_FRAMES: u64 = 864_000;
+use crate::dataset::rung::{MOST_FRAMES, RungFile};
+
 /// Length of the recordings of empty rooms at most, s: hours are watched in several rooms.
 const EMPTY_RECORDING_S: f64 = 360.0;
-
-/// A rung's file.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RungFile {
-    format: u32,
-    /// Short name: letters, digits, `-` and `_`.
-    name: String,
-    /// One sentence that says how it differs from training.
-    about: String,
-    /// Scenes that are simulated.
-    scene: Vec<RungScene>,
-}
-
-/// Recordings of one scene.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RungScene {
-    /// Scene file, relative to the rung's file.
-    path: PathBuf,
-    /// First and last seed: a recording each.
-    seeds: (u64, u64),
-    /// People that the scene is forced to have at most; its own number if absent.
-    #[serde(default)]
-    people: Option<usize>,
-    /// Frames of a recording.
-    frames: u64,
-    /// Bodies of people, "ellipsoids" or "mesh"; those of the scene if absent.
-    #[serde(default)]
-    body: Option<BodyFile>,
-}
 
 /// A rung, ready to be simulated.
 pub(super) struct Rung {
@@ -101,42 +66,9 @@ pub(super) fn load(path: &Path) -> anyhow::Result<Vec<Rung>> {
     Ok(rungs)
 }
 
-impl RungFile {
-    fn check(&self) -> anyhow::Result<()> {
-        if self.format != FORMAT {
-            bail!("format is {}, this program knows {FORMAT}", self.format);
-        }
-        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-' || letter == '_';
-        if self.name.is_empty() || !self.name.chars().all(is_plain) {
-            bail!("name is {:?}, expected letters, digits, - and _", self.name);
-        }
-        if self.scene.is_empty() {
-            bail!("no [[scene]]");
-        }
-        let mut frames = 0u64;
-        for scene in &self.scene {
-            let (first, last) = scene.seeds;
-            if first > last {
-                bail!("seeds are [{first}, {last}], expected the first one first");
-            }
-            if scene.frames == 0 {
-                bail!("frames is 0, expected 1 or more");
-            }
-            frames = frames.saturating_add((last - first).saturating_add(1).saturating_mul(scene.frames));
-        }
-        if frames > MOST_FRAMES {
-            bail!("{frames} frames, expected {MOST_FRAMES} at most");
-        }
-        Ok(())
-    }
-}
-
 impl Rung {
     fn load(path: &Path, scenes: &mut BTreeMap<PathBuf, Scene>) -> anyhow::Result<Self> {
-        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-        let file: RungFile =
-            toml::from_str(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
-        file.check().with_context(|| path.display().to_string())?;
+        let file = RungFile::load(path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut simulations = Vec::new();
         for of in &file.scene {

@@ -1,0 +1,108 @@
+//! Files of the rungs of a ladder: sets of simulated recordings that differ from training in one way each.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::RdmSpec;
+use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_sim::scene_file::BodyFile;
+use serde::Deserialize;
+
+use super::spec::{Body, BuildSpec, Simulated};
+
+/// Format of a rung's file.
+const FORMAT: u32 = 1;
+/// Most frames of a rung: a day at ten a second.
+pub const MOST_FRAMES: u64 = 864_000;
+
+/// A rung's file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RungFile {
+    format: u32,
+    /// Short name: letters, digits, `-` and `_`.
+    pub name: String,
+    /// One sentence that says how it differs from training.
+    pub about: String,
+    /// Scenes that are simulated.
+    pub scene: Vec<RungScene>,
+}
+
+/// Recordings of one scene.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RungScene {
+    /// Scene file, relative to the rung's file.
+    pub path: PathBuf,
+    /// First and last seed: a recording each.
+    pub seeds: (u64, u64),
+    /// People that the scene is forced to have at most; its own number if absent.
+    #[serde(default)]
+    pub people: Option<usize>,
+    /// Frames of a recording.
+    pub frames: u64,
+    /// Bodies of people, "ellipsoids" or "mesh"; those of the scene if absent.
+    #[serde(default)]
+    pub body: Option<BodyFile>,
+}
+
+impl RungFile {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a value is not valid.
+    pub fn load(path: &Path) -> anyhow::Result<Self> {
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        let file: RungFile =
+            toml::from_str(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
+        file.check().with_context(|| path.display().to_string())?;
+        Ok(file)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        if self.format != FORMAT {
+            bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-' || letter == '_';
+        if self.name.is_empty() || !self.name.chars().all(is_plain) {
+            bail!("name is {:?}, expected letters, digits, - and _", self.name);
+        }
+        if self.scene.is_empty() {
+            bail!("no [[scene]]");
+        }
+        let mut frames = 0u64;
+        for scene in &self.scene {
+            let (first, last) = scene.seeds;
+            if first > last {
+                bail!("seeds are [{first}, {last}], expected the first one first");
+            }
+            if scene.frames == 0 {
+                bail!("frames is 0, expected 1 or more");
+            }
+            frames = frames.saturating_add((last - first).saturating_add(1).saturating_mul(scene.frames));
+        }
+        if frames > MOST_FRAMES {
+            bail!("{frames} frames, expected {MOST_FRAMES} at most");
+        }
+        Ok(())
+    }
+
+    /// The rung as a dataset of all of its frames. Paths stay relative to the rung's file.
+    pub fn build_spec(self, map: RdmSpec) -> BuildSpec {
+        let simulated = self.scene.into_iter().map(|of| Simulated {
+            scene: of.path,
+            seeds: of.seeds,
+            people: of.people.into_iter().collect(),
+            frames: of.frames,
+            every: 1,
+            waveform: toml::Table::new(),
+            body: of.body.map(|body| match body {
+                BodyFile::Ellipsoids => Body::Ellipsoids,
+                BodyFile::Mesh => Body::Mesh,
+            }),
+            tolerance_db: None,
+            split: None,
+        });
+        BuildSpec::of_runs(map, simulated.collect())
+    }
+}
