@@ -26,7 +26,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { spec: path, array, dataset } = arguments;
     array.check()?;
     // What is wrong with the study is said here rather than by every task.
-    let (spec, source) = study::read(path)?;
+    let (spec, source, conditions) = study::read(path)?;
+    conditions.iter().try_for_each(|condition| condition.source(path).map(drop))?;
     let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();
     if trainings < array.tasks && !spec.leave_one_recording_out {
         eprintln!("there are {trainings} trainings for {} tasks: some will have nothing to do", array.tasks);

@@ -1,5 +1,6 @@
 //! `radome model study`.
 
+mod conditions;
 mod plan;
 
 use std::cell::RefCell;
@@ -9,12 +10,14 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
-use radome_models::study::{Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
+use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use radome_sim::bounded_file::named_by_spec;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::dataset::build::build;
+use self::conditions::{ConditionFile, Given};
+use crate::dataset::build::build_plan;
+use crate::dataset::plan::Plan;
 use crate::picture::plot;
 use crate::shard::Shard;
 use crate::{files, output};
@@ -30,6 +33,9 @@ pub struct Arguments {
     /// Dataset folder; made from the spec's `dataset` if not given
     #[arg(long)]
     dataset: Option<PathBuf>,
+    /// Dataset folder of a condition, which the spec may name or not: its maps are put to the models without training them again
+    #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
+    condition: Vec<Given>,
     /// Only part I of N of the trainings (from 0), in the same folder as the others; `auto/N` or `auto` takes I from a Slurm,
     /// HyperQueue or Kubernetes array. When all are done, --report-only writes the report
     #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
@@ -51,22 +57,26 @@ pub struct Arguments {
 pub struct StudyFile {
     /// Spec of a dataset to build, relative to the file, where no folder is given.
     dataset: PathBuf,
+    /// Other sets, which the models of trainings on all labels are put to without training them again.
+    #[serde(default)]
+    conditions: Vec<ConditionFile>,
     #[serde(flatten)]
     #[schemars(with = "StudySpec")]
     study: toml::Table,
 }
 
-/// Reads a study's file: the study, and the name of its dataset's spec.
+/// Reads a study's file: the study, the name of its dataset's spec, and its conditions.
 ///
 /// # Errors
 /// The file or one that it names cannot be read, or it is no study.
-pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf)> {
+pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     let file: StudyFile = toml::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
     spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;
-    Ok((spec, file.dataset))
+    conditions::check(&file.conditions)?;
+    Ok((spec, file.dataset, file.conditions))
 }
 
 /// Path of a file that a study names.
@@ -84,13 +94,17 @@ pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
 /// The spec or the dataset cannot be read, another process is at work in the folder, a training fails, or the report cannot be
 /// written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let (spec, source) = read(&arguments.spec)?;
+    let (spec, source, conditions) = read(&arguments.spec)?;
     output::catch_interrupts()?;
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let maps = match &arguments.dataset {
         Some(maps) => maps.clone(),
-        None => make_dataset(&arguments.spec, &source, folder.join("dataset"))?,
+        None => {
+            let maps = folder.join("dataset");
+            make_dataset(&maps, &source, || Plan::new(&named(&arguments.spec, &source)?, Shard::WHOLE))?;
+            maps
+        }
     };
     let dataset = Dataset::open(&maps)?;
     let Shard { index, count } = arguments.shard;
@@ -98,6 +112,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.plan {
         return plan::print(&study, arguments.json);
     }
+    let conditions = conditions::open(arguments, &conditions, dataset.header().rdm_spec)?;
+    let study = study.with_conditions(&conditions)?;
     let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
     if worked.as_ref().is_err_and(is_busy) {
         // The report is the other process's.
@@ -106,11 +122,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // What is done is reported, whatever else ended the work.
     let is_shard = count > 1 && !arguments.report_only;
     let reported = report(&study, folder, is_shard);
-    if let Ok((report, _)) = &reported
-        && report.done < report.planned
-    {
+    if let Ok((report, _)) = &reported {
         let next = if is_shard { "when all shards are, --report-only reports" } else { "the same command carries on" };
-        eprintln!("{} of {} trainings are done; {next}", report.done, report.planned);
+        if report.done < report.planned {
+            eprintln!("{} of {} trainings are done; {next}", report.done, report.planned);
+        }
+        let (judged, planned) = conditions::count(report);
+        if judged < planned {
+            eprintln!("{judged} of {planned} scores under conditions are done; {next}");
+        }
     }
     worked?;
     let (report, times) = reported?;
@@ -120,25 +140,29 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::text_line(&format!("{}\n{}", report.markdown(), times.markdown()))
 }
 
-/// Builds the study's dataset, unless it is there. Where another process builds it, such as another shard, waits for that.
-fn make_dataset(study: &Path, source: &Path, maps: PathBuf) -> anyhow::Result<PathBuf> {
+/// Makes a dataset by the plan of the spec `source`, unless it is there. Where another process makes it, such as another shard, waits
+/// for that.
+fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
     const WAIT: Duration = Duration::from_millis(500);
-    let is_made = || maps.join("dataset.json").exists();
     let mut is_told = false;
-    while !is_made() {
-        let source = named(study, source)?;
+    while !is_dataset(maps) {
+        let plan = plan()?;
         if !std::mem::replace(&mut is_told, true) {
             eprintln!("building {} from {}", maps.display(), source.display());
         }
-        match build(&source, &maps, None) {
+        match build_plan(&plan, maps, None) {
             Ok(_) => break,
             // Another process has made it since.
-            Err(_) if is_made() => break,
+            Err(_) if is_dataset(maps) => break,
             Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
             Err(error) => return Err(error),
         }
     }
-    Ok(maps)
+    Ok(())
+}
+
+fn is_dataset(folder: &Path) -> bool {
+    folder.join("dataset.json").exists()
 }
 
 /// Whether an error says that another process is at work in a folder.
@@ -165,19 +189,29 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     // Who reads no more of it wants no more of it.
     let trouble = RefCell::new(None);
     let goes_on = || !output::interrupted() && trouble.borrow().is_none();
-    let worked = study.run(&goes_on, &mut |progress| match progress {
-        Progress::Job(job, index, count) => {
+    let worked = study.run(&goes_on, &mut |progress| {
+        let begin = |index: usize, count: usize, what: String| {
             bar.set_length(count as u64);
             bar.set_position(index as u64 - 1);
-            bar.set_message(format!("{} seed {} of {:.0} % ", job.variant, job.seed, 100.0 * job.label_fraction));
-        }
-        Progress::Epoch(_) => bar.tick(),
-        Progress::Done(outcome) => {
-            bar.inc(1);
-            let said = bar.suspend(|| if json { output::json_line(outcome) } else { told(outcome) });
-            let mut trouble = trouble.borrow_mut();
-            *trouble = trouble.take().or(said.err());
-        }
+            bar.set_message(what);
+        };
+        let said = match progress {
+            Progress::Job(job, index, count) => {
+                let labels = 100.0 * job.label_fraction;
+                begin(index, count, format!("{} seed {} of {labels:.0} % ", job.variant, job.seed));
+                return;
+            }
+            Progress::Judging(job, condition, index, count) => {
+                begin(index, count, format!("{} seed {} on {condition} ", job.variant, job.seed));
+                return;
+            }
+            Progress::Epoch(_) => return bar.tick(),
+            Progress::Done(outcome) => bar.suspend(|| if json { output::json_line(outcome) } else { told(outcome) }),
+            Progress::Judged(of) => bar.suspend(|| if json { output::json_line(of) } else { told_judgement(of) }),
+        };
+        bar.inc(1);
+        let mut trouble = trouble.borrow_mut();
+        *trouble = trouble.take().or(said.err());
     });
     bar.finish_and_clear();
     worked?;
@@ -204,6 +238,16 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
         job.seed,
         outcome.training_seconds
     );
+    Ok(())
+}
+
+fn told_judgement(judgement: &Judgement) -> anyhow::Result<()> {
+    let Judgement { job, condition, metrics, .. } = judgement;
+    let what = match metrics {
+        Some(metrics) => format!("balanced accuracy {:.3} of {} maps", metrics.balanced_accuracy, metrics.samples),
+        None => "its training failed".to_owned(),
+    };
+    eprintln!("{} rate {} seed {} on {condition}: {what}", job.variant, job.learning_rate, job.seed);
     Ok(())
 }
 

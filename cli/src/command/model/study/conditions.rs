@@ -1,0 +1,210 @@
+//! Conditions of a study: how its file names them, and their datasets, which are built like the study's own or given.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use anyhow::{Context, bail};
+use radome_dsp::RdmSpec;
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::dataset::Dataset;
+use radome_models::study::{Condition, Report, condition_file_name};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::json;
+
+use super::{Arguments, is_dataset, make_dataset, named};
+use crate::dataset::plan::Plan;
+use crate::dataset::rung::RungFile;
+use crate::dataset::spec::BuildSpec;
+use crate::files;
+use crate::shard::Shard;
+
+/// Another set that the trained models are put to.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ConditionFile {
+    /// Name in the report.
+    name: String,
+    /// Heading of its table in the report; conditions without one share a table.
+    #[serde(default)]
+    group: Option<String>,
+    /// Spec of its dataset, relative to the study's file.
+    #[serde(default)]
+    dataset: Option<PathBuf>,
+    /// Instead of a dataset: a rung of a ladder, relative to the study's file. Its maps are made as the study's are.
+    #[serde(default)]
+    ladder: Option<PathBuf>,
+    /// Another `raw_snr_db` than the dataset's: thermal noise on the raw samples, dB.
+    #[serde(default)]
+    raw_snr_db: Option<f64>,
+}
+
+/// Name of a condition with the folder of its dataset: `NAME=DIR`.
+#[derive(Debug, Clone)]
+pub struct Given {
+    name: String,
+    folder: PathBuf,
+}
+
+impl FromStr for Given {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            Some((name, folder)) if !folder.is_empty() => {
+                condition_file_name(name).map_err(|error| error.to_string())?;
+                Ok(Given { name: name.to_owned(), folder: PathBuf::from(folder) })
+            }
+            _ => Err("expected NAME=DIR, such as office=out/office".to_owned()),
+        }
+    }
+}
+
+/// Checks the conditions of a study's file.
+///
+/// # Errors
+/// A name cannot be one of a file, occurs twice, or has no source or two.
+pub(super) fn check(files: &[ConditionFile]) -> anyhow::Result<()> {
+    let mut names = BTreeSet::new();
+    for file in files {
+        if !names.insert(condition_file_name(&file.name)?.to_ascii_lowercase()) {
+            bail!("two conditions are called '{}', but for signs that file names cannot hold", file.name);
+        }
+        if file.dataset.is_some() == file.ladder.is_some() {
+            bail!("condition '{}': expected one of `dataset` and `ladder`", file.name);
+        }
+    }
+    Ok(())
+}
+
+impl ConditionFile {
+    /// Path of the spec or rung that it names.
+    ///
+    /// # Errors
+    /// There is no such file, or it lies where a study's files may not be.
+    pub fn source(&self, study: &Path) -> anyhow::Result<PathBuf> {
+        named(study, self.named_source())
+    }
+
+    fn named_source(&self) -> &Path {
+        self.dataset.as_ref().or(self.ladder.as_ref()).map_or(Path::new(""), PathBuf::as_path)
+    }
+
+    fn plan(&self, study: &Path, map: RdmSpec) -> anyhow::Result<Plan> {
+        let path = self.source(study)?;
+        let spec = match self.ladder {
+            Some(_) => RungFile::load(&path)?.build_spec(map),
+            None => BuildSpec::load(&path)?,
+        };
+        let spec = spec.with_raw_snr_db(self.raw_snr_db).with_context(|| path.display().to_string())?;
+        Plan::of_spec(spec, &path, Shard::WHOLE)
+    }
+
+    /// Builds its dataset in a folder of `conditions`, unless it is there. The settings lie beside it, so that a change of them is
+    /// noticed.
+    fn make(&self, study: &Path, conditions: &Path, map: RdmSpec) -> anyhow::Result<()> {
+        let name = condition_file_name(&self.name)?;
+        let (maps, card) = (conditions.join(&name), conditions.join(format!("{name}.json")));
+        let settings = json!({ "dataset": self.dataset, "ladder": self.ladder, "raw_snr_db": self.raw_snr_db });
+        let settings = format!("{settings:#}\n");
+        if !is_dataset(&maps) {
+            files::write_atomically(&card, |file| Ok(std::io::Write::write_all(file, settings.as_bytes())?))?;
+        } else if read_text(&card, TEXT_LIMIT_BYTES).is_ok_and(|found| found != settings) {
+            bail!(
+                "{} was built from other settings, which are in {}\n\nhint: remove the folder to build it anew, or give the \
+                 condition another name",
+                maps.display(),
+                card.display()
+            );
+        }
+        make_dataset(&maps, self.named_source(), || self.plan(study, map))
+    }
+}
+
+/// Opens the datasets of all conditions: those of the study's file in its order, and then those of `--condition` that it does not
+/// name. Builds those that are absent, unless there is to be no work: then they are left out.
+///
+/// # Errors
+/// A dataset cannot be built or read, or `--condition` gives a name twice.
+pub(super) fn open(arguments: &Arguments, files: &[ConditionFile], map: RdmSpec) -> anyhow::Result<Vec<Condition>> {
+    let folder = arguments.output.join("conditions");
+    let mut names = BTreeSet::new();
+    if let Some(twice) = arguments.condition.iter().find(|given| !names.insert(&given.name)) {
+        bail!("--condition '{}' is given twice", twice.name);
+    }
+    let given = |name: &str| arguments.condition.iter().find(|given| given.name == name);
+    let absent: Vec<&ConditionFile> = files.iter().filter(|file| given(&file.name).is_none()).collect();
+    if !arguments.report_only && !absent.is_empty() {
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        // Each shard begins with another one, so that they do not wait for each other.
+        for file in absent.iter().cycle().skip(arguments.shard.index % absent.len()).take(absent.len()) {
+            file.make(&arguments.spec, &folder, map).with_context(|| format!("condition '{}'", file.name))?;
+        }
+    }
+    let mut conditions = Vec::new();
+    for file in files {
+        let maps = match given(&file.name) {
+            Some(given) => given.folder.clone(),
+            None => folder.join(condition_file_name(&file.name)?),
+        };
+        if arguments.report_only && given(&file.name).is_none() && !is_dataset(&maps) {
+            eprintln!("condition '{}' is left out: its dataset is not built yet", file.name);
+            continue;
+        }
+        conditions.push(condition(&file.name, file.group.as_deref(), &maps)?);
+    }
+    for given in &arguments.condition {
+        if !files.iter().any(|file| file.name == given.name) {
+            conditions.push(condition(&given.name, None, &given.folder)?);
+        }
+    }
+    Ok(conditions)
+}
+
+fn condition(name: &str, group: Option<&str>, maps: &Path) -> anyhow::Result<Condition> {
+    let dataset = Dataset::open(maps).with_context(|| format!("condition '{name}'"))?;
+    Ok(Condition::new(name, group, dataset)?)
+}
+
+/// Number of models that were judged under conditions, and of those that are to be.
+pub(super) fn count(report: &Report) -> (usize, usize) {
+    let conditions = || report.conditions.iter();
+    (conditions().map(|of| of.done).sum(), conditions().map(|of| of.planned).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn conditions_that_cannot_be_made_are_refused() {
+            let refused = |text: &str, expected: &str| {
+                #[derive(Deserialize)]
+                struct Files {
+                    conditions: Vec<ConditionFile>,
+                }
+                let files = toml::from_str::<Files>(text).expect("conditions").conditions;
+                let error = check(&files).expect_err(text).to_string();
+                assert!(error.contains(expected), "{text}: {error}");
+            };
+            refused("conditions = [{ name = \"a\" }]", "one of `dataset` and `ladder`");
+            refused(
+                "conditions = [{ name = \"a\", dataset = \"b\", ladder = \"c\" }]",
+                "one of `dataset` and `ladder`",
+            );
+            refused("conditions = [{ name = \"\", dataset = \"b\" }]", "name of a condition");
+            refused(
+                "conditions = [{ name = \"a 1\", dataset = \"b\" }, { name = \"A_1\", dataset = \"b\" }]",
+                "two conditions are called 'A_1'",
+            );
+            for text in ["office", "=out", "office=", "|=out"] {
+                assert!(Given::from_str(text).is_err(), "{text}");
+            }
+            assert_eq!(Given::from_str("a b=c=d").expect("a folder").folder, Path::new("c=d"));
+        }
+    }
+}
