@@ -1,16 +1,45 @@
 //! Studies on made-up maps: shards, interruptions, failures.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::SystemTime;
 
+use radome_dsp::{MapFlags, Rdm};
 use radome_models::dataset::{DatasetError, lock_folder};
-use radome_models::study::{Outcome, Progress, Report, Study, StudyError, StudySpec, Variant};
+use radome_models::study::{Condition, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant};
 use radome_models::{Dataset, TrainSpec};
 
 use crate::support::{Maps, dataset};
 
 /// Few small maps with strong targets.
+const FEW: Maps = Maps { seed: 1, size: 32, sequences: [6, 2, 2], length: 3, snr_db: (20.0, 30.0) };
+
 fn maps() -> Dataset {
-    dataset(Maps { size: 32, sequences: [6, 2, 2], length: 3, snr_db: (20.0, 30.0), ..Maps::default() })
+    dataset(FEW)
+}
+
+fn condition(name: &str, dataset: Dataset) -> Condition {
+    Condition::new(name, Some("Group"), dataset).expect("a condition")
+}
+
+/// The same sequences, frames and labels with targets of another strength.
+fn weaker(snr_db: f64) -> Condition {
+    condition("weaker", dataset(Maps { snr_db: (snr_db, snr_db + 10.0), ..FEW }))
+}
+
+/// Maps of sequences that no training has seen.
+fn strangers() -> Condition {
+    let maps = dataset(Maps { seed: 2, ..FEW });
+    let header = maps.header().clone();
+    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
+    let stranger = |index: usize| {
+        let mut row = maps.rows()[index].clone();
+        row.sequence = format!("stranger {}", row.sequence);
+        let (shape, db, flags) = (header.shape, maps.map(index).expect("a map"), MapFlags::default());
+        (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: row.frame, flags }, row)
+    };
+    let all = (0..maps.len()).map(stranger).collect();
+    condition("strangers", Dataset::from_maps(header.clone(), all).expect("dataset"))
 }
 
 fn variant(name: &str) -> Variant {
@@ -53,6 +82,36 @@ fn run(spec: &StudySpec, maps: &Dataset, folder: &Path, shard: (usize, usize)) -
     trained
 }
 
+/// Runs a shard with conditions; returns the numbers of trainings and of models that it judged, and the report.
+fn judge(
+    spec: &StudySpec,
+    maps: &Dataset,
+    folder: &Path,
+    shard: (usize, usize),
+    conditions: &[Condition],
+) -> ([usize; 2], Report) {
+    let mut counts = [0, 0];
+    let study = Study::open(spec, maps, folder, shard).expect("opens").with_conditions(conditions).expect("like maps");
+    let ran = study.run(&|| true, &mut |progress| match progress {
+        Progress::Done(_) => counts[0] += 1,
+        Progress::Judged(_) => counts[1] += 1,
+        _ => {}
+    });
+    ran.expect("runs");
+    (counts, study.report().expect("a report"))
+}
+
+/// Bytes and times of the files in a folder, by name.
+fn files(folder: &Path) -> BTreeMap<String, (Vec<u8>, SystemTime)> {
+    let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
+    let content = |entry: std::fs::DirEntry| {
+        let changed = entry.metadata().and_then(|metadata| metadata.modified()).expect("a time");
+        let bytes = std::fs::read(entry.path()).expect("a file");
+        (entry.file_name().to_string_lossy().into_owned(), (bytes, changed))
+    };
+    entries.map(content).collect()
+}
+
 fn report(spec: &StudySpec, maps: &Dataset, folder: &Path) -> Report {
     Study::open(spec, maps, folder, (0, 1)).expect("opens").report().expect("a report")
 }
@@ -86,6 +145,77 @@ fn shards_in_any_order_make_the_report_of_one_run() {
     });
     assert_eq!(counts.iter().sum::<usize>(), 10, "{counts:?}");
     assert_eq!(bytes(&report(spec, maps, together)), bytes(&whole));
+}
+
+/// The models of all labels are kept, each by the name of its outcome, and the report tells every epoch.
+#[test]
+fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
+    let (maps, spec) = (maps(), spec());
+    let folder = tempfile::tempdir().expect("a folder");
+    run(&spec, &maps, folder.path(), (0, 1));
+    let [results, models] = ["results", "models"].map(|part| files(&folder.path().join(part)));
+    assert_eq!((results.len(), models.len()), (10, 6));
+    for (name, (text, _)) in results {
+        let outcome: Outcome = serde_json::from_slice(&text).expect("an outcome");
+        let model = name.replace(".json", ".safetensors");
+        assert_eq!(models.contains_key(&model), outcome.job.label_fraction == 1.0, "{name}");
+        assert_eq!(outcome.curve.len(), spec.train.epochs, "{name}");
+    }
+    for cell in report(&spec, &maps, folder.path()).cells {
+        let epochs: Vec<usize> = cell.curve.iter().map(|point| point.epoch).collect();
+        assert_eq!(epochs, [1, 2], "{}", cell.variant);
+        assert!(cell.curve.iter().all(|point| point.validation.is_some_and(|of| of.count == 2)), "{cell:?}");
+    }
+}
+
+/// A study that is whole gets conditions: no file of a training changes. A dataset that changes is judged anew, and no other.
+#[test]
+fn conditions_are_judged_without_training_again() {
+    let (maps, spec) = (maps(), spec());
+    let folder = tempfile::tempdir().expect("a folder");
+    run(&spec, &maps, folder.path(), (0, 1));
+    let kept = || ["results", "models"].map(|part| files(&folder.path().join(part)));
+    let before = kept();
+    let mut conditions = vec![condition("same", dataset(FEW)), weaker(0.0), strangers()];
+    let (counts, report) = judge(&spec, &maps, folder.path(), (0, 1), &conditions);
+    // Two networks, two seeds, three conditions.
+    assert_eq!(counts, [0, 12]);
+    assert!(kept() == before, "files of trainings were written again");
+    // The test split of the same sequences, and all strangers.
+    let of_maps: Vec<usize> = report.conditions.iter().map(|condition| condition.maps).collect();
+    assert_eq!(of_maps, [18, 18, 90]);
+    assert!(report.conditions.iter().all(|condition| (condition.done, condition.planned) == (4, 4)), "{report:?}");
+    for cell in report.cells.iter().filter(|cell| cell.label_fraction == 1.0) {
+        let of = |index: usize| report.conditions[index].cells.iter().find(|of| of.variant == cell.variant);
+        let same = of(0).expect("a cell");
+        assert_eq!((same.balanced_accuracy, same.confusion), (cell.test, cell.confusion));
+    }
+    assert!(report.markdown().contains("## Group\n") && report.markdown().contains("| same | weaker | strangers |"));
+
+    conditions[1] = weaker(-10.0);
+    let (counts, again) = judge(&spec, &maps, folder.path(), (0, 1), &conditions);
+    assert_eq!(counts, [0, 4]);
+    assert_ne!(again.conditions[1].dataset_hash, report.conditions[1].dataset_hash);
+    assert_eq!([&again.conditions[0], &again.conditions[2]], [&report.conditions[0], &report.conditions[2]]);
+    assert_eq!(judge(&spec, &maps, folder.path(), (0, 1), &conditions), ([0, 0], again));
+}
+
+#[test]
+fn shards_judge_conditions_to_the_report_of_one_run() {
+    let (maps, spec, conditions) = (maps(), spec(), [weaker(0.0), strangers()]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (counts, whole) = judge(&spec, &maps, &at("whole"), (0, 1), &conditions);
+    assert_eq!(counts, [10, 8]);
+    let apart = [2, 0, 1].map(|index| judge(&spec, &maps, &at("apart"), (index, 3), &conditions));
+    let sum = |of: usize| apart.iter().map(|(counts, _)| counts[of]).sum::<usize>();
+    assert_eq!([sum(0), sum(1)], [10, 8]);
+    assert_eq!(bytes(&apart[2].1), bytes(&whole));
+    // Added afterwards, by shards.
+    run(&spec, &maps, &at("after"), (0, 1));
+    let after = [1, 0].map(|index| judge(&spec, &maps, &at("after"), (index, 2), &conditions));
+    assert_eq!(after.iter().map(|(counts, _)| counts[1]).sum::<usize>(), 8);
+    assert_eq!(bytes(&after[1].1), bytes(&whole));
 }
 
 #[test]
@@ -180,6 +310,68 @@ mod hard_cases {
         assert!(all.cells.iter().all(|cell| cell.learning_rate == 1e-3 && cell.done == 2), "{all:?}");
         let lost = all.failures.iter().filter(|failure| failure.job.learning_rate == 1e30);
         assert_eq!(lost.filter(|failure| failure.reason.contains("not finite")).count(), 2, "{all:?}");
+    }
+
+    /// A training that diverged has no model: it counts as chance under every condition.
+    #[test]
+    fn a_training_that_diverged_is_chance_under_conditions() {
+        let maps = maps();
+        let mut spec = StudySpec { learning_rates: vec![1e30], label_fractions: vec![1.0], ..spec() };
+        spec.train.warm_up_steps = 1;
+        let folder = tempfile::tempdir().expect("a folder");
+        let (counts, report) = judge(&spec, &maps, folder.path(), (0, 1), &[strangers()]);
+        assert_eq!(counts, [4, 4]);
+        for cell in &report.conditions[0].cells {
+            let accuracy = cell.balanced_accuracy.expect("chance");
+            assert!(cell.done == 2 && (accuracy.mean - 1.0 / 3.0).abs() < 1e-12, "{cell:?}");
+            assert_eq!(cell.confusion.iter().flatten().sum::<u64>(), 0);
+        }
+    }
+
+    fn open<'a>(
+        spec: &'a StudySpec,
+        maps: &'a Dataset,
+        folder: &Path,
+        conditions: &'a [Condition],
+    ) -> Result<Study<'a>, StudyError> {
+        Study::open(spec, maps, folder, (0, 1))?.with_conditions(conditions)
+    }
+
+    #[test]
+    fn conditions_that_models_cannot_judge_are_refused_by_name() {
+        let (maps, spec) = (maps(), StudySpec { seeds: vec![1], learning_rates: Vec::new(), ..spec() });
+        let folder = tempfile::tempdir().expect("a folder");
+        let larger = [condition("larger", dataset(Maps { size: 64, ..FEW }))];
+        let error = open(&spec, &maps, folder.path(), &larger).err().expect("another shape");
+        assert!(matches!(&error, StudyError::Maps { condition, .. } if condition == "larger"), "{error}");
+        assert!(error.to_string().contains("condition 'larger': its maps are "), "{error}");
+        let twice = [condition("a b", dataset(FEW)), condition("A_b", dataset(FEW))];
+        let error = open(&spec, &maps, folder.path(), &twice).err().expect("one name in files").to_string();
+        assert!(error.contains("'A_b'"), "{error}");
+
+        // A set of what the networks were trained on says nothing of them.
+        let seen = [condition("seen", dataset(Maps { sequences: [6, 2, 0], ..FEW }))];
+        let error = open(&spec, &maps, folder.path(), &seen)
+            .expect("like maps")
+            .run(&|| true, &mut |_| {})
+            .expect_err("nothing to judge by");
+        assert!(matches!(&error, StudyError::NothingUnseen { condition } if condition == "seen"), "{error}");
+
+        // Of a study that was run before models were kept.
+        let strange = [strangers()];
+        std::fs::remove_file(folder.path().join("models/hqnn-1-0.001-1.safetensors")).expect("removed");
+        let error = open(&spec, &maps, folder.path(), &strange)
+            .expect("like maps")
+            .run(&|| true, &mut |_| {})
+            .expect_err("no model");
+        assert!(matches!(&error, StudyError::NoModel { .. }), "{error}");
+        assert!(error.to_string().contains("remove ") && error.to_string().contains("hqnn-1-0.001-1.json"), "{error}");
+
+        let half = StudySpec { label_fractions: vec![0.5], ..spec.clone() };
+        let other = tempfile::tempdir().expect("a folder");
+        let study = Study::open(&half, &maps, other.path(), (0, 1)).expect("opens");
+        let error = study.with_conditions(&strange).err().expect("no model of all labels").to_string();
+        assert!(error.contains("label_fractions"), "{error}");
     }
 
     /// A whole run keeps all others out; shards keep whole runs out.
