@@ -1,9 +1,11 @@
 //! Studies in several processes: shards, kills, folders in use, plans and the script of a cluster.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
+use radome_models::Dataset;
 use radome_tests::{failure, fixture, json_lines, radome};
 
 use super::learning::maps;
@@ -49,7 +51,33 @@ impl Place {
     fn report(&self, name: &str) -> (String, String) {
         report(&self.at(name))
     }
+
+    /// Writes the study's file again, with conditions, and beside it the spec of its maps.
+    fn add_conditions(&self, study: &str, conditions: &str) {
+        let text = study.replace("[train]", &format!("conditions = [{conditions}]\n[train]"));
+        std::fs::write(self.at("study.toml"), text).expect("writable");
+        std::fs::copy(maps().with_file_name("maps.toml"), self.at("maps.toml")).expect("copied");
+    }
+
+    /// Content and times of the outcomes and models of trainings.
+    fn trainings(&self, name: &str) -> BTreeMap<PathBuf, (Vec<u8>, SystemTime)> {
+        let folders = ["results", "models"].map(|part| self.at(name).join(part));
+        let entries = folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
+        let content = |path: PathBuf| {
+            let changed = path.metadata().and_then(|metadata| metadata.modified()).expect("a time");
+            (path.clone(), (std::fs::read(&path).expect("a file"), changed))
+        };
+        entries.map(|entry| content(entry.expect("an entry").path())).collect()
+    }
 }
+
+/// Six trainings: three networks with two shares of the labels.
+fn few() -> String {
+    STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]").replace("learning_rates = [1e-3, 1e-2]\n", "")
+}
+
+/// Thermal noise on the raw samples, of the same power as the signal.
+const NOISE: &str = "{ name = \"noise +0 dB\", group = \"Noise\", dataset = \"maps.toml\", raw_snr_db = 0.0 }";
 
 /// The written report of a study.
 pub fn report(folder: &Path) -> (String, String) {
@@ -100,6 +128,65 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
     assert_eq!(merged.last(), told.last());
     assert_eq!(place.report("shards"), place.report("whole"));
     assert!(place.at("shards/times.md").exists());
+}
+
+/// Conditions are added to a study that is whole: nothing is trained again. Shards come to the same report.
+#[test]
+fn conditions_are_added_without_training_again() {
+    let place = Place::new(&few());
+    json_lines(&mut place.study("whole"));
+    let before = place.trainings("whole");
+    // Six outcomes, and the models of three.
+    assert_eq!(before.len(), 6 + 3);
+
+    place.add_conditions(&few(), NOISE);
+    let same = format!("same={}", maps().display());
+    let judge = |name: &str| {
+        let mut command = place.study(name);
+        command.args(["--condition", &same]);
+        command
+    };
+    let told = json_lines(&mut judge("whole"));
+    // Three networks under two conditions, and the report.
+    assert_eq!(told.len(), 3 * 2 + 1);
+    assert!(place.trainings("whole") == before, "trainings were done or written again");
+    let report = told.last().expect("a report");
+    let [noise, same] = [0usize, 1].map(|index| &report["conditions"][index]);
+    assert_eq!((noise["group"].as_str(), same["group"].as_str()), (Some("Noise"), None));
+    for cell in same["cells"].as_array().expect("cells") {
+        let is_same =
+            |clean: &&serde_json::Value| clean["variant"] == cell["variant"] && clean["label_fraction"] == 1.0;
+        let clean = report["cells"].as_array().expect("cells").iter().find(is_same).expect("the clean one");
+        assert_eq!((&cell["balanced_accuracy"], &cell["confusion"]), (&clean["test"], &clean["confusion"]));
+    }
+    assert_eq!(noise["maps"], same["maps"]);
+    let markdown = place.report("whole").0;
+    assert!(
+        markdown.contains("## Noise\n") && markdown.contains("| network | test split | noise +0 dB |"),
+        "{markdown}"
+    );
+
+    // Noise changes maps and nothing else.
+    let open = |path: &Path| Dataset::open(path).expect("a dataset");
+    let (clean, noisy) = (open(maps()), open(&place.at("whole/conditions/noise_+0_dB")));
+    let known = |dataset: &Dataset| {
+        let row = |row: &radome_models::dataset::ManifestRow| (row.sequence.clone(), row.frame, row.label, row.split);
+        dataset.rows().iter().map(row).collect::<Vec<_>>()
+    };
+    assert_eq!(known(&clean), known(&noisy));
+    assert!(clean.rows().iter().zip(noisy.rows()).all(|(clean, noisy)| clean.hash != noisy.hash));
+
+    // Nothing is left to do, and shards do the same.
+    assert_eq!(json_lines(&mut judge("whole")).len(), 1);
+    for mut shard in ["0/2", "1/2"].map(|shard| {
+        let mut command = judge("shards");
+        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().expect("starts")
+    }) {
+        assert!(shard.wait().expect("ends").success());
+    }
+    json_lines(judge("shards").arg("--report-only"));
+    assert_eq!(place.report("shards"), place.report("whole"));
 }
 
 #[test]
@@ -165,6 +252,48 @@ mod hard_cases {
         let told = json_lines(&mut place.study("killed"));
         assert_eq!(told.len(), 9 - done + 1, "{done} were done");
         assert_eq!(place.report("killed"), place.report("whole"));
+    }
+
+    #[test]
+    fn conditions_that_cannot_be_judged_are_said_by_name() {
+        let place = Place::new(&few());
+        let wide = std::fs::read_to_string(maps().with_file_name("maps.toml")).expect("a spec");
+        let wide = wide.replace("[map]", "[map]\nrange_fft_length = 256").replace("seeds = [1, 8]", "seeds = [1, 1]");
+        std::fs::write(place.at("wide.toml"), wide.replace("every = 5", "every = 55")).expect("writable");
+        json_lines(
+            radome().args(["dataset", "build", "--json"]).arg(place.at("wide.toml")).arg("-o").arg(place.at("wide")),
+        );
+        let given = format!("office={}", place.at("wide").display());
+        let said = failure(place.study("study").args(["--condition", &given]));
+        assert!(said.contains("condition 'office': its maps are") && said.contains("hint: "), "{said}");
+        assert_eq!(progress(&place.at("study")), [0, 0], "said before the first training");
+
+        for (conditions, expected) in [
+            ("{ name = \"a\" }", "condition 'a': expected one of `dataset` and `ladder`"),
+            ("{ name = \"a\", dataset = \"none.toml\" }", "condition 'a'"),
+            ("{ name = \"a\", dataset = \"maps.toml\", raw_snr_db = inf }", "raw_snr_db is inf"),
+            ("{ name = \"a\", dataset = \"maps.toml\", snr = 3 }", "snr"),
+        ] {
+            place.add_conditions(&few(), conditions);
+            let said = failure(&mut place.study("study"));
+            assert!(said.contains(expected), "{conditions}: {said}");
+        }
+        // No work, no dataset: the condition is left out of the report.
+        place.add_conditions(&few(), NOISE);
+        let report = json_lines(place.study("study").arg("--report-only")).remove(0);
+        assert_eq!(report["conditions"].as_array().map(Vec::len), Some(0), "{report}");
+    }
+
+    /// A dataset that was built stays what its condition was then.
+    #[test]
+    fn another_ratio_under_the_same_name_is_refused() {
+        let place = Place::new(&few());
+        let few = few().replace(", { name = \"estimator_matched\" }, { name = \"dequantization\" }", "");
+        place.add_conditions(&few, NOISE);
+        json_lines(&mut place.study("study"));
+        place.add_conditions(&few, &NOISE.replace("raw_snr_db = 0.0", "raw_snr_db = 3.0"));
+        let said = failure(&mut place.study("study"));
+        assert!(said.contains("noise_+0_dB") && said.contains("built from other settings"), "{said}");
     }
 
     /// The second run into one folder says so; reports are given all the same.

@@ -175,7 +175,49 @@ pub(super) fn count(report: &Report) -> (usize, usize) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::read;
     use super::*;
+
+    fn fixture(name: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures").join(name)
+    }
+
+    /// Every rung of the ladder gives maps for models of rooms, each frame of each recording one.
+    #[test]
+    fn strangers_are_put_to_the_whole_ladder() {
+        let study = fixture("studies/strangers.toml");
+        let (_, _, conditions) = read(&study).expect("a study");
+        let rungs =
+            std::fs::read_dir(fixture("ladder")).expect("a folder").map(|entry| entry.expect("an entry").path());
+        let rungs: BTreeSet<PathBuf> = rungs.filter(|path| path.extension().is_some_and(|e| e == "toml")).collect();
+        let named: Vec<PathBuf> = conditions.iter().filter_map(|condition| condition.ladder.clone()).collect();
+        let found: BTreeSet<PathBuf> =
+            named.iter().filter_map(|path| path.file_name()).map(|n| fixture("ladder").join(n)).collect();
+        assert_eq!(found, rungs);
+        let map = BuildSpec::load(&fixture("datasets/rooms.toml")).expect("a dataset").map;
+        for condition in conditions {
+            let plan = condition.plan(&study, map).expect("a plan");
+            assert_eq!(plan.header.rdm_spec, map, "{}", condition.name);
+            assert!((3..=16).contains(&plan.units.len()), "{}: {} runs", condition.name, plan.units.len());
+        }
+    }
+
+    /// The noise of the paper's study is on its own frames: names and number of the runs are those without noise.
+    #[test]
+    fn thermal_noise_is_on_the_frames_of_the_study() {
+        let study = fixture("studies/paper.toml");
+        let (spec, dataset, conditions) = read(&study).expect("a study");
+        let clean = Plan::new(&named(&study, &dataset).expect("a spec"), Shard::WHOLE).expect("a plan");
+        let names = |plan: &Plan| plan.units.iter().map(|unit| unit.sequence.clone()).collect::<Vec<_>>();
+        let mut ratios = Vec::new();
+        for condition in conditions {
+            let plan = condition.plan(&study, clean.header.rdm_spec).expect("a plan");
+            assert_eq!(names(&plan), names(&clean));
+            assert!(clean.card.difference(&plan.card).is_some_and(|what| what.contains("another spec")));
+            ratios.extend(plan.card.spec.raw_snr_db);
+        }
+        assert_eq!(ratios, spec.snr_db);
+    }
 
     mod hard_cases {
         use super::*;
