@@ -53,6 +53,7 @@ def test_a_fixture_is_what_its_schema_says(path):
         ("datasets/room-cnn-training.toml", ["smoothing"]),
         ("studies/circuits.toml", []),
         ("studies/circuits.toml", ["train"]),
+        ("studies/strangers.toml", ["conditions", 0]),
     ],
 )
 def test_a_wrong_key_is_refused(name, table):
