@@ -98,8 +98,10 @@ fn table(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String 
 
 /// The table or plot that a mark names.
 fn block(study: &str, kind: &str, way: &str) -> String {
-    if kind == "studies" {
-        return studies(way);
+    match kind {
+        "studies" => return studies(way),
+        "gradients" => return gradients(study),
+        _ => {}
     }
     let Some(of) = report(study) else { return format!("Not run yet: `fixtures/studies/remake {study}`.") };
     if kind.ends_with(".svg") {
@@ -177,6 +179,23 @@ fn studies(way: &str) -> String {
         vec![format!("`{name}`"), title.to_owned(), done, failed, state]
     };
     table(&["study", "title", "trainings", "failed", "report"], names.iter().map(row))
+}
+
+/// What `radome bench trainability` found, by qubits and depth.
+fn gradients(study: &str) -> String {
+    let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else {
+        return format!("Not run yet: `fixtures/studies/remake {study}`.");
+    };
+    let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
+    let row = |row: &serde_json::Value| {
+        let squares =
+            ["angle_gradient_square", "input_gradient_square"].map(|key| row[key].as_f64().expect("a number"));
+        [row["depth"].to_string(), row["qubits"].to_string()]
+            .into_iter()
+            .chain(squares.map(|of| format!("{of:.2e}")))
+            .collect()
+    };
+    table(&["depth", "qubits", "by angles", "by inputs"], rows.iter().map(row))
 }
 
 /// Length of the figure that a text begins with: `0.779`, `0.779 ± 0.006`.
