@@ -187,13 +187,10 @@ fn gradients(study: &str) -> String {
         return format!("Not run yet: `fixtures/studies/remake {study}`.");
     };
     let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
-    let row = |row: &serde_json::Value| {
-        let squares =
-            ["angle_gradient_square", "input_gradient_square"].map(|key| row[key].as_f64().expect("a number"));
-        [row["depth"].to_string(), row["qubits"].to_string()]
-            .into_iter()
-            .chain(squares.map(|of| format!("{of:.2e}")))
-            .collect()
+    let row = |row: &serde_json::Value| -> Vec<String> {
+        let square = |key: &str| format!("{:.2e}", row[key].as_f64().expect("a number"));
+        let counts = ["depth", "qubits"].map(|key| row[key].to_string());
+        counts.into_iter().chain(["angle_gradient_square", "input_gradient_square"].map(square)).collect()
     };
     table(&["depth", "qubits", "by angles", "by inputs"], rows.iter().map(row))
 }
