@@ -103,7 +103,9 @@ fn block(study: &str, kind: &str, way: &str) -> String {
         "gradients" => return gradients(study),
         _ => {}
     }
-    let Some(of) = report(study) else { return format!("Not run yet: `fixtures/studies/remake {study}`.") };
+    let Some(of) = report(study) else {
+        return format!("Not run yet on this simulator: `fixtures/studies/remake {study}`.");
+    };
     if kind.ends_with(".svg") {
         let dark = kind.replace(".svg", "-dark.svg");
         return format!(
@@ -184,7 +186,7 @@ fn studies(way: &str) -> String {
 /// What `radome bench trainability` found, by qubits and depth.
 fn gradients(study: &str) -> String {
     let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else {
-        return format!("Not run yet: `fixtures/studies/remake {study}`.");
+        return format!("Not run yet on this simulator: `fixtures/studies/remake {study}`.");
     };
     let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
     let row = |row: &serde_json::Value| -> Vec<String> {
