@@ -43,6 +43,27 @@ fn angles_that_add_up_are_cosines() {
     assert!((noisy["iiz"].as_f64().expect("number") - 0.5 * 1.1f64.cos()).abs() < 1e-14);
 }
 
+/// One qubit without entangler is `-cos(2x) sin(theta)`: 1/4 and 1. More qubits have less of a gradient, at the depth that scrambles most.
+#[test]
+fn gradients_shrink_with_qubits() {
+    let bench = |arguments: &str| {
+        let mut command = radome();
+        command.args(["bench", "trainability"]).args(arguments.split(' ')).arg("--json");
+        json_lines(&mut command).remove(0)
+    };
+    let one = &bench("--qubits 1 --depths 0 --points 4000")[0];
+    for (key, want) in [("angle_gradient_square", 0.25), ("input_gradient_square", 1.0)] {
+        let got = one[key].as_f64().expect("a number");
+        // Five standard errors.
+        assert!((got - want).abs() < 5.0 * 1.2 * want / 4000f64.sqrt(), "{key}: {got}");
+    }
+    let deep = bench("--qubits 8 --depths 8 --points 300");
+    let squares: Vec<f64> =
+        [1, 3, 5, 7].map(|index| deep[index]["angle_gradient_square"].as_f64().expect("a number")).into();
+    assert!(squares.windows(2).all(|pair| pair[1] < pair[0]), "{squares:?}");
+    assert_eq!(bench("--qubits 2 --points 3"), bench("--qubits 2 --points 3"));
+}
+
 #[test]
 fn shots_are_seeded() {
     let at = |rest: &str| circuit(&format!("--x 0.8,2.1 --theta 0.4,-1.2,2,0.7 {rest}"));

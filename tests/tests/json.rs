@@ -173,6 +173,7 @@ fn every_key_of_boards_models_and_stages_is_documented() {
         ("model export", vec![text(&model), "-o", text(&onnx)]),
         ("bench circuit", vec!["--x", "0.1,0.2", "--theta", "0.1,0.2,0.3,0.4"]),
         ("bench rcs", vec!["sphere"]),
+        ("bench trainability", vec!["--qubits", "2", "--points", "2"]),
     ] {
         check(&page, command, &json_lines(&mut with(command, &arguments)));
     }

@@ -165,7 +165,12 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
         assert!([1e-3, 1e-2].contains(&cell["learning_rate"].as_f64().expect("a rate")));
         assert_eq!(cell["noisy"].as_array().map(Vec::len), Some(if cell["label_fraction"] == 1.0 { 1 } else { 0 }));
     }
-    for name in ["report.md", "report.json", "noise.png", "labels.png", "cost.png"] {
+    let plots = ["noise", "labels", "curves", "cost"].into_iter().flat_map(|name| {
+        ["", "-dark"]
+            .into_iter()
+            .flat_map(move |end| ["png", "svg"].map(|extension| format!("{name}{end}.{extension}")))
+    });
+    for name in ["report.md", "report.json"].map(str::to_owned).into_iter().chain(plots) {
         assert!(output.join(name).exists(), "{name}");
     }
     // Nothing is trained twice, and another study is kept out of the folder.

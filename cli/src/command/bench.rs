@@ -12,6 +12,7 @@ mod scene_speed;
 mod solver;
 mod synthesis;
 mod table;
+mod trainability;
 
 /// `radome bench`
 #[derive(clap::Args)]
@@ -43,6 +44,8 @@ enum Stage {
     Rcs(rcs::Arguments),
     /// The quantum circuit at one point: expectations and gradients
     Circuit(circuit::Arguments),
+    /// Gradients of quantum circuits at random points, by their number of qubits
+    Trainability(trainability::Arguments),
 }
 
 /// Speed against error: one stage, or all of them in one table.
@@ -60,5 +63,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(Stage::Infer(arguments)) => networks::infer(arguments),
         Some(Stage::Rcs(arguments)) => rcs::run(arguments),
         Some(Stage::Circuit(arguments)) => circuit::run(arguments),
+        Some(Stage::Trainability(arguments)) => trainability::run(arguments),
     }
 }

@@ -1,221 +1,70 @@
-//! Something to draw on: lines, areas and words in pixels.
+//! Something to draw on, kept as marks until it is written.
 
-use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
-use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
-use tiny_skia::{
-    Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, Pixmap, PremultipliedColorU8, Rect, Stroke, StrokeDash,
-    Transform,
-};
 
+use super::mark::Mark;
+pub use super::mark::{Ink, Letters, Line, Pixel};
+use super::{raster, svg};
 use crate::files;
-
-/// A place in pixels, to the right and down.
-pub type Pixel = [f64; 2];
-
-/// A colour.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ink {
-    /// Red, green, blue.
-    pub rgb: [u8; 3],
-    /// 0 is nothing, 1 hides what is behind.
-    pub opacity: f64,
-}
-
-impl Ink {
-    /// One that hides what is behind.
-    pub const fn solid(rgb: [u8; 3]) -> Self {
-        Ink { rgb, opacity: 1.0 }
-    }
-
-    /// The same, fainter.
-    pub fn faint(self, opacity: f64) -> Self {
-        Ink { opacity, ..self }
-    }
-
-    /// The same, nearer to black.
-    pub fn darker(self, by: f64) -> Self {
-        Ink { rgb: self.rgb.map(|c| (f64::from(c) * (1.0 - by)) as u8), ..self }
-    }
-
-    fn paint(self) -> Paint<'static> {
-        let [r, g, b] = self.rgb;
-        let mut paint = Paint { anti_alias: true, ..Paint::default() };
-        paint.set_color(Color::from_rgba8(r, g, b, (255.0 * self.opacity.clamp(0.0, 1.0)).round() as u8));
-        paint
-    }
-}
-
-/// Style of a line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Line {
-    /// Colour.
-    pub ink: Ink,
-    /// Width, pixels.
-    pub width: f64,
-    /// In dashes.
-    pub is_dashed: bool,
-}
-
-/// A size of letters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Letters {
-    /// 16 pixels high.
-    Small,
-    /// 24 pixels high, bold.
-    Title,
-}
-
-impl Letters {
-    fn font(self) -> (FontWeight, RasterHeight) {
-        match self {
-            Letters::Small => (FontWeight::Regular, RasterHeight::Size16),
-            Letters::Title => (FontWeight::Bold, RasterHeight::Size24),
-        }
-    }
-
-    /// Width and height of a line of text, pixels.
-    pub fn size(self, line: &str) -> [f64; 2] {
-        let (weight, height) = self.font();
-        [(get_raster_width(weight, height) * line.chars().count()) as f64, height.val() as f64]
-    }
-}
 
 /// A picture in the making.
 pub struct Canvas {
-    pixels: Pixmap,
+    /// Width and height, pixels.
+    size: [f64; 2],
+    paper: Ink,
+    marks: Vec<Mark>,
 }
 
 impl Canvas {
-    /// A white one.
-    ///
-    /// # Errors
-    /// The width or the height is zero, or both are too large.
-    pub fn new(width: f64, height: f64) -> anyhow::Result<Self> {
-        let mut pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32).context("the picture has no size")?;
-        pixels.fill(Color::WHITE);
-        Ok(Canvas { pixels })
+    /// Creates one of a width and a height, pixels, of one colour.
+    pub fn new(width: f64, height: f64, paper: Ink) -> Self {
+        Canvas { size: [width, height], paper, marks: Vec::new() }
     }
 
     /// Fills areas that together are one: where they overlap the colour is as where they do not.
     pub fn fill(&mut self, areas: &[Vec<Pixel>], ink: Ink) {
-        let mut path = PathBuilder::new();
-        for area in areas {
-            // All the same way round, so that none is taken for a hole in another.
-            let turned: Vec<Pixel> =
-                if signed_area(area) < 0.0 { area.iter().rev().copied().collect() } else { area.clone() };
-            lay(&mut path, &turned);
-            path.close();
-        }
-        if let Some(path) = path.finish() {
-            self.pixels.fill_path(&path, &ink.paint(), FillRule::Winding, Transform::identity(), None);
-        }
+        // All the same way round, so that none is taken for a hole in another.
+        let turned = |area: &Vec<Pixel>| {
+            if signed_area(area) < 0.0 { area.iter().rev().copied().collect() } else { area.clone() }
+        };
+        self.marks.push(Mark::Fill { areas: areas.iter().map(turned).collect(), ink });
     }
 
     /// Fills a rectangle with its upper left corner there.
-    pub fn rectangle(&mut self, [x, y]: Pixel, [width, height]: [f64; 2], ink: Ink) {
-        if let Some(area) = Rect::from_xywh(x as f32, y as f32, width as f32, height as f32) {
-            self.pixels.fill_rect(area, &ink.paint(), Transform::identity(), None);
-        }
+    pub fn rectangle(&mut self, corner: Pixel, size: [f64; 2], ink: Ink) {
+        self.marks.push(Mark::Rectangle { corner, size, ink });
     }
 
     /// Draws a line through places.
-    pub fn line(&mut self, places: &[Pixel], line: &Line) {
-        let mut path = PathBuilder::new();
-        lay(&mut path, places);
-        self.stroke(path, line);
+    pub fn line(&mut self, places: &[Pixel], style: &Line) {
+        self.marks.push(Mark::Stroke { lines: vec![places.to_vec()], is_closed: false, style: *style });
     }
 
     /// Draws lines around areas.
-    pub fn around(&mut self, areas: &[Vec<Pixel>], line: &Line) {
-        let mut path = PathBuilder::new();
-        for area in areas {
-            lay(&mut path, area);
-            path.close();
-        }
-        self.stroke(path, line);
-    }
-
-    fn stroke(&mut self, path: PathBuilder, line: &Line) {
-        let dash = if line.is_dashed { StrokeDash::new(vec![6.0, 5.0], 0.0) } else { None };
-        let stroke = Stroke {
-            width: line.width as f32,
-            line_cap: LineCap::Butt,
-            line_join: LineJoin::Round,
-            dash,
-            ..Stroke::default()
-        };
-        if let Some(path) = path.finish() {
-            self.pixels.stroke_path(&path, &line.ink.paint(), &stroke, Transform::identity(), None);
-        }
+    pub fn around(&mut self, areas: &[Vec<Pixel>], style: &Line) {
+        self.marks.push(Mark::Stroke { lines: areas.to_vec(), is_closed: true, style: *style });
     }
 
     /// Writes a line of text with its upper left corner there.
-    pub fn text(&mut self, [x, y]: Pixel, line: &str, letters: Letters, ink: Ink) {
-        let (weight, height) = letters.font();
-        let step = get_raster_width(weight, height);
-        for (i, character) in line.chars().enumerate() {
-            let Some(glyph) = get_raster(character, weight, height) else { continue };
-            for (row, values) in glyph.rows().enumerate() {
-                for (column, &value) in values.iter().enumerate().filter(|(_, value)| **value > 0) {
-                    let at = [x.round() as i64 + (i * step + column) as i64, y.round() as i64 + row as i64];
-                    self.blend(at, ink, f64::from(value) / 255.0);
-                }
-            }
-        }
+    pub fn text(&mut self, corner: Pixel, text: &str, letters: Letters, ink: Ink) {
+        self.marks.push(Mark::Text { corner, text: text.to_owned(), letters, ink });
     }
 
-    fn blend(&mut self, [x, y]: [i64; 2], ink: Ink, part: f64) {
-        let (width, height) = (i64::from(self.pixels.width()), i64::from(self.pixels.height()));
-        if !(0..width).contains(&x) || !(0..height).contains(&y) {
-            return;
-        }
-        if let Some(pixel) = self.pixels.pixels_mut().get_mut((y * width + x) as usize) {
-            let part = part * ink.opacity;
-            let mix = |old: u8, new: u8| (f64::from(old) * (1.0 - part) + f64::from(new) * part).round() as u8;
-            let [r, g, b] = ink.rgb;
-            let mixed = [mix(pixel.red(), r), mix(pixel.green(), g), mix(pixel.blue(), b)];
-            if let Some(opaque) = PremultipliedColorU8::from_rgba(mixed[0], mixed[1], mixed[2], 255) {
-                *pixel = opaque;
-            }
-        }
-    }
-
-    /// Writes a PNG, whole or not at all.
+    /// Writes the picture, whole or not at all: as SVG if the file's name says so, else as PNG.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// The width or the height is zero, both are too large, or the file cannot be written.
     pub fn save(&self, path: &Path) -> anyhow::Result<()> {
+        let is_svg = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
         files::write_atomically(path, |writer| {
-            let rgb: Vec<u8> = self.pixels.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect();
-            let size = [self.pixels.width(), self.pixels.height()];
-            write_png(writer, size, &rgb).with_context(|| format!("cannot write {}", path.display()))
+            let written = match is_svg {
+                true => svg::write(writer, self.size, self.paper, &self.marks),
+                false => raster::write(writer, self.size, self.paper, &self.marks),
+            };
+            written.with_context(|| format!("cannot write {}", path.display()))
         })
-    }
-}
-
-/// Writes colours, row by row, as a PNG without transparency.
-///
-/// # Errors
-/// The writer fails, or there are not three bytes for each pixel.
-pub(super) fn write_png(writer: impl Write, [width, height]: [u32; 2], rgb: &[u8]) -> Result<(), png::EncodingError> {
-    let mut encoder = png::Encoder::new(writer, width, height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_compression(png::Compression::Fast);
-    let mut image = encoder.write_header()?;
-    image.write_image_data(rgb)?;
-    image.finish()
-}
-
-fn lay(path: &mut PathBuilder, places: &[Pixel]) {
-    for (i, [x, y]) in places.iter().enumerate() {
-        if i == 0 {
-            path.move_to(*x as f32, *y as f32);
-        } else {
-            path.line_to(*x as f32, *y as f32);
-        }
     }
 }
 

@@ -1,7 +1,11 @@
-//! Pictures as PNG files: scenes, maps, and curves.
+//! Pictures as PNG and SVG files: scenes, maps, and curves.
 
 mod canvas;
 mod legend;
+mod mark;
 mod palette;
 pub mod plot;
+mod raster;
 pub mod scene;
+mod svg;
+pub mod theme;

@@ -5,8 +5,9 @@ use std::path::Path;
 use anyhow::Context;
 use radome_dsp::Rdm;
 
-use super::canvas::{Canvas, Ink, Letters, Line, Pixel, write_png};
-use super::palette::INK;
+use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
+use super::raster::write_png;
+use super::theme::Theme;
 
 /// Room around a plot, pixels: for numbers to the left and below, and for the names of axes.
 const MARGIN_LEFT: f64 = 72.0;
@@ -20,6 +21,8 @@ const HEIGHT: f64 = 400.0;
 const NOT_A_NUMBER: Ink = Ink::solid([255, 0, 255]);
 /// Length of a tick, pixels.
 const TICK: f64 = 5.0;
+/// Between lines of a legend, pixels.
+const LEGEND_STEP: f64 = 20.0;
 
 /// Writes one channel of a map: range to the right in metres, velocity upwards in m/s (receding above), colour in dB from
 /// 10 dB under the median to the peak.
@@ -30,41 +33,43 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
     let (cell_x, cell_y) = ((768 / range).max(1) as f64, (512 / doppler).max(1) as f64);
     let (width, height) = (range as f64 * cell_x, doppler as f64 * cell_y);
-    let mut canvas = Canvas::new(width + MARGIN_LEFT + MARGIN_RIGHT, height + MARGIN_TOP + MARGIN_BOTTOM)?;
+    let theme = &Theme::LIGHT;
+    let (all_width, all_height) = (width + MARGIN_LEFT + MARGIN_RIGHT, height + MARGIN_TOP + MARGIN_BOTTOM);
+    let mut plot = Plot { canvas: Canvas::new(all_width, all_height, theme.paper), theme };
     let (low, high) = levels(map);
     for d in 0..doppler {
         let y = MARGIN_TOP + (doppler - 1 - d) as f64 * cell_y;
         for r in 0..range {
             let value = map.at(rx, d, r);
             let ink = if value.is_finite() { viridis((value - low) / (high - low)) } else { NOT_A_NUMBER };
-            canvas.rectangle([MARGIN_LEFT + r as f64 * cell_x, y], [cell_x, cell_y], ink);
+            plot.canvas.rectangle([MARGIN_LEFT + r as f64 * cell_x, y], [cell_x, cell_y], ink);
         }
     }
     let max_range_m = map.range_m(range);
     for tick in ticks(0.0, max_range_m) {
         let x = MARGIN_LEFT + (tick / map.range_step_m + 0.5) * cell_x;
-        tick_below(&mut canvas, [x, MARGIN_TOP + height], 0.0, &label(tick, max_range_m));
+        plot.tick_below([x, MARGIN_TOP + height], 0.0, &label(tick, max_range_m));
     }
     let max_velocity = map.velocity_m_per_s(doppler);
     for tick in ticks(-max_velocity, max_velocity) {
         let row = tick / map.velocity_step_m_per_s + (doppler / 2) as f64;
         let y = MARGIN_TOP + height - (row + 0.5) * cell_y;
         if (MARGIN_TOP..=MARGIN_TOP + height).contains(&y) {
-            tick_beside(&mut canvas, [MARGIN_LEFT, y], 0.0, &label(tick, max_velocity));
+            plot.tick_beside([MARGIN_LEFT, y], 0.0, &label(tick, max_velocity));
         }
     }
-    axis_names(&mut canvas, [width, height], ("range / m", "velocity / (m/s), receding up"));
+    plot.axis_names([width, height], ("range / m", "velocity / (m/s), receding up"));
     let bar_x = MARGIN_LEFT + width + 16.0;
     for row in 0..height as u32 {
         let ink = viridis(1.0 - row as f32 / height as f32);
-        canvas.rectangle([bar_x, MARGIN_TOP + f64::from(row)], [12.0, 1.0], ink);
+        plot.canvas.rectangle([bar_x, MARGIN_TOP + f64::from(row)], [12.0, 1.0], ink);
     }
     for tick in ticks(f64::from(low), f64::from(high)) {
         let y = MARGIN_TOP + (f64::from(high) - tick) / f64::from(high - low) * height;
-        canvas.text([bar_x + 18.0, y - 8.0], &label(tick, 100.0), Letters::Small, INK);
+        plot.text([bar_x + 18.0, y - 8.0], &label(tick, 100.0));
     }
-    canvas.text([bar_x, MARGIN_TOP - 24.0], "dB", Letters::Small, INK);
-    canvas.save(path)
+    plot.text([bar_x, MARGIN_TOP - 24.0], "dB");
+    plot.canvas.save(path)
 }
 
 /// PNG of one channel of a map without axes: a pixel a cell, range to the right, velocity upwards (receding above), colour
@@ -95,12 +100,9 @@ pub fn levels(map: &Rdm) -> (f32, f32) {
 /// Series of a plot: name and points.
 type Series<'a> = (&'a str, Vec<(f64, f64)>);
 
-/// Writes points of several series on logarithmic axes, a colour a series.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn scatter(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::Result<()> {
-    let mut canvas = series_canvas(series)?;
+/// Draws points of several series on logarithmic axes, a colour a series.
+pub fn scatter(theme: &Theme, names: (&str, &str), series: &[Series]) -> Canvas {
+    let mut plot = Plot::of_series(theme, series);
     let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
     // Whole decades around all points.
     let decades = |values: Vec<f64>| {
@@ -115,19 +117,19 @@ pub fn scatter(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::R
         [MARGIN_LEFT + (x - x_low) / (x_high - x_low) * WIDTH, MARGIN_TOP + (y_high - y) / (y_high - y_low) * HEIGHT]
     };
     for decade in x_low as i32..=x_high as i32 {
-        tick_below(&mut canvas, at(f64::from(decade), y_low), HEIGHT, &power(decade));
+        plot.tick_below(at(f64::from(decade), y_low), HEIGHT, &power(decade));
     }
     for decade in y_low as i32..=y_high as i32 {
-        tick_beside(&mut canvas, at(x_low, f64::from(decade)), WIDTH, &power(decade));
+        plot.tick_beside(at(x_low, f64::from(decade)), WIDTH, &power(decade));
     }
-    axis_names(&mut canvas, [WIDTH, HEIGHT], names);
+    plot.axis_names([WIDTH, HEIGHT], names);
     for (i, (name, points)) in series.iter().enumerate() {
         for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
-            dot(&mut canvas, at(x.log10(), y.log10()), series_ink(i));
+            plot.dot(at(x.log10(), y.log10()), i);
         }
-        legend(&mut canvas, i, name);
+        plot.legend(i, name);
     }
-    canvas.save(path)
+    plot.canvas
 }
 
 /// Text of a power of ten.
@@ -138,18 +140,16 @@ fn power(decade: i32) -> String {
     }
 }
 
-/// Writes lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn
-/// from the tenth below the lowest point to 1.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn lines(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::Result<()> {
-    let mut canvas = series_canvas(series)?;
-    let across_values = || series.iter().flat_map(|s| &s.1).map(|p| p.0).filter(|x| x.is_finite());
+/// Draws lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn from the tenth below
+/// the lowest point to 1. `dashed` has further points of each series, through which a dashed line leads; it may be empty.
+pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Series]) -> Canvas {
+    let mut plot = Plot::of_series(theme, series);
+    let points = || series.iter().chain(dashed).flat_map(|s| &s.1);
+    let across_values = || points().map(|p| p.0).filter(|x| x.is_finite());
     let low = across_values().fold(f64::INFINITY, f64::min);
     let high = across_values().fold(f64::NEG_INFINITY, f64::max);
     let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
-    let lowest = series.iter().flat_map(|s| &s.1).map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
+    let lowest = points().map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
     let floor = ((10.0 * lowest).floor() / 10.0).clamp(0.0, 0.9);
     let at = |x: f64, y: f64| -> Pixel {
         [
@@ -158,82 +158,89 @@ pub fn lines(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::Res
         ]
     };
     for tick in ticks(low, high) {
-        tick_below(&mut canvas, at(tick, floor), 0.0, &label(tick, high - low));
+        plot.tick_below(at(tick, floor), 0.0, &label(tick, high - low));
     }
     for share in ticks(floor, 1.0) {
-        tick_beside(&mut canvas, at(low, share), WIDTH, &format!("{share:.2}"));
+        plot.tick_beside(at(low, share), WIDTH, &format!("{share:.2}"));
     }
-    canvas.line(&[at(low, floor), at(low, 1.0)], &axis());
-    axis_names(&mut canvas, [WIDTH, HEIGHT], names);
+    plot.canvas.line(&[at(low, floor), at(low, 1.0)], &plot.axis());
+    plot.axis_names([WIDTH, HEIGHT], names);
+    // A point without a value has no place.
+    let places = |points: &[(f64, f64)]| -> Vec<Pixel> {
+        points.iter().map(|(x, y)| at(*x, *y)).filter(|place| place.iter().all(|v| v.is_finite())).collect()
+    };
+    for (i, (_, points)) in dashed.iter().enumerate() {
+        plot.canvas.line(&places(points), &Line { ink: plot.series_ink(i), width: 1.5, is_dashed: true });
+    }
     for (i, (name, points)) in series.iter().enumerate() {
-        let ink = series_ink(i);
-        // A point without a value has no place.
-        let places: Vec<Pixel> =
-            points.iter().map(|(x, y)| at(*x, *y)).filter(|place| place.iter().all(|v| v.is_finite())).collect();
-        canvas.line(&places, &Line { ink, width: 3.0, is_dashed: false });
-        places.iter().for_each(|place| dot(&mut canvas, *place, ink));
-        legend(&mut canvas, i, name);
+        let places = places(points);
+        plot.canvas.line(&places, &Line { ink: plot.series_ink(i), width: 3.0, is_dashed: false });
+        places.iter().for_each(|place| plot.dot(*place, i));
+        plot.legend(i, name);
     }
-    canvas.save(path)
+    plot.canvas
 }
 
-/// Canvas for series with room for their names.
-fn series_canvas(series: &[Series]) -> anyhow::Result<Canvas> {
-    let longest = series.iter().map(|(name, _)| Letters::Small.size(name)[0]).fold(0.0, f64::max);
-    Canvas::new(MARGIN_LEFT + WIDTH + 40.0 + longest, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM)
+/// Plot in the making.
+struct Plot<'a> {
+    canvas: Canvas,
+    theme: &'a Theme,
 }
 
-fn axis() -> Line {
-    Line { ink: INK, width: 1.0, is_dashed: false }
-}
+impl<'a> Plot<'a> {
+    /// Creates one for series, with room for their names.
+    fn of_series(theme: &'a Theme, series: &[Series]) -> Self {
+        let longest = series.iter().map(|(name, _)| Letters::Small.size(name)[0]).fold(0.0, f64::max);
+        let height = (MARGIN_TOP + HEIGHT + MARGIN_BOTTOM).max(MARGIN_TOP + LEGEND_STEP * series.len() as f64 + TICK);
+        Plot { canvas: Canvas::new(MARGIN_LEFT + WIDTH + 40.0 + longest, height, theme.paper), theme }
+    }
 
-/// Tick under an axis, a grid line of `length` above it, and its number.
-fn tick_below(canvas: &mut Canvas, [x, y]: Pixel, length: f64, number: &str) {
-    canvas.line(&[[x, y - length], [x, y + TICK]], &axis());
-    canvas.text([x - 0.5 * Letters::Small.size(number)[0], y + 8.0], number, Letters::Small, INK);
-}
+    fn axis(&self) -> Line {
+        Line { ink: self.theme.ink, width: 1.0, is_dashed: false }
+    }
 
-/// Tick to the left of an axis, a grid line of `length` to its right, and its number.
-fn tick_beside(canvas: &mut Canvas, [x, y]: Pixel, length: f64, number: &str) {
-    canvas.line(&[[x - TICK, y], [x + length, y]], &axis());
-    canvas.text([x - 8.0 - Letters::Small.size(number)[0], y - 8.0], number, Letters::Small, INK);
-}
+    fn text(&mut self, corner: Pixel, text: &str) {
+        self.canvas.text(corner, text, Letters::Small, self.theme.ink);
+    }
 
-/// Names of the axes of a plot of this size: below its middle, and above its upper left corner.
-fn axis_names(canvas: &mut Canvas, [width, height]: [f64; 2], (across, up): (&str, &str)) {
-    let middle = MARGIN_LEFT + 0.5 * (width - Letters::Small.size(across)[0]);
-    canvas.text([middle, MARGIN_TOP + height + 28.0], across, Letters::Small, INK);
-    canvas.text([4.0, 8.0], up, Letters::Small, INK);
-}
+    /// Tick under an axis, a grid line of `length` above it, and its number.
+    fn tick_below(&mut self, [x, y]: Pixel, length: f64, number: &str) {
+        self.canvas.line(&[[x, y - length], [x, y + TICK]], &self.axis());
+        self.text([x - 0.5 * Letters::Small.size(number)[0], y + 8.0], number);
+    }
 
-/// Name of a series with its colour.
-fn legend(canvas: &mut Canvas, index: usize, name: &str) {
-    let y = MARGIN_TOP + 10.0 + 20.0 * index as f64;
-    dot(canvas, [MARGIN_LEFT + WIDTH + 16.0, y], series_ink(index));
-    canvas.text([MARGIN_LEFT + WIDTH + 26.0, y - 8.0], name, Letters::Small, INK);
-}
+    /// Tick to the left of an axis, a grid line of `length` to its right, and its number.
+    fn tick_beside(&mut self, [x, y]: Pixel, length: f64, number: &str) {
+        self.canvas.line(&[[x - TICK, y], [x + length, y]], &self.axis());
+        self.text([x - 8.0 - Letters::Small.size(number)[0], y - 8.0], number);
+    }
 
-fn dot(canvas: &mut Canvas, [x, y]: Pixel, ink: Ink) {
-    canvas.rectangle([x.round() - 3.0, y.round() - 3.0], [7.0, 7.0], ink);
-}
+    /// Names of the axes of a plot of this size: below its middle, and above its upper left corner.
+    fn axis_names(&mut self, [width, height]: [f64; 2], (across, up): (&str, &str)) {
+        let middle = MARGIN_LEFT + 0.5 * (width - Letters::Small.size(across)[0]);
+        self.text([middle, MARGIN_TOP + height + 28.0], across);
+        self.text([4.0, 8.0], up);
+    }
 
-/// Colours that are told apart side by side: ColorBrewer's Set1 and Dark2, less the yellows.
-fn series_ink(index: usize) -> Ink {
-    const COLOURS: [[u8; 3]; 12] = [
-        [228, 26, 28],
-        [55, 126, 184],
-        [77, 175, 74],
-        [152, 78, 163],
-        [255, 127, 0],
-        [166, 86, 40],
-        [247, 129, 191],
-        [102, 102, 102],
-        [27, 158, 119],
-        [0, 0, 0],
-        [117, 112, 179],
-        [102, 166, 30],
-    ];
-    Ink::solid(COLOURS[index % COLOURS.len()])
+    /// Name of a series with its colour.
+    fn legend(&mut self, index: usize, name: &str) {
+        let y = MARGIN_TOP + 10.0 + LEGEND_STEP * index as f64;
+        self.dot([MARGIN_LEFT + WIDTH + 16.0, y], index);
+        self.text([MARGIN_LEFT + WIDTH + 26.0, y - 8.0], name);
+    }
+
+    fn series_ink(&self, index: usize) -> Ink {
+        self.theme.series[index % self.theme.series.len()]
+    }
+
+    /// Dot of a series. The second dozen of series has the colours of the first and hollow dots.
+    fn dot(&mut self, [x, y]: Pixel, index: usize) {
+        let (corner, ink) = ([x.round() - 3.0, y.round() - 3.0], self.series_ink(index));
+        self.canvas.rectangle(corner, [7.0, 7.0], ink);
+        if !(index / self.theme.series.len()).is_multiple_of(2) {
+            self.canvas.rectangle(corner.map(|v| v + 2.0), [3.0, 3.0], self.theme.paper);
+        }
+    }
 }
 
 /// Round values between two ends, about seven of them.

@@ -17,6 +17,7 @@ use radome_sim::scene_file::{BodyFile, SurfaceFile};
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
 use super::palette::{BEAM, GREY, INK, LEFT, MOVING, PEOPLE, STATIC, UNSAID, material_ink, ring};
+use super::theme::Theme;
 
 /// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
 const BELOW: f64 = 62.0;
@@ -145,7 +146,7 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let width = (plan.frame()[1][0].max(side.frame()[1][0]) + RIGHT).max(900.0);
     let rows = legend_rows(&legend, width);
     let below = plan.frame()[1][1].max(side.frame()[1][1]) + BELOW;
-    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0)?;
+    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.paper);
 
     let title = format!("{}, seed {}", scene.name(), preview.seed);
     canvas.text([LEFT - WALL, 10.0], &title, Letters::Title, INK);

@@ -38,7 +38,9 @@ pub use error::StudyError;
 pub use noise::{NoisyMaps, with_noise};
 pub use outcome::{FAILED_BELOW, Job, Noisy, Outcome};
 pub use plan::{Plan, PlannedNetwork};
-pub use report::{Cell, CurvePoint, Failure, Report, report};
+pub use report::{
+    Cell, CurvePoint, Failure, PAPER_CLEAN, PAPER_FRACTIONS, PAPER_NOISE, PAPER_SHARES, PAPER_SNR_DB, Report, report,
+};
 pub use run::{Progress, Study};
 pub use spec::{StudySpec, Variant};
 pub use statistics::{Interval, t_interval};

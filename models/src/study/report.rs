@@ -240,8 +240,8 @@ fn curve(outcomes: &[&Outcome]) -> Vec<CurvePoint> {
     (0..epochs).map(point).collect()
 }
 
-/// Clean accuracy of the paper on synthetic data, test and training, %.
-const PAPER_CLEAN: [(&str, f64, f64); 6] = [
+/// Clean accuracy of the paper on synthetic data by network, test and training, %.
+pub const PAPER_CLEAN: [(&str, f64, f64); 6] = [
     ("doppler_net", 99.9, 99.8),
     ("resnet18", 99.8, 100.0),
     ("efficientnet_b0", 99.6, 99.9),
@@ -249,22 +249,24 @@ const PAPER_CLEAN: [(&str, f64, f64); 6] = [
     ("estimator_matched", 71.7, 73.8),
     ("dequantization", 60.2, 55.4),
 ];
-/// Balanced accuracy of the paper on synthetic data under noise at -20, -10, 10 and 20 dB.
-const PAPER_NOISE: [(&str, [f64; 4]); 4] = [
+/// Balanced accuracy of the paper on synthetic data by network, under noise of [`PAPER_SNR_DB`].
+pub const PAPER_NOISE: [(&str, [f64; 4]); 4] = [
     ("doppler_net", [0.333, 0.333, 0.415, 0.904]),
     ("resnet18", [0.333, 0.325, 0.755, 0.978]),
     ("efficientnet_b0", [0.407, 0.280, 0.594, 0.903]),
     ("hqnn", [0.378, 0.321, 0.792, 0.988]),
 ];
-const PAPER_SNR_DB: [f64; 4] = [-20.0, -10.0, 10.0, 20.0];
-/// Balanced accuracy of the paper on synthetic data with 10, 30 and 50 % of the labels.
-const PAPER_FRACTIONS: [(&str, [f64; 3]); 4] = [
+/// Signal-to-noise ratios of the paper, dB.
+pub const PAPER_SNR_DB: [f64; 4] = [-20.0, -10.0, 10.0, 20.0];
+/// Balanced accuracy of the paper on synthetic data by network, on [`PAPER_SHARES`] of the training maps.
+pub const PAPER_FRACTIONS: [(&str, [f64; 3]); 4] = [
     ("hqnn", [0.47, 0.82, 0.85]),
     ("doppler_net", [0.76, 0.85, 0.86]),
     ("resnet18", [0.75, 0.83, 0.87]),
     ("efficientnet_b0", [0.73, 0.83, 0.86]),
 ];
-const PAPER_SHARES: [f64; 3] = [0.1, 0.3, 0.5];
+/// Shares of the training maps in the paper.
+pub const PAPER_SHARES: [f64; 3] = [0.1, 0.3, 0.5];
 
 impl Report {
     /// The report as Markdown.

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::output;
 use crate::picture::plot;
+use crate::picture::theme::Theme;
 
 /// Tolerances that every method is asked for, dB.
 const TOLERANCES_DB: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
@@ -86,7 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 (method.name(), of_method.map(|r| (r.milliseconds, r.error_db.abs().max(1e-4))).collect())
             })
             .collect();
-        plot::scatter(path, ("time / ms", "error / dB"), &series)?;
+        plot::scatter(&Theme::LIGHT, ("time / ms", "error / dB"), &series).save(path)?;
     }
     if arguments.json {
         return output::json_line(&rows);

@@ -6,6 +6,7 @@ use super::point::Point;
 use super::{circuit_time, networks, people, rdm, synthesis};
 use crate::output;
 use crate::picture::plot;
+use crate::picture::theme::Theme;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -100,5 +101,5 @@ fn draw(path: &std::path::Path, points: &[Point]) -> anyhow::Result<()> {
             None => series.push((point.stage, vec![(point.milliseconds, error)])),
         }
     }
-    plot::scatter(path, ("time / ms", "relative error"), &series)
+    plot::scatter(&Theme::LIGHT, ("time / ms", "relative error"), &series).save(path)
 }

@@ -2,6 +2,7 @@
 
 mod conditions;
 mod plan;
+mod plots;
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -18,7 +19,6 @@ use serde::Deserialize;
 use self::conditions::{ConditionFile, Given};
 use crate::dataset::build::build_plan;
 use crate::dataset::plan::Plan;
-use crate::picture::plot;
 use crate::shard::Shard;
 use crate::{files, output};
 
@@ -259,42 +259,5 @@ fn write(report: &Report, times: &Times, folder: &Path) -> anyhow::Result<()> {
     save("report.json", &serde_json::to_string_pretty(report)?)?;
     save("times.md", &times.markdown())?;
     save("times.json", &serde_json::to_string_pretty(times)?)?;
-    let whole = || report.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0);
-    let mut names: Vec<&str> = Vec::new();
-    for cell in &report.cells {
-        if !names.contains(&cell.variant.as_str()) {
-            names.push(&cell.variant);
-        }
-    }
-    let noise: Vec<(&str, Vec<(f64, f64)>)> = whole()
-        .map(|cell| {
-            let points = cell.noisy.iter().filter_map(|(snr_db, of)| Some((*snr_db, of.as_ref()?.mean)));
-            (cell.variant.as_str(), points.collect())
-        })
-        .filter(|(_, points): &(_, Vec<_>)| !points.is_empty())
-        .collect();
-    if !noise.is_empty() {
-        plot::lines(&folder.join("noise.png"), ("SNR / dB", "balanced accuracy"), &noise)?;
-    }
-    let labels: Vec<(&str, Vec<(f64, f64)>)> = names
-        .iter()
-        .map(|name| {
-            let of = report.cells.iter().filter(|cell| cell.variant == *name);
-            (*name, of.filter_map(|cell| Some((100.0 * cell.label_fraction, cell.test.as_ref()?.mean))).collect())
-        })
-        .collect();
-    if report.cells.iter().any(|cell| cell.label_fraction < 1.0) {
-        plot::lines(&folder.join("labels.png"), ("labels / %", "balanced accuracy"), &labels)?;
-    }
-    let cost: Vec<(&str, Vec<(f64, f64)>)> = whole()
-        .filter_map(|cell| {
-            // An error of nothing has no place on a logarithmic axis.
-            let point = (cell.multiply_adds as f64, (1.0 - cell.test.as_ref()?.mean).max(1e-3));
-            Some((cell.variant.as_str(), vec![point]))
-        })
-        .collect();
-    if cost.is_empty() {
-        return Ok(());
-    }
-    plot::scatter(&folder.join("cost.png"), ("multiply-adds", "1 - balanced accuracy"), &cost)
+    plots::write(report, folder)
 }

@@ -1,0 +1,84 @@
+//! Plots of a study, for light and for dark pages, as SVG and as PNG.
+
+use std::path::Path;
+
+use radome_models::study::{Cell, CurvePoint, Interval, Report};
+
+use crate::picture::plot;
+use crate::picture::theme::Theme;
+
+/// Name of a network, and points.
+type Series<'a> = (&'a str, Vec<(f64, f64)>);
+
+/// Pages, each with the end of its plots' names.
+const PAGES: [(Theme, &str); 2] = [(Theme::LIGHT, ""), (Theme::DARK, "-dark")];
+
+/// Writes the plots that a report has figures for: `noise`, `labels`, `curves` and `cost`.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn write(report: &Report, folder: &Path) -> anyhow::Result<()> {
+    let whole: Vec<&Cell> = report.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0).collect();
+    let noise = with_points(of_cells(&whole, |cell| {
+        cell.noisy.iter().filter_map(|(snr_db, of)| Some((*snr_db, of.as_ref()?.mean))).collect()
+    }));
+    let labels = labels(report);
+    let curve = |value: &dyn Fn(&CurvePoint) -> Option<Interval>| {
+        of_cells(&whole, |cell| {
+            cell.curve.iter().filter_map(|point| Some((point.epoch as f64, value(point)?.mean))).collect()
+        })
+    };
+    let (validation, training) = (curve(&|point| point.validation), curve(&|point| point.training));
+    let cost = with_points(of_cells(&whole, |cell| {
+        // An error of nothing has no place on a logarithmic axis.
+        let error = cell.test.as_ref().map(|test| (1.0 - test.mean).max(1e-3));
+        error.map(|error| (cell.multiply_adds as f64, error)).into_iter().collect()
+    }));
+    let share = "balanced accuracy";
+    for (theme, end) in &PAGES {
+        let plots = [
+            ("noise", &noise, plot::lines(theme, ("SNR / dB", share), &noise, &[])),
+            ("labels", &labels, plot::lines(theme, ("labels / %", share), &labels, &[])),
+            (
+                "curves",
+                &validation,
+                plot::lines(theme, ("epoch; validation solid, training dashed", share), &validation, &training),
+            ),
+            ("cost", &cost, plot::scatter(theme, ("multiply-adds", "1 - balanced accuracy"), &cost)),
+        ];
+        for (name, series, picture) in plots {
+            if series.iter().all(|(_, points)| points.is_empty()) {
+                continue;
+            }
+            for extension in ["svg", "png"] {
+                picture.save(&folder.join(format!("{name}{end}.{extension}")))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn of_cells<'a>(cells: &[&'a Cell], points: impl Fn(&Cell) -> Vec<(f64, f64)>) -> Vec<Series<'a>> {
+    cells.iter().map(|cell| (cell.variant.as_str(), points(cell))).collect()
+}
+
+fn with_points(series: Vec<Series>) -> Vec<Series> {
+    series.into_iter().filter(|(_, points)| !points.is_empty()).collect()
+}
+
+/// Balanced accuracy by the share of labels; nothing for a study of one share.
+fn labels(report: &Report) -> Vec<Series<'_>> {
+    let mut series: Vec<Series> = Vec::new();
+    if report.cells.iter().all(|cell| cell.label_fraction >= 1.0) {
+        return series;
+    }
+    for cell in &report.cells {
+        let index = series.iter().position(|(name, _)| *name == cell.variant).unwrap_or_else(|| {
+            series.push((&cell.variant, Vec::new()));
+            series.len() - 1
+        });
+        let point = cell.test.as_ref().map(|test| (100.0 * cell.label_fraction, test.mean));
+        series[index].1.extend(point);
+    }
+    series
+}

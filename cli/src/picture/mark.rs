@@ -1,0 +1,111 @@
+//! Marks that a picture consists of: lines, areas and words in pixels.
+
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster_width};
+
+/// Lengths of a dash and of the gap behind it, pixels.
+pub(super) const DASH: [f64; 2] = [6.0, 5.0];
+
+/// A place in pixels, to the right and down.
+pub type Pixel = [f64; 2];
+
+/// A colour.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ink {
+    /// Red, green, blue.
+    pub rgb: [u8; 3],
+    /// 0 is nothing, 1 hides what is behind.
+    pub opacity: f64,
+}
+
+impl Ink {
+    /// One that hides what is behind.
+    pub const fn solid(rgb: [u8; 3]) -> Self {
+        Ink { rgb, opacity: 1.0 }
+    }
+
+    /// The same, fainter.
+    pub fn faint(self, opacity: f64) -> Self {
+        Ink { opacity, ..self }
+    }
+
+    /// The same, nearer to black.
+    pub fn darker(self, by: f64) -> Self {
+        Ink { rgb: self.rgb.map(|c| (f64::from(c) * (1.0 - by)) as u8), ..self }
+    }
+}
+
+/// Style of a line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line {
+    /// Colour.
+    pub ink: Ink,
+    /// Width, pixels.
+    pub width: f64,
+    /// In dashes.
+    pub is_dashed: bool,
+}
+
+/// A size of letters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Letters {
+    /// 16 pixels high.
+    Small,
+    /// 24 pixels high, bold.
+    Title,
+}
+
+impl Letters {
+    /// Weight and height of its glyphs.
+    pub(super) fn font(self) -> (FontWeight, RasterHeight) {
+        match self {
+            Letters::Small => (FontWeight::Regular, RasterHeight::Size16),
+            Letters::Title => (FontWeight::Bold, RasterHeight::Size24),
+        }
+    }
+
+    /// Width and height of a line of text, pixels.
+    pub fn size(self, line: &str) -> [f64; 2] {
+        let (weight, height) = self.font();
+        [(get_raster_width(weight, height) * line.chars().count()) as f64, height.val() as f64]
+    }
+}
+
+/// One thing that is drawn; later ones lie on earlier ones.
+pub enum Mark {
+    /// Areas that together are one, all the same way round.
+    Fill {
+        /// Corners of each area.
+        areas: Vec<Vec<Pixel>>,
+        /// Colour.
+        ink: Ink,
+    },
+    /// Rectangle.
+    Rectangle {
+        /// Upper left corner.
+        corner: Pixel,
+        /// Width and height, pixels.
+        size: [f64; 2],
+        /// Colour.
+        ink: Ink,
+    },
+    /// Lines.
+    Stroke {
+        /// Places that each line leads through.
+        lines: Vec<Vec<Pixel>>,
+        /// Whether each line leads back to its first place.
+        is_closed: bool,
+        /// Style.
+        style: Line,
+    },
+    /// Line of text.
+    Text {
+        /// Upper left corner.
+        corner: Pixel,
+        /// The text.
+        text: String,
+        /// Size of its letters.
+        letters: Letters,
+        /// Colour.
+        ink: Ink,
+    },
+}
