@@ -171,7 +171,7 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
             .flat_map(move |end| ["png", "svg"].map(|extension| format!("{name}{end}.{extension}")))
     });
     for name in ["report.md", "report.json"].map(str::to_owned).into_iter().chain(plots) {
-        assert!(output.join(name).exists(), "{name}");
+        assert!(output.join(&name).exists(), "{name}");
     }
     // Nothing is trained twice, and another study is kept out of the folder.
     assert_eq!(json_lines(&mut study()).len(), 1);
