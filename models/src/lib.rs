@@ -45,6 +45,7 @@ pub mod bounded_file;
 pub mod calibration;
 pub mod dataset;
 pub mod evaluate;
+pub mod interval;
 mod kernel;
 mod large_blocks;
 pub mod layer;

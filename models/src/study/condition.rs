@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::error::StudyError;
 use super::outcome::Job;
+use super::score::Score;
 use super::spec::StudySpec;
-use super::statistics::{Interval, t_interval};
 use crate::dataset::{Dataset, Split};
+use crate::interval::{Interval, t_interval};
 use crate::metrics::Metrics;
 
 /// Longest name of a condition or of its group, in characters: names are headings of tables, and parts of file names.
@@ -160,6 +161,9 @@ pub struct ConditionCell {
     pub done: usize,
     /// Balanced accuracy; chance where a training broke off.
     pub balanced_accuracy: Option<Interval>,
+    /// The same by training.
+    #[serde(default)]
+    pub scores: Vec<Score>,
     /// Accuracy; chance where a training broke off.
     pub accuracy: Option<Interval>,
     /// `confusion[truth][prediction]`, summed over models.
@@ -184,6 +188,10 @@ impl ConditionReport {
                 let values: Vec<f64> = scores().map(|metrics| metrics.map_or(CHANCE, score)).collect();
                 t_interval(&values)
             };
+            let score = |judgement: &Judgement| {
+                let of = judgement.metrics.as_ref().map_or(CHANCE, |metrics| metrics.balanced_accuracy);
+                Score::new(&judgement.job, of)
+            };
             let mut confusion = [[0u64; 3]; 3];
             for metrics in scores().flatten() {
                 maps = maps.max(metrics.samples);
@@ -195,6 +203,7 @@ impl ConditionReport {
                 variant: variant.name.clone(),
                 done: judgements.len(),
                 balanced_accuracy: interval(&|metrics| metrics.balanced_accuracy),
+                scores: judgements.iter().map(score).collect(),
                 accuracy: interval(&|metrics| metrics.accuracy),
                 confusion,
             });

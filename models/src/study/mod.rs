@@ -28,8 +28,8 @@ mod outcome;
 mod plan;
 mod report;
 mod run;
+mod score;
 mod spec;
-mod statistics;
 mod times;
 
 pub use condition::{Condition, ConditionCell, ConditionReport, Judgement, condition_file_name};
@@ -42,6 +42,6 @@ pub use report::{
     Cell, CurvePoint, Failure, PAPER_CLEAN, PAPER_FRACTIONS, PAPER_NOISE, PAPER_SHARES, PAPER_SNR_DB, Report, report,
 };
 pub use run::{Progress, Study};
+pub use score::{Score, mean_scores, paired_difference};
 pub use spec::{StudySpec, Variant};
-pub use statistics::{Interval, t_interval};
 pub use times::{CellTimes, Times};

@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::condition::ConditionReport;
 use super::outcome::{FAILED_BELOW, Job, Outcome};
+use super::score::Score;
 use super::spec::StudySpec;
-use super::statistics::{Interval, median, t_interval};
 use crate::dataset::Dataset;
+use crate::interval::{Interval, median, t_interval};
 use crate::metrics::Metrics;
 use crate::train::EpochReport;
 
@@ -32,6 +33,9 @@ pub struct Cell {
     pub failed: usize,
     /// Balanced accuracy on the test split; chance where a training broke off.
     pub test: Option<Interval>,
+    /// The same by training.
+    #[serde(default)]
+    pub scores: Vec<Score>,
     /// Accuracy on the test split.
     pub accuracy: Option<Interval>,
     /// Macro-F1 on the test split.
@@ -178,11 +182,12 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
         t_interval(&values)
     };
     let test = |f: &dyn Fn(&Metrics) -> Option<f64>, broken: Option<f64>| {
-        interval(&|outcome| match (&outcome.error, &outcome.test) {
-            (Some(_), _) => broken,
-            (None, Some(metrics)) => f(metrics),
-            (None, None) => None,
-        })
+        interval(&|outcome| if outcome.error.is_some() { broken } else { f(outcome.test.as_ref()?) })
+    };
+    let score = |outcome: &&Outcome| {
+        let broken = outcome.error.as_ref().map(|_| chance);
+        let of = broken.or_else(|| Some(outcome.test.as_ref()?.balanced_accuracy))?;
+        Some(Score::new(&outcome.job, of))
     };
     let mut confusion = Confusion::default();
     for metrics in of.iter().filter_map(|outcome| outcome.test.as_ref()) {
@@ -206,6 +211,7 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
         done: of.len(),
         failed: of.iter().filter(|outcome| outcome.failed()).count(),
         test: test(&|metrics| Some(metrics.balanced_accuracy), Some(chance)),
+        scores: of.iter().filter_map(score).collect(),
         accuracy: test(&|metrics| Some(metrics.accuracy), Some(chance)),
         macro_f1: test(&|metrics| Some(metrics.macro_f1), Some(0.0)),
         populated_recall: test(&|metrics| metrics.populated_recall, None),

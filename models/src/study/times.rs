@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::outcome::Outcome;
 use super::report::{groups, number};
 use super::spec::StudySpec;
-use super::statistics::{Interval, median, t_interval};
+use crate::interval::{Interval, median, t_interval};
 
 /// Times of one variant trained on one share of the maps, without trainings that broke off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use radome_models::study::{Cell, CurvePoint, Interval, Report};
+use radome_models::interval::Interval;
+use radome_models::study::{Cell, CurvePoint, Report};
 
 use crate::picture::plot;
 use crate::picture::theme::Theme;

@@ -1,4 +1,4 @@
-//! Means over few seeds.
+//! Means of few values, and their 95 % intervals.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ pub fn t_interval(values: &[f64]) -> Option<Interval> {
 }
 
 /// Median of the values, the upper one of two; `None` without values.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
