@@ -39,6 +39,9 @@ pub struct CellTimes {
 pub struct Times {
     /// Time of the epochs of all trainings that are done, s.
     pub seconds: f64,
+    /// Processor time of the same trainings, s, as far as the system told it.
+    #[serde(default)]
+    pub cpu_seconds: f64,
     /// One for each variant and label fraction.
     pub cells: Vec<CellTimes>,
 }
@@ -60,7 +63,11 @@ pub(super) fn times(spec: &StudySpec, chosen: &BTreeMap<String, f64>, outcomes: 
             label_energy_mj: median(whole().filter_map(|outcome| Some(1e3 * outcome.label_cost.energy_joules?))),
         });
     }
-    Times { seconds: outcomes.iter().map(|outcome| outcome.training_seconds).sum(), cells }
+    Times {
+        seconds: outcomes.iter().map(|outcome| outcome.training_seconds).sum(),
+        cpu_seconds: outcomes.iter().filter_map(|outcome| outcome.training_cost.cpu_seconds).sum(),
+        cells,
+    }
 }
 
 impl Times {
@@ -73,7 +80,11 @@ impl Times {
     }
 
     fn write(&self, out: &mut String) -> std::fmt::Result {
-        writeln!(out, "# Times\n\n{:.0} s of training in all.\n", self.seconds)?;
+        writeln!(
+            out,
+            "# Times\n\n{:.0} s of training in all, {:.0} s of processor time.\n",
+            self.seconds, self.cpu_seconds
+        )?;
         writeln!(
             out,
             "| network | labels | training s | its CPU s | s to the target | one map ms | its CPU ms | its mJ |\n\
