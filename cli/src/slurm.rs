@@ -65,13 +65,22 @@ exec {program} {shard} --shard auto/{tasks}"
 /// # Errors
 /// The path has no full form, is not UTF-8, or has a line's end in it.
 pub fn word(path: &Path) -> anyhow::Result<String> {
+    word_with("", path)
+}
+
+/// Text and, right behind it, the full form of a path, as one word of a shell.
+///
+/// # Errors
+/// Those of [`word`].
+pub fn word_with(text: &str, path: &Path) -> anyhow::Result<String> {
     let path = std::path::absolute(path).with_context(|| format!("{} has no full path", path.display()))?;
-    let text = path
+    let full = path
         .to_str()
         .with_context(|| format!("{}: a path that is not UTF-8 cannot go into a script", path.display()))?;
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/-_.+,@%".contains(c);
+    let text = format!("{text}{full}");
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/-_.+,@%=".contains(c);
     if text.contains('\n') {
         bail!("{text:?}: a path with a line's end cannot go into a script");
     }
-    Ok(if text.chars().all(plain) { text.to_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) })
+    Ok(if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) })
 }

@@ -16,18 +16,22 @@ pub struct Arguments {
     /// Dataset folder; made by the first task from the study's `dataset` if not given
     #[arg(long)]
     dataset: Option<PathBuf>,
+    /// Dataset folder of a condition, which the spec may name or not, as `study` takes it
+    #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
+    condition: Vec<study::Given>,
 }
 
 /// Prints the script of an array job that runs a study; `sbatch` takes it.
 ///
 /// # Errors
-/// The study or the spec of its dataset cannot be read, a number is zero, or a path has no full form or cannot stand in a script.
+/// The study or the spec of a dataset cannot be read, a condition is given twice, a number is zero, or a path has no full form or cannot
+/// stand in a script.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let Arguments { spec: path, array, dataset } = arguments;
+    let Arguments { spec: path, array, dataset, condition: given } = arguments;
     array.check()?;
     // What is wrong with the study is said here rather than by every task.
     let (spec, source, conditions) = study::read(path)?;
-    conditions.iter().try_for_each(|condition| condition.source(path).map(drop))?;
+    study::check_sources(path, &conditions, given)?;
     let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();
     if trainings < array.tasks && !spec.leave_one_recording_out {
         eprintln!("there are {trainings} trainings for {} tasks: some will have nothing to do", array.tasks);
@@ -36,6 +40,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match dataset {
         Some(dataset) => command += &format!(" --dataset {}", word(dataset)?),
         None => drop(study::named(path, &source)?),
+    }
+    for given in given {
+        command += &format!(" --condition {}", given.word()?);
     }
     let merge = format!("{command} --report-only");
     output::text_line(&array.script(path, &command, &merge)?)
