@@ -225,7 +225,7 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     let plan = || {
         let study = Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens");
         let mut timed = Vec::new();
-        let plan = study.plan(&mut |variant: &str| timed.push(variant.to_owned())).expect("a plan");
+        let plan = study.plan(3, &mut |variant: &str| timed.push(variant.to_owned())).expect("a plan");
         (plan, timed)
     };
     let (before, timed) = plan();
@@ -235,6 +235,8 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     assert_eq!(steps, [3 * 2 * 4 + 2 * 2 * 2; 2]);
     assert!(before.networks.iter().all(|network| network.step_seconds.is_some_and(|seconds| seconds > 0.0)));
     assert!(before.hours > 0.0 && before.cpu_hours >= before.hours, "{before:?}");
+    // Four models of all labels under each of three conditions, none of which has a dataset yet.
+    assert_eq!(before.judgings_left, 4 * 3);
 
     run(&spec, &maps, folder.path(), (0, 1));
     let (after, timed) = plan();

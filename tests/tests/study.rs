@@ -214,6 +214,21 @@ fn a_plan_says_what_is_left() {
     );
 }
 
+/// A plan builds no dataset of a condition, and counts what is to be judged all the same.
+#[test]
+fn a_plan_counts_scores_under_conditions() {
+    let place = Place::new(&few());
+    place.add_conditions(&few(), NOISE);
+    let left =
+        |more: &[&str]| json_lines(place.study("study").arg("--plan").args(more)).remove(0)["judgings_left"].as_u64();
+    let same = format!("same={}", maps().display());
+    // Three models of all labels.
+    assert_eq!([left(&[]), left(&["--condition", &same])], [Some(3), Some(6)]);
+    assert!(!place.at("study/conditions").exists());
+    json_lines(&mut place.study("study"));
+    assert_eq!([left(&[]), left(&["--condition", &same])], [Some(0), Some(3)]);
+}
+
 /// The script names the study, its shards and what comes behind them; a shell reads it.
 #[test]
 fn the_script_of_an_array_runs_the_study_in_shards() {
@@ -229,6 +244,15 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
     for part in ["--array=0-5", "--cpus-per-task=2", "model study", "--shard auto/6", "--report-only", "out put'"] {
         assert!(text.contains(part), "{part}: {text}");
     }
+    let given = place.at("real rooms");
+    let given = format!("it's abroad={}", given.display());
+    let output = script(&["--dataset", "maps", "--condition", &given]).output().expect("runs");
+    let with_condition = String::from_utf8(output.stdout).expect("text");
+    // Shards and the report behind them have it.
+    let word = format!("--condition '{}'", given.replace('\'', "'\\''"));
+    assert_eq!(with_condition.matches(&word).count(), 2, "{with_condition}");
+    let twice = ["--dataset", "maps", "--condition", &given, "--condition", &given];
+    assert!(failure(&mut script(&twice)).contains("given twice"));
     let path = place.at("array.sh");
     std::fs::write(&path, &text).expect("writable");
     assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());

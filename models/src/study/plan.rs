@@ -40,26 +40,32 @@ pub struct Plan {
     pub hours: f64,
     /// The same times the number of threads, hours.
     pub cpu_hours: f64,
+    /// Scores of models under conditions that are left; their time is not in the hours.
+    pub judgings_left: usize,
     /// One for each variant.
     pub networks: Vec<PlannedNetwork>,
 }
 
 impl Study<'_> {
     /// Counts the trainings of all shards, and times a few steps of each network that has some left. `tell` gets the name of each
-    /// before it is timed.
+    /// before it is timed. `conditions` is the number of the study's conditions, with those that it was not given because their datasets
+    /// are not built yet.
     ///
     /// Times are those of steps, of fitting the head and of the validation after each epoch. Reading the maps and the scores at the
     /// end are not in them.
     ///
     /// # Errors
     /// [`StudyError`] if the results cannot be read, or a network cannot be trained on the dataset.
-    pub fn plan(&self, tell: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
+    pub fn plan(&self, conditions: usize, tell: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
         let held_out = self.spec.held_out(self.dataset);
         let (rates, chosen) = (self.spec.rates(), self.chosen_rates()?);
         // Whatever rate is chosen, one training at it is among those that choose.
         let rate = |name: &str| chosen.get(name).or(rates.first()).copied().unwrap_or_default();
+        let compared = self.spec.compared_jobs(&held_out, rate);
+        let models = compared.iter().filter(|job| job.label_fraction == 1.0).count();
+        let judgings_left = (conditions * models).saturating_sub(self.judged(&compared));
         let mut jobs = self.spec.rate_jobs(&held_out);
-        jobs.extend(self.spec.compared_jobs(&held_out, rate));
+        jobs.extend(compared);
         let mut seen = BTreeSet::new();
         jobs.retain(|job| seen.insert(name(job)));
 
@@ -103,6 +109,7 @@ impl Study<'_> {
             threads,
             hours,
             cpu_hours: hours * threads as f64,
+            judgings_left,
             networks,
         })
     }

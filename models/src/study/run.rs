@@ -236,6 +236,11 @@ impl<'a> Study<'a> {
         whole.flat_map(of_job).collect()
     }
 
+    /// Number of scores that there are of the models among `jobs` under the conditions.
+    pub(super) fn judged(&self, jobs: &[Job]) -> usize {
+        self.judgings(jobs).into_iter().filter(|task| self.is_done(*task)).count()
+    }
+
     /// Does the tasks that have no result: first those that no other process works on, then those whose process ended without one.
     fn work(&self, tasks: &[Task], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
         let mut left: Vec<(usize, Task)> = tasks.iter().copied().enumerate().collect();

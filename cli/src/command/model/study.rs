@@ -16,7 +16,8 @@ use radome_sim::bounded_file::named_by_spec;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use self::conditions::{ConditionFile, Given};
+use self::conditions::ConditionFile;
+pub(super) use self::conditions::{Given, check_sources};
 use crate::dataset::build::build_plan;
 use crate::dataset::plan::Plan;
 use crate::shard::Shard;
@@ -43,7 +44,8 @@ pub struct Arguments {
     /// The report of what is there, without training anything
     #[arg(long)]
     report_only: bool,
-    /// Count the trainings that there are and that are done, and the hours that the others take, by a few steps of each network
+    /// Count the trainings that there are and that are done, and the hours that the others take, by a few steps of each network;
+    /// count the scores under conditions that are left
     #[arg(long, conflicts_with_all = ["report_only", "shard"])]
     plan: bool,
     /// One object a training, and the report; with --plan, one object
@@ -109,11 +111,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&maps)?;
     let Shard { index, count } = arguments.shard;
     let study = Study::open(&spec, &dataset, folder, (index, count))?;
-    if arguments.plan {
-        return plan::print(&study, arguments.json);
-    }
-    let conditions = conditions::open(arguments, &conditions, dataset.header().rdm_spec)?;
+    let (conditions, unbuilt) = conditions::open(arguments, &conditions, dataset.header().rdm_spec)?;
     let study = study.with_conditions(&conditions)?;
+    if arguments.plan {
+        return plan::print(&study, conditions.len() + unbuilt, arguments.json);
+    }
     let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
     if worked.as_ref().is_err_and(is_busy) {
         // The report is the other process's.

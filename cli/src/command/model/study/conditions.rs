@@ -7,7 +7,7 @@ use std::str::FromStr;
 use anyhow::{Context, bail};
 use radome_dsp::RdmSpec;
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
-use radome_models::dataset::Dataset;
+use radome_models::dataset::{Dataset, Domain};
 use radome_models::study::{Condition, Report, condition_file_name};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -19,6 +19,10 @@ use crate::dataset::rung::RungFile;
 use crate::dataset::spec::BuildSpec;
 use crate::files;
 use crate::shard::Shard;
+use crate::slurm::word_with;
+
+/// Heading of the table of folders whose maps are all a sensor's, where the study's file does not name another.
+const REAL: &str = "Real recordings";
 
 /// Another set that the trained models are put to.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
@@ -58,6 +62,16 @@ impl FromStr for Given {
             }
             _ => Err("expected NAME=DIR, such as office=out/office".to_owned()),
         }
+    }
+}
+
+impl Given {
+    /// `NAME=DIR` with the full form of the folder, as one word of a shell.
+    ///
+    /// # Errors
+    /// The folder has no full form or cannot stand in a script.
+    pub fn word(&self) -> anyhow::Result<String> {
+        word_with(&format!("{}=", self.name), &self.folder)
     }
 }
 
@@ -122,49 +136,77 @@ impl ConditionFile {
     }
 }
 
+/// Checks `--condition` and that there is a source of each condition of the study's file that it does not give.
+///
+/// # Errors
+/// `--condition` gives a name twice, or what the file names is not there or lies where a study's files may not be.
+pub fn check_sources(study: &Path, files: &[ConditionFile], given: &[Given]) -> anyhow::Result<()> {
+    check_given(given)?;
+    let mut absent = files.iter().filter(|file| folder_of(given, &file.name).is_none());
+    absent.try_for_each(|file| file.source(study).map(drop))
+}
+
+fn check_given(given: &[Given]) -> anyhow::Result<()> {
+    let mut names = BTreeSet::new();
+    if let Some(twice) = given.iter().find(|given| !names.insert(&given.name)) {
+        bail!("--condition '{}' is given twice", twice.name);
+    }
+    Ok(())
+}
+
+fn folder_of<'a>(given: &'a [Given], name: &str) -> Option<&'a Path> {
+    given.iter().find(|given| given.name == name).map(|given| given.folder.as_path())
+}
+
 /// Opens the datasets of all conditions: those of the study's file in its order, and then those of `--condition` that it does not
-/// name. Builds those that are absent, unless there is to be no work: then they are left out.
+/// name. Builds those that are absent, unless there is to be no work: then they are left out. Returns their number, too.
 ///
 /// # Errors
 /// A dataset cannot be built or read, or `--condition` gives a name twice.
-pub(super) fn open(arguments: &Arguments, files: &[ConditionFile], map: RdmSpec) -> anyhow::Result<Vec<Condition>> {
+pub(super) fn open(
+    arguments: &Arguments,
+    files: &[ConditionFile],
+    map: RdmSpec,
+) -> anyhow::Result<(Vec<Condition>, usize)> {
     let folder = arguments.output.join("conditions");
-    let mut names = BTreeSet::new();
-    if let Some(twice) = arguments.condition.iter().find(|given| !names.insert(&given.name)) {
-        bail!("--condition '{}' is given twice", twice.name);
-    }
-    let given = |name: &str| arguments.condition.iter().find(|given| given.name == name);
+    check_given(&arguments.condition)?;
+    let given = |name: &str| folder_of(&arguments.condition, name);
     let absent: Vec<&ConditionFile> = files.iter().filter(|file| given(&file.name).is_none()).collect();
-    if !arguments.report_only && !absent.is_empty() {
+    let is_work = !(arguments.report_only || arguments.plan);
+    if is_work && !absent.is_empty() {
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // Each shard begins with another one, so that they do not wait for each other.
         for file in absent.iter().cycle().skip(arguments.shard.index % absent.len()).take(absent.len()) {
             file.make(&arguments.spec, &folder, map).with_context(|| format!("condition '{}'", file.name))?;
         }
     }
-    let mut conditions = Vec::new();
+    let (mut conditions, mut unbuilt) = (Vec::new(), 0);
     for file in files {
         let maps = match given(&file.name) {
-            Some(given) => given.folder.clone(),
+            Some(folder) => folder.to_owned(),
             None => folder.join(condition_file_name(&file.name)?),
         };
-        if arguments.report_only && given(&file.name).is_none() && !is_dataset(&maps) {
-            eprintln!("condition '{}' is left out: its dataset is not built yet", file.name);
+        if !is_work && given(&file.name).is_none() && !is_dataset(&maps) {
+            unbuilt += 1;
+            if arguments.report_only {
+                eprintln!("condition '{}' is left out: its dataset is not built yet", file.name);
+            }
             continue;
         }
-        conditions.push(condition(&file.name, file.group.as_deref(), &maps)?);
+        conditions.push(Condition::new(&file.name, file.group.as_deref(), dataset(&file.name, &maps)?)?);
     }
-    for given in &arguments.condition {
-        if !files.iter().any(|file| file.name == given.name) {
-            conditions.push(condition(&given.name, None, &given.folder)?);
+    for Given { name, folder } in &arguments.condition {
+        if !files.iter().any(|file| file.name == *name) {
+            let dataset = dataset(name, folder)?;
+            let is_real = dataset.rows().iter().all(|row| row.domain == Domain::Real);
+            conditions.push(Condition::new(name, is_real.then_some(REAL), dataset)?);
         }
     }
-    Ok(conditions)
+    Ok((conditions, unbuilt))
 }
 
-fn condition(name: &str, group: Option<&str>, maps: &Path) -> anyhow::Result<Condition> {
-    let dataset = Dataset::open(maps).with_context(|| format!("condition '{name}'"))?;
-    Ok(Condition::new(name, group, dataset)?)
+fn dataset(name: &str, maps: &Path) -> anyhow::Result<Dataset> {
+    Dataset::open(maps).with_context(|| format!("condition '{name}'"))
 }
 
 /// Number of models that were judged under conditions, and of those that are to be.

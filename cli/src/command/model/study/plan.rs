@@ -4,13 +4,14 @@ use radome_models::study::{Plan, Study};
 
 use crate::output;
 
-/// Counts and times a study's trainings, and prints them as a table or as one object.
+/// Counts and times a study's trainings, and prints them as a table or as one object. `conditions` is the number of its conditions,
+/// those included whose datasets are not built yet.
 ///
 /// # Errors
 /// A network cannot be trained on the dataset, or standard output cannot be written.
-pub fn print(study: &Study, json: bool) -> anyhow::Result<()> {
+pub fn print(study: &Study, conditions: usize, json: bool) -> anyhow::Result<()> {
     let bar = output::progress(0, "timing");
-    let plan = study.plan(&mut |variant: &str| {
+    let plan = study.plan(conditions, &mut |variant: &str| {
         bar.inc(1);
         bar.set_message(variant.to_owned());
     });
@@ -36,5 +37,12 @@ fn table(plan: &Plan) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{:.2} hours on {} threads of this machine, {:.2} CPU-hours",
         plan.hours, plan.threads, plan.cpu_hours
-    ))
+    ))?;
+    if plan.judgings_left > 0 {
+        output::text_line(&format!(
+            "{} scores under conditions are left, which are not in the hours",
+            plan.judgings_left
+        ))?;
+    }
+    Ok(())
 }
