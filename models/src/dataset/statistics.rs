@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use radome_dsp::Occupancy;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::error::DatasetError;
 use super::manifest::Domain;
 use super::reader::Dataset;
+use crate::interval::t_interval;
 
 /// Count, mean and standard deviation of numbers that come in blocks (Welford's update, block by block, in f64).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -20,16 +21,39 @@ pub struct Moments {
 impl Moments {
     /// Adds a block.
     pub fn add(&mut self, block: &[f32]) {
+        self.merge(&Self::of(block));
+    }
+
+    /// Those of one block.
+    fn of(block: &[f32]) -> Self {
         if block.is_empty() {
+            return Self::default();
+        }
+        let count = block.len() as f64;
+        let mean = block.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
+        Moments { count, mean, squares: block.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum() }
+    }
+
+    fn merge(&mut self, other: &Self) {
+        if other.count == 0.0 {
             return;
         }
-        let n = block.len() as f64;
-        let mean = block.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
-        let squares: f64 = block.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum();
-        let delta = mean - self.mean;
-        self.squares += squares + delta * delta * self.count * n / (self.count + n);
-        self.mean += delta * n / (self.count + n);
-        self.count += n;
+        let delta = other.mean - self.mean;
+        self.squares += other.squares + delta * delta * self.count * other.count / (self.count + other.count);
+        self.mean += delta * other.count / (self.count + other.count);
+        self.count += other.count;
+    }
+
+    /// Those of the values that are left without some of them; `None` if none are.
+    fn without(&self, part: &Self) -> Option<Self> {
+        let count = self.count - part.count;
+        if count <= 0.0 {
+            return None;
+        }
+        let mean = self.mean + (self.mean - part.mean) * part.count / count;
+        let delta = part.mean - mean;
+        let squares = self.squares - part.squares - delta * delta * count * part.count / self.count;
+        Some(Moments { count, mean, squares: squares.max(0.0) })
     }
 
     /// Number of values.
@@ -49,7 +73,7 @@ impl Moments {
 }
 
 /// A row of the table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellStatistics {
     /// Scene or place.
     pub scene: String,
@@ -59,10 +83,16 @@ pub struct CellStatistics {
     pub domain: Domain,
     /// Maps.
     pub maps: usize,
+    /// Sequences that they are of.
+    pub sequences: usize,
     /// Mean of all cells of all maps, dB.
     pub mean_db: f64,
-    /// Their standard deviation, dB.
+    /// Half of the width of its 95 % interval over sequences, dB: frames of one sequence are alike. `None` for one sequence.
+    pub mean_half_width_db: Option<f64>,
+    /// Standard deviation of the cells, dB.
     pub sigma_db: f64,
+    /// Half of the width of its 95 % interval over sequences, dB. `None` for one sequence.
+    pub sigma_half_width_db: Option<f64>,
     /// If people raise a share `p` of the empty scene's cells by `U` dB, mean and variance rise by `p U` and
     /// `p (1 - p) U^2`: the `p` that fits. `None` for empty scenes, where no empty map of the same scene and domain is
     /// there to compare with, and where mean or variance did not rise.
@@ -71,29 +101,54 @@ pub struct CellStatistics {
     pub raised_level_db: Option<f64>,
 }
 
+/// Maps of one row.
+#[derive(Default)]
+struct Maps<'a> {
+    count: usize,
+    all: Moments,
+    by_sequence: BTreeMap<&'a str, Moments>,
+}
+
+impl Maps<'_> {
+    /// Half of the width of the 95 % interval of a figure of all maps, over sequences: the t interval of the jackknife's pseudo-values
+    /// (B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981). For the mean, and sequences of
+    /// equal length, it is the t interval of the sequences' means.
+    fn half_width(&self, figure: fn(&Moments) -> f64) -> Option<f64> {
+        let count = self.by_sequence.len() as f64;
+        let pseudo_value =
+            |part: &Moments| Some(count * figure(&self.all) - (count - 1.0) * figure(&self.all.without(part)?));
+        let values: Option<Vec<f64>> = self.by_sequence.values().map(pseudo_value).collect();
+        t_interval(&values?)?.half_width
+    }
+}
+
 /// Computes the table over the maps with these indices, by domain, scene and class.
 ///
 /// # Errors
 /// Those of [`Dataset::map`].
 pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatistics>, DatasetError> {
-    let mut cells: BTreeMap<(Domain, &str, Occupancy), (usize, Moments)> = BTreeMap::new();
+    let mut cells: BTreeMap<(Domain, &str, Occupancy), Maps> = BTreeMap::new();
     for &index in indices {
         let map = dataset.map(index)?;
         let Some(row) = dataset.rows().get(index) else { continue };
-        let (maps, moments) = cells.entry((row.domain, &row.scene, row.label)).or_default();
-        *maps += 1;
-        moments.add(&map);
+        let (maps, moments) = (cells.entry((row.domain, &row.scene, row.label)).or_default(), Moments::of(&map));
+        maps.count += 1;
+        maps.all.merge(&moments);
+        maps.by_sequence.entry(&row.sequence).or_default().merge(&moments);
     }
-    let row = |(&(domain, scene, class), (maps, moments)): (&(Domain, &str, Occupancy), &(usize, Moments))| {
+    let row = |(&(domain, scene, class), maps): (&(Domain, &str, Occupancy), &Maps)| {
         let empty = cells.get(&(domain, scene, Occupancy::Empty)).filter(|_| class != Occupancy::Empty);
-        let raised = empty.and_then(|(_, empty)| raised(empty, moments));
+        let raised = empty.and_then(|empty| raised(&empty.all, &maps.all));
         CellStatistics {
             scene: scene.to_owned(),
             class,
             domain,
-            maps: *maps,
-            mean_db: moments.mean(),
-            sigma_db: moments.sigma(),
+            maps: maps.count,
+            sequences: maps.by_sequence.len(),
+            mean_db: maps.all.mean(),
+            mean_half_width_db: maps.half_width(Moments::mean),
+            sigma_db: maps.all.sigma(),
+            sigma_half_width_db: maps.half_width(Moments::sigma),
             raised_fraction: raised.map(|(fraction, _)| fraction),
             raised_level_db: raised.map(|(_, level)| level),
         }
@@ -134,6 +189,30 @@ mod tests {
             assert!((p - fraction).abs() < 5e-4 && (u - level_db).abs() < 0.05, "{p} {u}");
         }
         assert_eq!(raised(&corridor, &moments(-25.0, 5.5)), None);
+    }
+
+    /// The t interval of the means of sequences of equal length, and nothing for one.
+    #[test]
+    fn intervals_are_over_sequences() {
+        let sequences: [[f32; 2]; 3] = [[1.0, 3.0], [2.0, 6.0], [6.0, 6.0]];
+        let mut maps = Maps::default();
+        for (name, cells) in ["a", "b", "c"].into_iter().zip(sequences) {
+            maps.all.add(&cells);
+            maps.by_sequence.entry(name).or_default().add(&cells);
+        }
+        let expected = t_interval(&[2.0, 4.0, 6.0]).and_then(|of| of.half_width).expect("a width");
+        let found = maps.half_width(Moments::mean).expect("a width");
+        assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+        // Without a sequence: what the others give by themselves.
+        let (mut others, part) = (Moments::of(&sequences[0]), Moments::of(&sequences[1]));
+        others.add(&sequences[2]);
+        let left = maps.all.without(&part).expect("the others");
+        assert!(
+            (left.mean() - others.mean()).abs() < 1e-12 && (left.sigma() - others.sigma()).abs() < 1e-12,
+            "{left:?}"
+        );
+        maps.by_sequence = BTreeMap::from([("all", maps.all)]);
+        assert_eq!(maps.half_width(Moments::mean), None);
     }
 
     #[test]

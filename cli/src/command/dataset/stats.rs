@@ -63,21 +63,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     } else {
         let width = table.iter().map(|row| row.scene.chars().count()).max().unwrap_or(0).max(5);
         output::text_line(&format!(
-            "{:<6} {:<width$} {:<6} {:>7} {:>9} {:>9} {:>9} {:>9}",
-            "domain", "scene", "class", "maps", "mean dB", "sigma dB", "raised", "by dB"
+            "{:<6} {:<width$} {:<6} {:>7} {:>9} {:>9} {:>6} {:>9} {:>6} {:>9} {:>9}",
+            "domain", "scene", "class", "maps", "sequences", "mean dB", "±", "sigma dB", "±", "raised", "by dB"
         ))?;
         for row in &table {
             let number = |value: Option<f64>, scale: f64, unit: &str| {
                 value.map_or("-".to_owned(), |value| format!("{:.1}{unit}", value * scale))
             };
+            let half = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
             output::text_line(&format!(
-                "{:<6} {:<width$} {:<6} {:>7} {:>9.2} {:>9.2} {:>9} {:>9}",
+                "{:<6} {:<width$} {:<6} {:>7} {:>9} {:>9.2} {:>6} {:>9.2} {:>6} {:>9} {:>9}",
                 row.domain.to_string(),
                 row.scene,
                 row.class.name(),
                 row.maps,
+                row.sequences,
                 row.mean_db,
+                half(row.mean_half_width_db),
                 row.sigma_db,
+                half(row.sigma_half_width_db),
                 number(row.raised_fraction, 100.0, " %"),
                 number(row.raised_level_db, 1.0, ""),
             ))?;
