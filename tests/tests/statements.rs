@@ -1,18 +1,20 @@
 //! Figures on pages against the reports of studies that they are of, and reports against the JSON files beside them.
 //!
 //! A page marks a figure, `<!-- = controls hqnn mean -->0.779`, and a table, `<!-- figures: controls clean -->` to `<!-- end -->`. Figures
-//! are those of `docs/studies/STUDY/report.md`; tables are made of the JSON file beside it. This writes both anew:
+//! are those of `docs/studies/STUDY/report.md`; tables are made of the JSON file beside it (`blocks.rs`). This writes both anew:
 //!
 //!     RADOME_FIGURES=write cargo test --release -p radome-tests --test commands statements::
+
+mod blocks;
 
 use std::fmt::Write;
 use std::fs;
 use std::path::PathBuf;
 
-use radome_models::study::{
-    Cell, Interval, PAPER_CLEAN, PAPER_FRACTIONS, PAPER_NOISE, PAPER_SHARES, PAPER_SNR_DB, Report,
-};
+use radome_models::study::Report;
 use radome_tests::root;
+
+use self::blocks::block;
 
 /// Pages with marks, and the way from each to the folder of reports.
 const PAGES: [(&str, &str); 3] =
@@ -69,134 +71,6 @@ fn report(study: &str) -> Option<Report> {
     Some(serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
 }
 
-/// A mean with its interval, times a factor.
-fn told(of: Option<Interval>, factor: f64, digits: usize) -> String {
-    let Some(Interval { mean, half_width, .. }) = of else { return "-".to_owned() };
-    let half = half_width.map_or(String::new(), |half| format!(" ± {:.digits$}", factor * half));
-    format!("{:.digits$}{half}", factor * mean)
-}
-
-/// Our figure, and the paper's beside it: whether the paper's is in our interval, or how much more ours is.
-fn compared(ours: Option<Interval>, paper: Option<f64>, factor: f64, digits: usize) -> String {
-    let Some(paper) = paper else { return told(ours, factor, digits) };
-    let verdict = ours.map_or(String::new(), |of| {
-        let more = of.mean - paper / factor;
-        let agrees = of.half_width.is_some_and(|half| more.abs() <= half);
-        if agrees { " (agrees)".to_owned() } else { format!(" ({:+.digits$})", factor * more) }
-    });
-    format!("{} / {paper:.digits$}{verdict}", told(ours, factor, digits))
-}
-
-/// A table of these heads and rows.
-fn table(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
-    let mut table = format!("| {} |\n|{}", heads.join(" | "), "---|".repeat(heads.len()));
-    for row in rows {
-        let _ = write!(table, "\n| {} |", row.join(" | "));
-    }
-    table
-}
-
-/// The table or plot that a mark names.
-fn block(study: &str, kind: &str, way: &str) -> String {
-    match kind {
-        "studies" => return studies(way),
-        "gradients" => return gradients(study),
-        _ => {}
-    }
-    let Some(of) = report(study) else {
-        return format!("Not run yet on this simulator: `fixtures/studies/remake {study}`.");
-    };
-    if kind.ends_with(".svg") {
-        let dark = kind.replace(".svg", "-dark.svg");
-        return format!(
-            "<picture><source media=\"(prefers-color-scheme: dark)\" srcset=\"{way}{study}/{dark}\">\
-             <img alt=\"{}\" src=\"{way}{study}/{kind}\"></picture>",
-            of.title
-        );
-    }
-    let free = report("paper");
-    let same = |of: &Report, cell: &Cell, share: f64| -> Option<Cell> {
-        of.cells.iter().find(|other| other.variant == cell.variant && other.label_fraction == share).cloned()
-    };
-    let heads: &[&str] = match kind {
-        "clean" => &["failed", "test", "training"],
-        "accuracy" => &["test %", "training %"],
-        "noise" => &["-20 dB", "-10 dB", "+10 dB", "+20 dB"],
-        "labels" => &["10 %", "30 %", "50 %", "100 %"],
-        "leak" => &["by scene and class %", "label-free %", "the leak is worth %"],
-        other => panic!("{other} is no kind of table"),
-    };
-    let cells = |cell: &Cell| -> Vec<String> {
-        // Our figures with the paper's beside them.
-        let beside = |ours: &[Option<Interval>], paper: Option<&[f64]>, factor: f64, digits: usize| -> Vec<String> {
-            let paper = |index: usize| paper.and_then(|values| values.get(index).copied());
-            ours.iter().enumerate().map(|(index, of)| compared(*of, paper(index), factor, digits)).collect()
-        };
-        let accuracy = PAPER_CLEAN.iter().find(|(name, ..)| *name == cell.variant).map(|(_, a, b)| [*a, *b]);
-        let noise = PAPER_NOISE.iter().find(|(name, _)| *name == cell.variant).map(|(_, values)| &values[..]);
-        let labels = PAPER_FRACTIONS.iter().find(|(name, _)| *name == cell.variant).map(|(_, values)| &values[..]);
-        match kind {
-            "clean" => [vec![cell.failed.to_string()], beside(&[cell.test, cell.training], None, 1.0, 3)].concat(),
-            "accuracy" => beside(&[cell.accuracy, cell.training], accuracy.as_ref().map(|of| &of[..]), 100.0, 1),
-            "noise" => {
-                let at = |snr_db: f64| cell.noisy.iter().find(|(ratio, _)| *ratio == snr_db).and_then(|(_, of)| *of);
-                beside(&PAPER_SNR_DB.map(at), noise, 1.0, 3)
-            }
-            "labels" => {
-                let [a, b, c] = PAPER_SHARES;
-                let ours = [a, b, c, 1.0].map(|share| same(&of, cell, share).and_then(|cell| cell.test));
-                beside(&ours, labels, 1.0, 3)
-            }
-            _ => {
-                let without = free.as_ref().and_then(|free| same(free, cell, 1.0)).and_then(|cell| cell.accuracy);
-                let paper = accuracy.map(|[test, _]| [test; 2]);
-                let worth = cell.accuracy.zip(without).map(|(a, b)| format!("{:+.1}", 100.0 * (a.mean - b.mean)));
-                let ours = beside(&[cell.accuracy, without], paper.as_ref().map(|of| &of[..]), 100.0, 1);
-                [ours, vec![worth.unwrap_or("-".to_owned())]].concat()
-            }
-        }
-    };
-    let whole = of.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0);
-    let row = |cell: &Cell| [vec![cell.variant.clone(), cell.done.to_string()], cells(cell)].concat();
-    table(&[&["network", "seeds"][..], heads].concat(), whole.map(row))
-}
-
-/// All studies that there are files of, and how far each is run.
-fn studies(way: &str) -> String {
-    let entries = fs::read_dir(root().join("fixtures/studies")).expect("a folder").flatten();
-    let mut names: Vec<String> =
-        entries.filter_map(|entry| Some(entry.file_name().to_str()?.strip_suffix(".toml")?.to_owned())).collect();
-    names.sort();
-    let row = |name: &String| {
-        let spec = fs::read_to_string(root().join(format!("fixtures/studies/{name}.toml"))).expect("a study");
-        let title =
-            spec.lines().find_map(|line| line.strip_prefix("title = \"")).expect("a title").trim_end_matches('"');
-        let [done, failed, state] = if file(name, "report.md").exists() {
-            let older = if file(name, "report.json").exists() { "" } else { ", by an older simulator" };
-            let [done, planned, failed] = ["done", "planned", "failed"].map(|what| figure(name, "all", what));
-            [format!("{done} of {planned}"), failed, format!("[{name}]({way}{name}/report.md){older}")]
-        } else {
-            ["-", "-", "not run yet"].map(str::to_owned)
-        };
-        vec![format!("`{name}`"), title.to_owned(), done, failed, state]
-    };
-    table(&["study", "title", "trainings", "failed", "report"], names.iter().map(row))
-}
-
-/// What `radome bench trainability` found, by qubits and depth.
-fn gradients(study: &str) -> String {
-    let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else {
-        return format!("Not run yet on this simulator: `fixtures/studies/remake {study}`.");
-    };
-    let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
-    let row = |row: &serde_json::Value| -> Vec<String> {
-        let square = |key: &str| format!("{:.2e}", row[key].as_f64().expect("a number"));
-        let counts = ["depth", "qubits"].map(|key| row[key].to_string());
-        counts.into_iter().chain(["angle_gradient_square", "input_gradient_square"].map(square)).collect()
-    };
-    table(&["depth", "qubits", "by angles", "by inputs"], rows.iter().map(row))
-}
-
 /// Length of the figure that a text begins with: `0.779`, `0.779 ± 0.006`.
 fn figure_length(text: &str) -> usize {
     let digits = |text: &str| {
@@ -221,9 +95,9 @@ fn filled(page: &str, text: &str, way: &str) -> (String, Vec<String>) {
         }
         let (stands, expected) = match name.split_whitespace().collect::<Vec<_>>()[..] {
             ["=", study, network, what] => (&tail[..figure_length(tail)], figure(study, network, what)),
-            ["figures:", study, kind] => {
+            ["figures:", study, ref kind @ ..] => {
                 let length = tail.find("<!-- end -->").unwrap_or_else(|| panic!("{place} has no end"));
-                (&tail[..length], format!("\n\n{}\n\n", block(study, kind, way)))
+                (&tail[..length], format!("\n\n{}\n\n", block(study, &kind.join(" "), way)))
             }
             _ => ("", String::new()),
         };
