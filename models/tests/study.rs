@@ -6,7 +6,9 @@ use std::time::SystemTime;
 
 use radome_dsp::{MapFlags, Rdm};
 use radome_models::dataset::{DatasetError, lock_folder};
-use radome_models::study::{Condition, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant};
+use radome_models::study::{
+    Condition, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant, paired_difference,
+};
 use radome_models::{Dataset, TrainSpec};
 
 use crate::support::{Maps, dataset};
@@ -189,6 +191,10 @@ fn conditions_are_judged_without_training_again() {
         let of = |index: usize| report.conditions[index].cells.iter().find(|of| of.variant == cell.variant);
         let same = of(0).expect("a cell");
         assert_eq!((same.balanced_accuracy, same.confusion), (cell.test, cell.confusion));
+        // The same models on the same maps differ in nothing, seed by seed.
+        assert_eq!(same.scores.iter().map(|score| score.seed).collect::<Vec<_>>(), [1, 2]);
+        let difference = paired_difference(&same.scores, &cell.scores).expect("pairs");
+        assert_eq!((difference.count, difference.least, difference.most), (2, 0.0, 0.0));
     }
     assert!(report.markdown().contains("## Group\n") && report.markdown().contains("| same | weaker | strangers |"));
 
@@ -327,6 +333,7 @@ mod hard_cases {
             let accuracy = cell.balanced_accuracy.expect("chance");
             assert!(cell.done == 2 && (accuracy.mean - 1.0 / 3.0).abs() < 1e-12, "{cell:?}");
             assert_eq!(cell.confusion.iter().flatten().sum::<u64>(), 0);
+            assert!(cell.scores.len() == 2 && cell.scores.iter().all(|score| score.balanced_accuracy == accuracy.mean));
         }
     }
 

@@ -209,6 +209,11 @@ fn a_zero_sigma_is_not_hidden() {
     let two = row("corridor", "two");
     let (fraction, level) = (two["raised_fraction"].as_f64(), two["raised_level_db"].as_f64());
     assert!(fraction > Some(0.002) && fraction < Some(0.2) && level > Some(4.0) && level < Some(40.0), "{two}");
+    // Intervals are over sequences, of which a row may have one only.
+    for row in table.as_array().expect("a list") {
+        let halves = ["mean_half_width_db", "sigma_half_width_db"].map(|key| row[key].as_f64());
+        assert!(halves.iter().all(|half| half.is_some() == (row["sequences"].as_u64() > Some(1))), "{row}");
+    }
 
     // The same without a receiver's noise, as in the paper: every cell of an empty map lies at the floor.
     let text = std::fs::read_to_string(&spec).expect("reads");

@@ -139,6 +139,16 @@ fn a_wrong_figure_is_told_with_its_place_and_both_values() {
     assert!(wrong.len() == 1 && wrong[0].starts_with("page:2: = controls hqnn mean is 0.1 on the page"), "{wrong:?}");
 }
 
+/// Names of groups have blanks.
+#[test]
+fn tables_of_conditions_are_named_by_their_group() {
+    let text = "<!-- figures: none rungs: Real recordings --><!-- end -->";
+    let (out, wrong) = filled("page", text, "");
+    assert!(out.contains("Not run yet") && out.contains("remake none`") && out.ends_with("<!-- end -->"), "{out}");
+    assert!(wrong.len() == 1 && wrong[0].starts_with("page:1: figures: none rungs: Real recordings is"), "{wrong:?}");
+    assert_eq!(filled("page", &out, ""), (out.clone(), Vec::new()));
+}
+
 /// Where a report's JSON file lies beside it, the program makes the page of it.
 #[test]
 fn reports_are_those_of_the_json_files_beside_them() {
