@@ -39,7 +39,7 @@ pub struct CellTimes {
 pub struct Times {
     /// Time of the epochs of all trainings that are done, s.
     pub seconds: f64,
-    /// Processor time of the same trainings, s, as far as the system told it.
+    /// Processor time of the same trainings, s, as far as the system told it; less than all of it where one carried on with a checkpoint.
     #[serde(default)]
     pub cpu_seconds: f64,
     /// One for each variant and label fraction.
