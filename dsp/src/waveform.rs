@@ -192,39 +192,24 @@ pub struct Waveform {
 
 /// Error for a waveform that the chip cannot produce.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum WaveformError {
     /// A value is out of the chip's range.
     #[error("waveform: {name} is {value} {unit}, allowed is {min} to {max} {unit}")]
     OutOfRange {
         /// Field of [`WaveformRequest`].
         name: &'static str,
-        /// Given value.
         value: f64,
-        /// Least allowed value.
         min: f64,
-        /// Largest allowed value.
         max: f64,
-        /// Unit of all three.
         unit: &'static str,
     },
     /// The antenna list is empty, repeats one, or names one that the chip lacks.
     #[error("waveform: rx_antennas is {got:?}, expected one to three different numbers out of 1, 2, 3")]
-    Antennas {
-        /// Given numbers.
-        got: Vec<u8>,
-    },
+    Antennas { got: Vec<u8> },
     /// The chirps do not fit between the start of two chirps or frames.
     #[error("waveform: {what} take {needed_s:.6} s, but {interval} is {given_s:.6} s; lengthen it or sample less")]
-    DoesNotFit {
-        /// Part that does not fit.
-        what: &'static str,
-        /// Interval that is too short.
-        interval: &'static str,
-        /// Time needed.
-        needed_s: f64,
-        /// Time given.
-        given_s: f64,
-    },
+    DoesNotFit { what: &'static str, interval: &'static str, needed_s: f64, given_s: f64 },
 }
 
 /// Error for frames whose waveform differs too much from the one that is needed.

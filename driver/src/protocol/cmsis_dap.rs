@@ -106,29 +106,17 @@ pub enum Answer<'a> {
 
 /// Error of an answer that does not belong to the command.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum AnswerError {
     /// The probe does not know the command.
     #[error("CMSIS-DAP: the probe does not know command {command:#04x}")]
-    Unknown {
-        /// Code of the command.
-        command: u8,
-    },
+    Unknown { command: u8 },
     /// The answer belongs to another command.
     #[error("CMSIS-DAP: an answer to command {got:#04x}, expected one to {expected:#04x}")]
-    Other {
-        /// Command that was answered.
-        got: u8,
-        /// Command that was sent.
-        expected: u8,
-    },
+    Other { got: u8, expected: u8 },
     /// The answer is too short.
     #[error("CMSIS-DAP: the answer to command {command:#04x} has {got} bytes, it lacks some")]
-    Short {
-        /// Code of the command.
-        command: u8,
-        /// Length of the answer, bytes.
-        got: usize,
-    },
+    Short { command: u8, got: usize },
 }
 
 impl Command {
