@@ -70,6 +70,16 @@ pub fn radome() -> Command {
     command
 }
 
+/// A command of the built program by its name, such as `board list`.
+///
+/// # Panics
+/// If the program has not been built.
+pub fn subcommand(name: &str) -> Command {
+    let mut command = radome();
+    command.args(name.split_whitespace());
+    command
+}
+
 /// Runs and returns the JSON lines of stdout.
 ///
 /// # Panics
@@ -120,7 +130,7 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
 /// # Panics
 /// If the program has no such command.
 pub fn help(name: &str) -> String {
-    let output = run(radome().args(name.split_whitespace()).arg("--help"));
+    let output = run(subcommand(name).arg("--help"));
     assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }

@@ -1,6 +1,6 @@
 //! `dataset stats --features`: simulated halls beside what recordings of people walking about show.
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, subcommand};
 
 #[test]
 fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
@@ -11,10 +11,10 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let file = folder.path().join("halls.toml");
     std::fs::write(&file, spec).expect("writable");
     let set = folder.path().join("set");
-    json_lines(radome().args(["dataset", "build", "--json"]).arg(&file).arg("-o").arg(&set));
+    json_lines(subcommand("dataset build").arg("--json").arg(&file).arg("-o").arg(&set));
     let stats = |more: &[&str]| {
-        let mut command = radome();
-        command.args(["dataset", "stats", "--features", "--json"]).arg(&set).args(more);
+        let mut command = subcommand("dataset stats");
+        command.args(["--features", "--json"]).arg(&set).args(more);
         command
     };
     let rows = json_lines(&mut stats(&[])).remove(0);
