@@ -3,12 +3,11 @@
 use std::time::Duration;
 
 use radome_driver::{
-    Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, Reconnect,
-    UsbAddress,
+    Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, UsbAddress,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{POLICY, Pattern, waveform};
 use crate::emulated_board::start_and_stop;
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
@@ -73,12 +72,6 @@ fn the_board_says_that_it_is_the_bulk_variant() {
 
 mod hard_cases {
     use super::*;
-
-    const POLICY: Reconnect = Reconnect {
-        first_wait: Duration::from_millis(10),
-        longest_wait: Duration::from_millis(50),
-        give_up_after: Duration::from_secs(60),
-    };
 
     #[test]
     fn what_can_be_seen_without_a_checksum_costs_its_frame_and_no_other() {

@@ -12,17 +12,7 @@ use crate::common::{Pattern, waveform};
 fn record(path: &Path) {
     let mut source = Pattern::new(waveform(&[1, 2], 8, 64, 0.1), 40);
     source.gap = Some(Gap { first_sequence: 10, frames: 10, reason: GapReason::PacketLost });
-    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
-    let mut frame = Frame::zeroed(source.waveform.shape());
-    loop {
-        match source.next_frame(&mut frame).expect("no fault") {
-            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
-            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
-            SourceEvent::End => break,
-        }
-    }
-    recorder.label(&LabelSpan::new(0.0, 0.5, "empty")).expect("records");
-    recorder.finish().expect("finishes");
+    crate::common::record(source, &LabelSpan::new(0.0, 0.5, "empty"), path);
 }
 
 struct Tape {

@@ -8,12 +8,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
-use crate::common::waveform;
-
-/// Fifty times as many where `RADOME_LONG` is set.
-fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
-}
+use crate::common::{cases, waveform};
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");

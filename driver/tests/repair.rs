@@ -4,10 +4,10 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::mcap::{RepairReport, append_labels, repair};
-use radome_driver::{LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
+use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{Pattern, cases, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
@@ -16,25 +16,9 @@ fn pattern() -> Pattern {
     Pattern { gap: Some(RECORDED_GAP), ..Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES) }
 }
 
-/// Fifty times as many where `RADOME_LONG` is set.
-fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
-}
-
 /// 50 numbers at 10 Hz, 20 to 22 lost, a chunk a second, a label.
 fn record(path: &Path) -> Vec<u8> {
-    let mut source = pattern();
-    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
-    let mut frame = Frame::zeroed(source.waveform.shape());
-    loop {
-        match source.next_frame(&mut frame).expect("frame") {
-            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
-            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
-            SourceEvent::End => break,
-        }
-    }
-    recorder.label(&LabelSpan::new(0.0, 2.0, "one")).expect("records");
-    recorder.finish().expect("finishes");
+    crate::common::record(pattern(), &LabelSpan::new(0.0, 2.0, "one"), path);
     std::fs::read(path).expect("reads")
 }
 

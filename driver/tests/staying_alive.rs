@@ -2,17 +2,10 @@
 
 use std::time::Duration;
 
-use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace, Reconnect};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
-use crate::common::{Pattern, read_frames, waveform};
-
-/// Patient enough for any machine.
-const POLICY: Reconnect = Reconnect {
-    first_wait: Duration::from_millis(10),
-    longest_wait: Duration::from_millis(50),
-    give_up_after: Duration::from_secs(60),
-};
+use crate::common::{POLICY, Pattern, read_frames, waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
@@ -118,24 +111,6 @@ mod hard_cases {
             reasons(&gaps),
             [PacketLost, Crc, Crc, FifoOverflow, PacketLost, PacketLost, Disconnected, PacketLost]
         );
-    }
-
-    #[test]
-    fn a_board_that_never_comes_back_is_given_up() {
-        let folder = tempfile::tempdir().expect("folder");
-        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        // With a link: the number of a terminal that has gone is soon that of another test's board.
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[]) };
-        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let client = Mcu7Board::open(board.path()).expect("opens");
-        let policy = Reconnect { give_up_after: Duration::from_millis(300), ..POLICY };
-        let mut stream = client.start(&waveform).expect("starts").with_reconnect(policy);
-        read_frames(&mut stream, 3, |_| {});
-        drop(board);
-        let error = first_error(&mut stream, &waveform);
-        assert!(error.to_string().contains("connection broke"), "{error}");
-        // The stream is over; it says so as often as it is asked.
-        first_error(&mut stream, &waveform);
     }
 
     /// A stream without a reconnection policy ends with the error.

@@ -2,7 +2,24 @@
 
 #![allow(dead_code)]
 
+use std::path::Path;
+use std::time::Duration;
+
+use proptest::prelude::ProptestConfig;
+use radome_driver::{LabelSpan, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
+
+/// Patient enough for any machine.
+pub const POLICY: Reconnect = Reconnect {
+    first_wait: Duration::from_millis(10),
+    longest_wait: Duration::from_millis(50),
+    give_up_after: Duration::from_secs(60),
+};
+
+/// Cases of a property: fifty times as many where `RADOME_LONG` is set.
+pub fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
+}
 
 /// Frames in which every code follows from frame, receiver, chirp and sample.
 pub struct Pattern {
@@ -117,4 +134,19 @@ pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&
         }
     }
     gaps
+}
+
+/// Records a source, with one label.
+pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    loop {
+        match source.next_frame(&mut frame).expect("frame") {
+            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
+            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
+            SourceEvent::End => break,
+        }
+    }
+    recorder.label(label).expect("records");
+    recorder.finish().expect("finishes");
 }
