@@ -174,8 +174,10 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
         }
     }
 
-    // Labels added in the other way come on top; a repair keeps what counts.
-    native::append_labels(&path, &[LabelSpan::new(3.0, 3.5, "one")]).expect("appends");
+    // More of them take the place of these; a repair keeps what counts.
+    let mut labels = McapReader::open(&path).expect("opens").labels().expect("labels");
+    labels.push(LabelSpan::new(3.0, 3.5, "one"));
+    native::set_labels(&path, &labels).expect("sets");
     let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
     assert_eq!(labels.iter().map(|l| l.label.as_str()).collect::<Vec<_>>(), ["two", "one"]);
     native::set_labels(&path, &labels[..1]).expect("sets");

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use radome_driver::recording::mcap::{RepairReport, append_labels, repair};
+use radome_driver::recording::mcap::{RepairReport, repair, set_labels};
 use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent};
 
@@ -151,10 +151,12 @@ fn labels_are_added_to_a_finished_recording() {
         note: Some("came back for her coat".into()),
         ..LabelSpan::new(2.0, 3.5, Occupancy::Two.name())
     };
-    append_labels(&path, std::slice::from_ref(&label)).expect("appends");
+    let both = [LabelSpan::new(0.0, 2.0, "one"), label];
+    assert_eq!(McapReader::open(&path).expect("opens").labels().expect("labels"), both[..1]);
+    set_labels(&path, &both).expect("sets");
     assert_eq!(content(&path), before);
     let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
-    assert_eq!(labels, [LabelSpan::new(0.0, 2.0, "one"), label]);
+    assert_eq!(labels, both);
     assert_eq!(labels[1].occupancy(), Some(Occupancy::Two));
     assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
 }
@@ -169,19 +171,19 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a.mcap");
         let bytes = record(&path);
-        let label = [LabelSpan::new(0.0, 1.0, "one")];
+        let both = [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")];
         std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("writes");
-        assert!(matches!(append_labels(&path, &label), Err(RecordingError::Unfinished { .. })));
+        assert!(matches!(set_labels(&path, &both), Err(RecordingError::Unfinished { .. })));
         let mut damaged = bytes.clone();
         let (start, end) = chunks(&bytes)[2];
         damaged[(start + end) / 2] ^= 1;
         std::fs::write(&path, &damaged).expect("writes");
-        append_labels(&path, &label).expect("appends");
+        set_labels(&path, &both).expect("sets");
         let after = std::fs::read(&path).expect("reads");
         let last = chunks(&bytes).last().expect("chunks").1;
         assert!(after[..last] == damaged[..last]);
         let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
-        assert_eq!(labels, [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")]);
+        assert_eq!(labels, both);
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 
