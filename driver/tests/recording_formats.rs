@@ -35,7 +35,7 @@ fn simulated(waveform: &Waveform, count: u64, seed: u64) -> Vec<Frame> {
             *code = ((i as u64 + 7 * sequence + seed).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 52) as u16;
         }
         frame.sequence = sequence;
-        frame.time_ns = (sequence as f64 * waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = waveform.frame_time_ns(sequence);
         frame
     };
     (0..count).map(frame).collect()

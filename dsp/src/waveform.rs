@@ -299,6 +299,11 @@ impl Waveform {
         self.request.frame_interval_s
     }
 
+    /// Time of a frame on a clock that starts with the first one, ns: frames come at their interval.
+    pub fn frame_time_ns(&self, sequence: u64) -> u64 {
+        (sequence as f64 * self.frame_interval_s() * 1e9).round() as u64
+    }
+
     /// Band swept while samples are taken, Hz.
     pub fn sampled_bandwidth_hz(&self) -> f64 {
         self.slope_hz_per_s * self.request.samples_per_chirp as f64 / self.sample_rate_hz

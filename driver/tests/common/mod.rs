@@ -43,7 +43,7 @@ impl Pattern {
             *code = ((i as u64).wrapping_mul(2_654_435_761).wrapping_add(sequence * 977) >> 5 & 0xFFF) as u16;
         }
         frame.sequence = sequence;
-        frame.time_ns = (sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = self.waveform.frame_time_ns(sequence);
         frame.host_time_ns = 0;
         frame.truth = self.truth;
         frame.temperature_millicelsius = None;
