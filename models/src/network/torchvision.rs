@@ -126,7 +126,7 @@ impl TorchvisionWeights {
             let (missing, unknown) = (list(&missing), list(&unused));
             return Err(WeightsError::Missing { path: path.to_owned(), network: spec.kind, missing, unknown });
         }
-        let hash = Sha256::digest(data).iter().map(|byte| format!("{byte:02x}")).collect();
+        let hash = format!("{:x}", Sha256::digest(data));
         Ok(TorchvisionWeights { values, hash, initialised, unused })
     }
 
