@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use radome_models::ModelCard;
-use radome_tests::{add_signal, failure, fixture, json_lines, subcommand};
+use radome_tests::{add_signal, failure, fixture, fixture_text, json_lines, subcommand};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -23,18 +23,14 @@ fn made() -> &'static Path {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         let write = |name: &str, text: &str| std::fs::write(at(name), text).expect("writable");
-        let path = |name: &str| fixture(name).canonicalize().expect(name).display().to_string();
-        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = quick.replace("../scenes/hall.toml", &path("scenes/hall.toml"));
-        write("maps.toml", &halls);
+        write("maps.toml", &fixture_text("datasets/quick.toml"));
         json_lines(subcommand("dataset build").arg("--json").arg(at("maps.toml")).arg("-o").arg(at("maps")));
         write("training.toml", TRAINING);
         let mut train = subcommand("model train");
         train.arg(at("maps")).arg("--spec").arg(at("training.toml")).args(["--network", "descriptor_linear"]);
         json_lines(train.args(["--json", "-o"]).arg(at("model.safetensors")));
-        let scene = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("hall.toml");
+        let scene = fixture_text("scenes/hall.toml");
         let (hall, _) = scene.split_once("\n[random]").expect("a table");
-        let hall = hall.replace("../receivers/typical.toml", &path("receivers/typical.toml"));
         let receiver = "\"receiver.antenna.azimuth_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
                         \"receiver.antenna.elevation_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
                         \"receiver.gain_correction_db\" = { between = [4.0, 4.0] }\n";

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
 use serde_json::Value;
 
 fn simulate(folder: &Path, scene: &Path, people: usize) -> String {
@@ -15,12 +15,12 @@ fn simulate(folder: &Path, scene: &Path, people: usize) -> String {
 
 /// The hall without what reverberates in it: there one walker is taken for two, which is the detector's limit and not the scene's.
 fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
-    let hall = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("readable");
+    let hall = fixture_text("scenes/hall.toml");
     let (points, bounces) = ("diffuse_points = 64\n", "diffuse_bounces = 8\n");
     assert!(hall.contains(points) && hall.contains(bounces), "the hall has other walls now");
     let hall = hall.replace(points, "").replace(bounces, "");
     let path = folder.join("hall.toml");
-    std::fs::write(&path, hall.replace("../receivers", &fixture("receivers").display().to_string())).expect("writable");
+    std::fs::write(&path, hall).expect("writable");
     path
 }
 
@@ -57,8 +57,7 @@ fn the_detector_wants_frames_and_not_maps() {
 
 /// The corridor with something else after its furniture, in place of its people or before them.
 fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
-    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-    let corridor = corridor.replace("../receivers", &fixture("receivers").display().to_string());
+    let corridor = fixture_text("scenes/corridor.toml");
     let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
     let path = folder.join(name);
     let people = if rest.contains("[people") { "" } else { people };

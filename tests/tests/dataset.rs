@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::{failure, fixture, json_lines, model_of_one_waveform, radome, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, model_of_one_waveform, radome, subcommand};
 
 /// Maps of one channel in decibels.
 const MAP: &str = r#"[map]
@@ -469,9 +469,7 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
 
 /// Writes the hall with other values of these keys of its waveform.
 fn hall_in(path: &Path, changes: &[(&str, &str)]) {
-    let hall = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("reads");
-    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
-    let mut text = hall.replace("../receivers/typical.toml", &receiver.display().to_string());
+    let mut text = fixture_text("scenes/hall.toml");
     for (key, value) in changes {
         let line = text.lines().find(|line| line.starts_with(key)).expect("a key of the waveform").to_owned();
         text = text.replace(&line, &format!("{key} = {value}"));

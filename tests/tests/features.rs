@@ -1,13 +1,11 @@
 //! `dataset stats --features`: simulated halls beside what recordings of people walking about show.
 
-use radome_tests::{failure, fixture, json_lines, subcommand};
+use radome_tests::{failure, fixture_text, json_lines, subcommand};
 
 #[test]
 fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = std::fs::read_to_string(fixture("datasets/halls.toml")).expect("a spec");
-    let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
-    let spec = spec.replace("../scenes/hall.toml", &scene.display().to_string()).replace("[1, 500]", "[1, 3]");
+    let spec = fixture_text("datasets/halls.toml").replace("[1, 500]", "[1, 3]");
     let file = folder.path().join("halls.toml");
     std::fs::write(&file, spec).expect("writable");
     let set = folder.path().join("set");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
 
 /// A small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -12,11 +12,7 @@ pub fn maps() -> &'static Path {
     let (_, path) = MAPS.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = folder.path().join("maps.toml");
-        let quick = std::fs::read_to_string(radome_tests::fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = radome_tests::fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
-        let few = quick
-            .replace("seeds = [1, 24]", "seeds = [1, 8]")
-            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(&spec, few).expect("writable");
         let path = folder.path().join("maps");
         json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(&path));

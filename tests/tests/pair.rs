@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{failure, fixture, json_lines, shared, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, shared, subcommand};
 use serde_json::Value;
 
 /// Path of a walker: places, and the speed of the way to each; a place twice is a stand of two seconds.
@@ -21,10 +21,9 @@ fn motion(path: &Path2) -> Motion {
 
 /// A scene file of the fixtures with these people in it.
 fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
-    let text = std::fs::read_to_string(fixture(fixture_name)).expect("a scene");
+    let text = fixture_text(fixture_name);
     let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
-    let receivers = fixture("receivers").canonicalize().expect("a folder");
-    let mut text = room.replace("../receivers", &receivers.display().to_string());
+    let mut text = room.to_owned();
     for path in paths {
         let step = |(i, (place, speed)): (usize, &([f64; 2], f64))| match i {
             0 => format!("{{ walk_to_m = {place:?} }}"),
@@ -260,10 +259,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
 #[test]
 fn visitors_come_and_go_by_doors() {
     let folder = tempfile::tempdir().expect("a folder");
-    let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("a scene");
-    let receivers = fixture("receivers").canonicalize().expect("a folder");
-    let text =
-        text.replace("../receivers", &receivers.display().to_string()).replace("max_people = 2", "max_people = 1");
+    let text = fixture_text("scenes/corridor.toml").replace("max_people = 2", "max_people = 1");
     let scene = folder.path().join("visits.toml");
     std::fs::write(&scene, text).expect("writable");
     let recording = record(&scene, 150, 2);

@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
 use serde_json::Value;
 
 /// A scene of `fixtures/scenes/rooms.toml` whose waveform has other values for these keys.
 fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
-    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
-    let text = std::fs::read_to_string(fixture("scenes/rooms.toml")).expect("a scene");
-    let mut text = text.replace("../receivers/typical.toml", &receiver.display().to_string());
+    let mut text = fixture_text("scenes/rooms.toml");
     for (key, value) in waveform {
         let is_key = |line: &str| line.split_once(" = ").is_some_and(|(name, _)| name == *key);
         assert_eq!(text.lines().filter(|line| is_key(line)).count(), 1, "{key}");

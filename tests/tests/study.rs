@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
 
 use super::learning::maps;
 
@@ -187,12 +187,8 @@ mod hard_cases {
     /// Shards of a study without a dataset: one of them builds it, the others wait.
     #[test]
     fn shards_build_one_dataset() {
-        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
-        let few = quick
-            .replace("seeds = [1, 24]", "seeds = [1, 8]")
-            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(place.at("maps.toml"), few).expect("writable");
         let start = |shard: &str| {
             let mut command = subcommand("model study");

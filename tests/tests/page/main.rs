@@ -9,14 +9,7 @@ use serde_json::{Value, json};
 
 /// A corridor in which one person walks between two ranges, as a recording.
 fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
-    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-    let head = &corridor[..corridor.find("[people").expect("a people table")];
-    let head = head.replace("../receivers", &fixture("receivers").display().to_string());
-    let scene = folder.join("walk.toml");
-    let people = format!(
-        "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}]\n"
-    );
-    std::fs::write(&scene, format!("{head}{people}")).expect("writable");
+    let scene = radome_tests::walk(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
     let frames = frames.to_string();
     json_lines(subcommand("scene simulate").arg(&scene).args(["--frames", &frames, "--json", "-o"]).arg(&recording));
