@@ -5,12 +5,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use radome_driver::{
-    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Pace,
-    Reconnect,
+    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{self, Pattern, waveform};
 
 const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
@@ -20,7 +19,7 @@ const POLICY: Reconnect = Reconnect {
 
 fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
     // The number of a terminal that has gone is soon that of another test's board.
-    EmulatorOptions { pace: Pace::AsFastAsRead, kind, link: Some(folder.join("board")), ..EmulatorOptions::default() }
+    EmulatorOptions { link: Some(folder.join("board")), ..common::options(kind, &[]) }
 }
 
 /// The stream of a board of this kind that is lost behind three frames.

@@ -6,7 +6,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use proptest::prelude::ProptestConfig;
-use radome_driver::{LabelSpan, Reconnect, Recorder, RecordingHeader};
+use radome_driver::{
+    EmulatedBoard, EmulatorOptions, Fault, Kind, LabelSpan, Pace, Reconnect, Recorder, RecordingHeader,
+};
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 
 /// Patient enough for any machine.
@@ -86,6 +88,17 @@ pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s
         ..WaveformRequest::paper()
     })
     .expect("valid")
+}
+
+/// Options of a board with these faults that sends as fast as it is read.
+pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() }
+}
+
+/// Such a board that measures so many frames of a [`Pattern`].
+pub fn board(waveform: &Waveform, frames: u64, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
+    let source = Pattern::new(waveform.clone(), frames);
+    EmulatedBoard::spawn(Box::new(source), options(kind, faults)).expect("spawns")
 }
 
 /// Waveform of the captured sessions.
