@@ -163,7 +163,7 @@ impl Model {
                 } else {
                     read(path, MODEL_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?
                 };
-                Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+                format!("{:x}", Sha256::digest(&bytes))
             }
         };
         let Delays { on_s: on_delay_s, off_s: off_delay_s } = delays;

@@ -19,7 +19,6 @@ const REMEMBERED: usize = 32;
 pub struct Panicked {
     /// File and line, or that nobody knows.
     pub place: String,
-    /// Message of the panic.
     pub message: String,
 }
 

@@ -7,9 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Part `index` of `count`, from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shard {
-    /// Index of the part.
     pub index: usize,
-    /// Number of parts.
     pub count: usize,
 }
 

@@ -79,7 +79,6 @@ impl SourceArgs {
 pub struct SourceOptions {
     /// Waveform to program a board with, if not the one that it has; recordings and scenes bring their own.
     pub waveform: Option<Waveform>,
-    /// Seed of a simulation.
     pub seed: u64,
     /// People that a simulation is forced to have.
     pub people: Option<usize>,
@@ -107,13 +106,11 @@ pub struct Playback {
     pub transport: Transport,
     /// Its first and last frame.
     pub extent: Extent,
-    /// Path of the recording.
     pub path: PathBuf,
 }
 
 /// An opened source.
 pub struct Source {
-    /// The frames.
     pub frames: Box<dyn FrameSource>,
     /// Whether it cannot wait for slow consumers.
     pub is_live: bool,
@@ -121,7 +118,6 @@ pub struct Source {
     pub description: String,
     /// The board behind it, if there is one.
     pub board: Option<BoardIdentity>,
-    /// Registers of its chip.
     pub registers: RegisterList,
     /// The recording, where it is one that can be sought.
     pub playback: Option<Playback>,

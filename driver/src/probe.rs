@@ -21,60 +21,32 @@ const RISE_US: u32 = 100_000;
 
 /// Errors of a debug probe.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ProbeError {
     /// The probe cannot be opened.
     #[error("{path}: cannot open the debug probe")]
-    Open {
-        /// Device node.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Open { path: PathBuf, source: io::Error },
     /// Another program holds the probe.
     #[error("{path}: another program has this debug probe; close it and try again")]
-    Busy {
-        /// Device node.
-        path: PathBuf,
-    },
+    Busy { path: PathBuf },
     /// The user may not open the probe.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         remedy = crate::transport::PERMISSION_REMEDY
     )]
-    PermissionDenied {
-        /// Device node.
-        path: PathBuf,
-    },
+    PermissionDenied { path: PathBuf },
     /// The connection broke.
     #[error("{path}: the connection to the debug probe broke")]
-    Disconnected {
-        /// Device node.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
+    Disconnected { path: PathBuf, source: io::Error },
     /// No answer came.
     #[error("{path}: the debug probe does not answer; does another program use it?")]
-    NoAnswer {
-        /// Device node.
-        path: PathBuf,
-    },
+    NoAnswer { path: PathBuf },
     /// The answer is malformed.
     #[error("{path}: malformed answer")]
-    Malformed {
-        /// Device node.
-        path: PathBuf,
-        /// Difference from the expected form.
-        source: AnswerError,
-    },
+    Malformed { path: PathBuf, source: AnswerError },
     /// The probe could not carry out a command.
     #[error("{path}: the debug probe could not {what}")]
-    Refused {
-        /// Device node.
-        path: PathBuf,
-        /// Name of the action.
-        what: &'static str,
-    },
+    Refused { path: PathBuf, what: &'static str },
 }
 
 /// Identity that a probe reports.

@@ -2,25 +2,18 @@
 
 use std::time::Duration;
 
-use radome_driver::{
-    Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, Reconnect,
-    UsbAddress,
-};
+use radome_driver::{Address, BoardError, EmulatedSource, Fault, Kind, Mcu7Board, UsbAddress};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{POLICY, Pattern, board, options, waveform};
 use crate::emulated_board::start_and_stop;
-
-fn options(faults: &[Fault]) -> EmulatorOptions {
-    let faults = faults.to_vec();
-    EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Mcu7Bulk, faults, ..EmulatorOptions::default() }
-}
 
 /// Sequence numbers of frames whose codes are the source's, of others, and gaps, to the source's end.
 fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<u64>, Vec<Gap>) {
     let pattern = Pattern::new(waveform.clone(), frames);
     let mut source =
-        EmulatedSource::start(Box::new(Pattern::new(waveform.clone(), frames)), options(faults)).expect("starts");
+        EmulatedSource::start(Box::new(Pattern::new(waveform.clone(), frames)), options(Kind::Mcu7Bulk, faults))
+            .expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let mut expected = frame.clone();
     let (mut good, mut bad, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
@@ -56,7 +49,7 @@ fn frames_of_any_shape_arrive_bit_exact() {
 #[test]
 fn the_board_says_that_it_is_the_bulk_variant() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
+    let board = board(&waveform, 1000, Kind::Mcu7Bulk, &[]);
     let mut client = Mcu7Board::open_at(board.address()).expect("opens");
     let identity = client.identity().clone();
     assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0252));
@@ -73,12 +66,6 @@ fn the_board_says_that_it_is_the_bulk_variant() {
 
 mod hard_cases {
     use super::*;
-
-    const POLICY: Reconnect = Reconnect {
-        first_wait: Duration::from_millis(10),
-        longest_wait: Duration::from_millis(50),
-        give_up_after: Duration::from_secs(60),
-    };
 
     #[test]
     fn what_can_be_seen_without_a_checksum_costs_its_frame_and_no_other() {
@@ -131,8 +118,7 @@ mod hard_cases {
         // start, however slow that is.
         let faults = [unplug(300), Fault::Stall(320), unplug(340)];
         let pattern = Pattern::new(waveform.clone(), u64::MAX);
-        let board =
-            EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), u64::MAX)), options(&faults)).expect("spawns");
+        let board = board(&waveform, u64::MAX, Kind::Mcu7Bulk, &faults);
         let client = Mcu7Board::open_at(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let mut frame = Frame::zeroed(waveform.shape());
@@ -180,8 +166,7 @@ mod hard_cases {
             (Fault::ForeignChip(0), "does not answer"),
             (Fault::WrongVersion(5), "protocol 5.0"),
         ] {
-            let board =
-                EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1)), options(&[fault])).expect("spawns");
+            let board = board(&waveform, 1, Kind::Mcu7Bulk, &[fault]);
             let Err(error) = Mcu7Board::open_at(board.address()) else { panic!("opened") };
             assert!(error.to_string().contains(words), "{error}");
         }

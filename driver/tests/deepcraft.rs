@@ -207,7 +207,7 @@ mod by_hand {
         let layout = ChunkLayout { device: 2, stream: 1, frame_codes: 4 };
         let mut parser = ChunkParser::new(layout, 300);
         parser.push(&line);
-        let error = ErrorResponse { message: "No.".into(), code: ErrorCode::NoSuchDevice.code() };
+        let error = ErrorResponse { message: "No.".into(), code: ErrorCode::NO_SUCH_DEVICE.0 };
         assert_eq!(parser.next_event(), Some(ChunkEvent::Error(error)));
         assert_eq!(parser.next_event(), None, "not confirmed yet");
         parser.on_silence();

@@ -9,18 +9,10 @@ use radome_driver::protocol::deepcraft::{
 };
 use radome_driver::{
     BoardError, DeepcraftBoard, DeepcraftError, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace,
-    Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{Pattern, read_frames, waveform};
-
-/// Patient enough for any machine.
-const POLICY: Reconnect = Reconnect {
-    first_wait: Duration::from_millis(10),
-    longest_wait: Duration::from_millis(50),
-    give_up_after: Duration::from_secs(60),
-};
+use crate::common::{POLICY, Pattern, read_frames, waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions {

@@ -1,21 +1,15 @@
 //! Detection of the board on a serial port by listening and asking.
 
-use radome_driver::{BoardError, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
-use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_driver::{BoardError, Detected, Fault, Kind};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
 
-use crate::common::{Pattern, waveform};
-
-fn board(waveform: &Waveform, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
-    let options =
-        EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() };
-    EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 20)), options).expect("spawns")
-}
+use crate::common::{Pattern, board, waveform};
 
 #[test]
 fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
-        let board = board(&w, kind, &[]);
+        let board = board(&w, 20, kind, &[]);
         let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
             panic!("another kind of board");
         };
@@ -28,7 +22,7 @@ fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
 #[test]
 fn a_psoc_kit_tells_what_it_is_set_to() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
-    let board = board(&w, Kind::Deepcraft, &[]);
+    let board = board(&w, 20, Kind::Deepcraft, &[]);
     let Detected::Deepcraft(client) = Detected::open(board.path(), None).expect("answers") else {
         panic!("another kind of board");
     };
@@ -42,7 +36,7 @@ fn a_psoc_kit_tells_what_it_is_set_to() {
 #[test]
 fn a_board_that_prints_is_heard_from_its_first_frame_on() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
-    let board = board(&w, Kind::Esp32, &[]);
+    let board = board(&w, 20, Kind::Esp32, &[]);
     let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
         panic!("another kind of board");
     };
@@ -63,7 +57,7 @@ mod hard_cases {
     #[test]
     fn a_board_that_prints_can_be_opened_again() {
         let w = waveform(&[1], 16, 32, 0.05);
-        let board = board(&w, Kind::Esp32, &[]);
+        let board = board(&w, 20, Kind::Esp32, &[]);
         drop(Detected::open(board.path(), None).expect("speaks"));
         std::thread::sleep(std::time::Duration::from_millis(50));
         let Detected::Esp32(mut stream) = Detected::open(board.path(), Some(&w)).expect("speaks") else {
@@ -75,7 +69,7 @@ mod hard_cases {
     #[test]
     fn a_port_that_keeps_silent_is_told_so_in_the_end() {
         let w = waveform(&[1], 16, 32, 0.05);
-        let board = board(&w, Kind::Esp32, &[Fault::Stall(0)]);
+        let board = board(&w, 20, Kind::Esp32, &[Fault::Stall(0)]);
         // It says its banner and waveform and nothing more: lines, but no frame.
         let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
             panic!("another kind of board");
@@ -86,7 +80,7 @@ mod hard_cases {
 
     #[test]
     fn a_foreign_chip_is_named_whoever_asks() {
-        let board = board(&waveform(&[1], 16, 32, 0.05), Kind::Mcu7V4, &[Fault::ForeignChip(0x504)]);
+        let board = board(&waveform(&[1], 16, 32, 0.05), 20, Kind::Mcu7V4, &[Fault::ForeignChip(0x504)]);
         let error = Detected::open(board.path(), None).err().expect("refused");
         assert!(matches!(error, BoardError::OtherChip { chip: "BGT60ATR24C", .. }), "{error}");
     }

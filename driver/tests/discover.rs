@@ -5,9 +5,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use radome_driver::discover::{Belief, Change, Identity, Roots, State, Transport, Watch, ask, candidates_in};
-use radome_driver::{
-    Address, Candidate, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, UsbAddress,
-};
+use radome_driver::{Address, Candidate, Detected, EmulatedBoard, Fault, Kind, Mcu7Board, UsbAddress};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 use crate::common;
@@ -193,10 +191,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
     machine.give("1-1", "tty", "ttyACM0", "");
     let waveform = common::waveform(&[1, 2, 3], 8, 64, 0.1);
     let state = |faults: &[Fault]| {
-        let options =
-            EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() };
-        let source = Box::new(common::Pattern::new(waveform.clone(), 10));
-        let board = EmulatedBoard::spawn(source, options).expect("spawns");
+        let board = common::board(&waveform, 10, Kind::default(), faults);
         let candidate = candidate_at(&machine, &board);
         let state = ask(&candidate, false);
         // As long as somebody has it, it is busy.
@@ -230,9 +225,7 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
     machine.give("1-1", "tty", "ttyACM0", "");
     let waveform = common::waveform(&[1, 3], 8, 64, 0.1);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
-        let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
-        let source = Box::new(common::Pattern::new(waveform.clone(), 1000));
-        let board = EmulatedBoard::spawn(source, options).expect("spawns");
+        let board = common::board(&waveform, 1000, kind, &[]);
         // Opened and not started, a chip has been reset: what is found below is not what the emulator began with.
         let opened = Mcu7Board::open(board.path()).expect("opens");
         let identity = opened.identity().clone();

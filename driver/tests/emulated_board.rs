@@ -6,7 +6,7 @@ use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{
     BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board, Pace,
 };
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
 use crate::common::{Pattern, waveform};
 
@@ -360,42 +360,6 @@ mod hard_cases {
         let mut frame = Frame::zeroed(own.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
         assert_eq!((board.refusal(), board.failure()), (None, None));
-    }
-
-    /// Frames to the last before it, then an error or a panic.
-    struct Failing {
-        pattern: Pattern,
-        panics: bool,
-    }
-
-    impl FrameSource for Failing {
-        fn waveform(&self) -> &Waveform {
-            &self.pattern.waveform
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            match self.pattern.next_frame(frame)? {
-                SourceEvent::End if self.panics => panic!("the disk is on fire"),
-                SourceEvent::End => Err("the disk is on fire".into()),
-                event => Ok(event),
-            }
-        }
-    }
-
-    #[test]
-    fn a_source_that_fails_or_panics_is_an_error_after_its_last_frame() {
-        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        for panics in [false, true] {
-            let source = Failing { pattern: Pattern::new(waveform.clone(), 3), panics };
-            let mut source = EmulatedSource::start(Box::new(source), options(&[])).expect("starts");
-            let mut frame = Frame::zeroed(waveform.shape());
-            for sequence in 0..3 {
-                assert_eq!(source.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
-                assert_eq!(frame.sequence, sequence);
-            }
-            let error = source.next_frame(&mut frame).expect_err("no end").to_string();
-            assert!(error.contains("the disk is on fire") && error.contains("panicked") == panics, "{error}");
-        }
     }
 
     #[test]

@@ -5,12 +5,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use radome_driver::{
-    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Pace,
-    Reconnect,
+    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{self, Pattern, waveform};
 
 const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
@@ -20,7 +19,7 @@ const POLICY: Reconnect = Reconnect {
 
 fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
     // The number of a terminal that has gone is soon that of another test's board.
-    EmulatorOptions { pace: Pace::AsFastAsRead, kind, link: Some(folder.join("board")), ..EmulatorOptions::default() }
+    EmulatorOptions { link: Some(folder.join("board")), ..common::options(kind, &[]) }
 }
 
 /// The stream of a board of this kind that is lost behind three frames.
@@ -56,19 +55,13 @@ fn is_told(error: &SourceError) {
 }
 
 #[test]
-fn a_board_on_a_serial_port() {
-    is_told(&lost(Kind::Mcu7V4, |board, waveform| {
-        let client = Mcu7Board::open_at(board.address()).expect("opens");
-        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
-    }));
-}
-
-#[test]
-fn a_board_with_bulk_transfers() {
-    is_told(&lost(Kind::Mcu7Bulk, |board, waveform| {
-        let client = Mcu7Board::open_at(board.address()).expect("opens");
-        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
-    }));
+fn a_board_on_a_serial_port_or_with_bulk_transfers() {
+    for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
+        is_told(&lost(kind, |board, waveform| {
+            let client = Mcu7Board::open_at(board.address()).expect("opens");
+            Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
+        }));
+    }
 }
 
 #[test]
@@ -99,7 +92,7 @@ impl FrameSource for Failing {
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         match self.pattern.next_frame(frame)? {
-            SourceEvent::End if self.panics => panic!("on purpose"),
+            SourceEvent::End if self.panics => panic!("chunk 3 is damaged"),
             SourceEvent::End => Err("chunk 3 is damaged".into()),
             event => Ok(event),
         }
@@ -112,16 +105,18 @@ fn failing(panics: bool) -> Box<Failing> {
 
 #[test]
 fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
-    for (panics, expected) in [(false, "chunk 3 is damaged"), (true, "panicked")] {
+    for panics in [false, true] {
         for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
             let folder = tempfile::tempdir().expect("a folder");
             let mut source = EmulatedSource::start(failing(panics), options(kind, folder.path())).expect("starts");
             let mut frame = Frame::zeroed(source.waveform().shape());
-            for _ in 0..5 {
+            for sequence in 0..5 {
                 assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
+                assert_eq!(frame.sequence, sequence);
             }
-            let error = source.next_frame(&mut frame).expect_err("the source has failed");
-            assert!(error.to_string().contains(expected), "{kind:?}: {error}");
+            let error = source.next_frame(&mut frame).expect_err("the source has failed").to_string();
+            let is_whole = error.contains("chunk 3 is damaged") && error.contains("panicked") == panics;
+            assert!(is_whole, "{kind:?}: {error}");
         }
     }
 }

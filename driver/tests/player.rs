@@ -12,17 +12,7 @@ use crate::common::{Pattern, waveform};
 fn record(path: &Path) {
     let mut source = Pattern::new(waveform(&[1, 2], 8, 64, 0.1), 40);
     source.gap = Some(Gap { first_sequence: 10, frames: 10, reason: GapReason::PacketLost });
-    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
-    let mut frame = Frame::zeroed(source.waveform.shape());
-    loop {
-        match source.next_frame(&mut frame).expect("no fault") {
-            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
-            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
-            SourceEvent::End => break,
-        }
-    }
-    recorder.label(&LabelSpan::new(0.0, 0.5, "empty")).expect("records");
-    recorder.finish().expect("finishes");
+    crate::common::record(source, &LabelSpan::new(0.0, 0.5, "empty"), path);
 }
 
 struct Tape {
@@ -184,8 +174,10 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
         }
     }
 
-    // Labels added in the other way come on top; a repair keeps what counts.
-    native::append_labels(&path, &[LabelSpan::new(3.0, 3.5, "one")]).expect("appends");
+    // More of them take the place of these; a repair keeps what counts.
+    let mut labels = McapReader::open(&path).expect("opens").labels().expect("labels");
+    labels.push(LabelSpan::new(3.0, 3.5, "one"));
+    native::set_labels(&path, &labels).expect("sets");
     let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
     assert_eq!(labels.iter().map(|l| l.label.as_str()).collect::<Vec<_>>(), ["two", "one"]);
     native::set_labels(&path, &labels[..1]).expect("sets");

@@ -8,12 +8,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
-use crate::common::waveform;
-
-/// Fifty times as many where `RADOME_LONG` is set.
-fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
-}
+use crate::common::{cases, waveform};
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");
@@ -40,7 +35,7 @@ fn simulated(waveform: &Waveform, count: u64, seed: u64) -> Vec<Frame> {
             *code = ((i as u64 + 7 * sequence + seed).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 52) as u16;
         }
         frame.sequence = sequence;
-        frame.time_ns = (sequence as f64 * waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = waveform.frame_time_ns(sequence);
         frame
     };
     (0..count).map(frame).collect()

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use radome_driver::recording::mcap::{RepairReport, append_labels, repair};
-use radome_driver::{LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
+use radome_driver::recording::mcap::{RepairReport, repair, set_labels};
+use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{Pattern, cases, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
@@ -16,25 +16,9 @@ fn pattern() -> Pattern {
     Pattern { gap: Some(RECORDED_GAP), ..Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES) }
 }
 
-/// Fifty times as many where `RADOME_LONG` is set.
-fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
-}
-
 /// 50 numbers at 10 Hz, 20 to 22 lost, a chunk a second, a label.
 fn record(path: &Path) -> Vec<u8> {
-    let mut source = pattern();
-    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
-    let mut frame = Frame::zeroed(source.waveform.shape());
-    loop {
-        match source.next_frame(&mut frame).expect("frame") {
-            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
-            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
-            SourceEvent::End => break,
-        }
-    }
-    recorder.label(&LabelSpan::new(0.0, 2.0, "one")).expect("records");
-    recorder.finish().expect("finishes");
+    crate::common::record(pattern(), &LabelSpan::new(0.0, 2.0, "one"), path);
     std::fs::read(path).expect("reads")
 }
 
@@ -167,10 +151,12 @@ fn labels_are_added_to_a_finished_recording() {
         note: Some("came back for her coat".into()),
         ..LabelSpan::new(2.0, 3.5, Occupancy::Two.name())
     };
-    append_labels(&path, std::slice::from_ref(&label)).expect("appends");
+    let both = [LabelSpan::new(0.0, 2.0, "one"), label];
+    assert_eq!(McapReader::open(&path).expect("opens").labels().expect("labels"), both[..1]);
+    set_labels(&path, &both).expect("sets");
     assert_eq!(content(&path), before);
     let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
-    assert_eq!(labels, [LabelSpan::new(0.0, 2.0, "one"), label]);
+    assert_eq!(labels, both);
     assert_eq!(labels[1].occupancy(), Some(Occupancy::Two));
     assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
 }
@@ -185,19 +171,19 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a.mcap");
         let bytes = record(&path);
-        let label = [LabelSpan::new(0.0, 1.0, "one")];
+        let both = [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")];
         std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("writes");
-        assert!(matches!(append_labels(&path, &label), Err(RecordingError::Unfinished { .. })));
+        assert!(matches!(set_labels(&path, &both), Err(RecordingError::Unfinished { .. })));
         let mut damaged = bytes.clone();
         let (start, end) = chunks(&bytes)[2];
         damaged[(start + end) / 2] ^= 1;
         std::fs::write(&path, &damaged).expect("writes");
-        append_labels(&path, &label).expect("appends");
+        set_labels(&path, &both).expect("sets");
         let after = std::fs::read(&path).expect("reads");
         let last = chunks(&bytes).last().expect("chunks").1;
         assert!(after[..last] == damaged[..last]);
         let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
-        assert_eq!(labels, [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")]);
+        assert_eq!(labels, both);
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 

@@ -7,12 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, waveform};
-
-/// Fifty times as many where `RADOME_LONG` is set.
-fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
-}
+use crate::common::{Pattern, cases, waveform};
 
 #[derive(Debug, Clone, PartialEq)]
 enum Event {

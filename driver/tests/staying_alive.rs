@@ -1,25 +1,19 @@
 //! Boards that vanish, stall and lose their place: the stream goes on, and what was lost is counted once.
 
+use std::path::Path;
 use std::time::Duration;
 
-use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace, Reconnect};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, Mcu7Board, Mcu7Stream};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
-use crate::common::{Pattern, read_frames, waveform};
+use crate::common::{POLICY, Pattern, options, read_frames, waveform};
 
-/// Patient enough for any machine.
-const POLICY: Reconnect = Reconnect {
-    first_wait: Duration::from_millis(10),
-    longest_wait: Duration::from_millis(50),
-    give_up_after: Duration::from_secs(60),
-};
-
-fn options(faults: &[Fault]) -> EmulatorOptions {
-    EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
-}
-
-fn source(waveform: &Waveform) -> Box<Pattern> {
-    Box::new(Pattern::new(waveform.clone(), u64::MAX))
+/// A board without end; with a link in `folder`, since the number of a terminal that has gone is soon that of another board.
+fn board(waveform: &Waveform, faults: &[Fault], folder: Option<&Path>) -> EmulatedBoard {
+    let link = folder.map(|folder| folder.join("board"));
+    let source = Pattern::new(waveform.clone(), u64::MAX);
+    EmulatedBoard::spawn(Box::new(source), EmulatorOptions { link, ..options(Kind::default(), faults) })
+        .expect("spawns")
 }
 
 fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
@@ -34,8 +28,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
         let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
         let duration = Duration::from_millis(100);
         let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
-        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let board = board(&waveform, &faults, Some(folder.path()));
         let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, frames[2] as usize + 20, |_| {});
@@ -46,7 +39,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 #[test]
 fn a_board_that_stalls_is_started_anew() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = EmulatedBoard::spawn(source(&waveform), options(&[Fault::Stall(4)])).expect("spawns");
+    let board = board(&waveform, &[Fault::Stall(4)], None);
     let client = Mcu7Board::open(board.path()).expect("opens");
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
     let gaps = read_frames(&mut stream, 10, |_| {});
@@ -61,7 +54,7 @@ fn lost_alignment_is_found_by_starting_anew() {
     let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
     for by in [1, 2, 3, 5] {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
-        let board = EmulatedBoard::spawn(source(&waveform), options(&[fault])).expect("spawns");
+        let board = board(&waveform, &[fault], None);
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let gaps = read_frames(&mut stream, 5, |_| {});
         // A middle packet may pass for another one; the last of its slice does not.
@@ -87,7 +80,7 @@ mod hard_cases {
     #[test]
     fn packets_in_the_wrong_order_cost_their_frames_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let board = EmulatedBoard::spawn(source(&small), options(&[Fault::ReorderPacket(3)])).expect("spawns");
+        let board = board(&small, &[Fault::ReorderPacket(3)], None);
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&small).expect("starts");
         let gaps = read_frames(&mut stream, 8, |_| {});
         assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
@@ -108,8 +101,7 @@ mod hard_cases {
             Fault::Unplug { packet: 100, duration: Duration::from_millis(50) },
             Fault::DropPacket(200),
         ];
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
-        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let board = board(&waveform, &faults, Some(folder.path()));
         let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, 250, |_| {});
@@ -120,32 +112,13 @@ mod hard_cases {
         );
     }
 
-    #[test]
-    fn a_board_that_never_comes_back_is_given_up() {
-        let folder = tempfile::tempdir().expect("folder");
-        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        // With a link: the number of a terminal that has gone is soon that of another test's board.
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[]) };
-        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let client = Mcu7Board::open(board.path()).expect("opens");
-        let policy = Reconnect { give_up_after: Duration::from_millis(300), ..POLICY };
-        let mut stream = client.start(&waveform).expect("starts").with_reconnect(policy);
-        read_frames(&mut stream, 3, |_| {});
-        drop(board);
-        let error = first_error(&mut stream, &waveform);
-        assert!(error.to_string().contains("connection broke"), "{error}");
-        // The stream is over; it says so as often as it is asked.
-        first_error(&mut stream, &waveform);
-    }
-
     /// A stream without a reconnection policy ends with the error.
     #[test]
     fn without_leave_to_reconnect_the_error_comes_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
-        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let board = board(&waveform, &[fault], Some(folder.path()));
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         read_frames(&mut stream, 10, |_| {});
         let error = first_error(&mut stream, &waveform);

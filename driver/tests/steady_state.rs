@@ -4,10 +4,10 @@ mod common;
 #[path = "../../dsp/tests/counting/mod.rs"]
 mod counting;
 
-use common::{Pattern, waveform};
+use common::{board, waveform};
 use counting::ALLOCATIONS;
-use radome_driver::{DeepcraftBoard, EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
-use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_driver::{DeepcraftBoard, Kind, Mcu7Board};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 /// Asserts that a stream allocates nothing once its first frames have shown how large the buffers must be.
 fn assert_steady(stream: &mut dyn FrameSource) {
@@ -25,17 +25,12 @@ fn assert_steady(stream: &mut dyn FrameSource) {
     assert_eq!(ALLOCATIONS.get() - before, 0, "{shape}");
 }
 
-fn board(waveform: &Waveform, kind: Kind) -> EmulatedBoard {
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
-    EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), u64::MAX)), options).expect("spawns")
-}
-
 #[test]
 fn the_client_allocates_nothing_per_frame() {
     // One packet a frame; the paper's 48 packets a frame; frames that share slices.
     for (antennas, chirps, samples) in [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 128, 256), (&[3], 3, 33)] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
-        let board = board(&waveform, Kind::default());
+        let board = board(&waveform, u64::MAX, Kind::default(), &[]);
         assert_steady(&mut Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts"));
     }
 }
@@ -45,7 +40,7 @@ fn the_deepcraft_client_allocates_nothing_per_frame() {
     // Four frames a chunk; a frame in nine reads; 48 frames a chunk.
     for (antennas, chirps, samples) in [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 64, 256), (&[3], 1, 128)] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
-        let board = board(&waveform, Kind::Deepcraft);
+        let board = board(&waveform, u64::MAX, Kind::Deepcraft, &[]);
         assert_steady(&mut DeepcraftBoard::open(board.path()).expect("opens").start(&waveform).expect("starts"));
     }
 }

@@ -1,16 +1,14 @@
 //! The chip's test pattern through registers, board, link and unpacking.
 
 use radome_driver::chip::test_pattern::PatternCheck;
-use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Pace};
+use radome_driver::{Fault, Kind, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{Pattern, board, waveform};
 
 /// Result of the check over a number of frames, and the last of them.
 fn check(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (PatternCheck, Frame) {
-    let source = Pattern::new(waveform.clone(), u64::MAX);
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() };
-    let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+    let board = board(waveform, u64::MAX, Kind::default(), faults);
     let mut stream = Mcu7Board::open(board.path()).expect("opens").start_test_pattern(waveform).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut check, mut received) = (PatternCheck::new(), 0);

@@ -1,6 +1,6 @@
 //! Conversion of power to decibels by a polynomial logarithm. NaN and infinity pass through.
 
-use crate::KernelLevel;
+use crate::{KernelLevel, dispatch};
 
 /// Replaces each power by `10 log10(max(power, floor_power))`, at the fastest level of this machine.
 ///
@@ -26,31 +26,9 @@ pub fn power_to_db_portable(power: &mut [f32], floor_power: f32) {
     convert::<false>(power, floor_power);
 }
 
-/// [`power_to_db`] at a level, which must be available. Returns the number of values that are NaN or infinite.
-pub(crate) fn power_to_db_at(level: KernelLevel, power: &mut [f32], floor_power: f32) -> u32 {
-    match level {
-        KernelLevel::Portable => convert::<false>(power, floor_power),
-        // SAFETY: the level is available, as the caller has checked.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx2 => unsafe { convert_avx2(power, floor_power) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx512 => unsafe { convert_avx512(power, floor_power) },
-        #[cfg(not(target_arch = "x86_64"))]
-        KernelLevel::Avx2 | KernelLevel::Avx512 => convert::<false>(power, floor_power),
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn convert_avx2(power: &mut [f32], floor_power: f32) -> u32 {
-    convert::<true>(power, floor_power)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
-fn convert_avx512(power: &mut [f32], floor_power: f32) -> u32 {
-    convert::<true>(power, floor_power)
+dispatch! {
+    /// [`power_to_db`] at a level. Returns the number of values that are NaN or infinite.
+    pub(crate) fn power_to_db_at(power: &mut [f32], floor_power: f32) -> u32 = convert
 }
 
 #[inline(always)]

@@ -78,6 +78,41 @@ impl std::fmt::Display for KernelLevel {
     }
 }
 
+/// Defines a function of a level and other arguments that calls a generic one, with `FUSED` true inside a function compiled for AVX2
+/// or AVX-512, or false in plain code.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! dispatch {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $ret:ty)? = $generic:ident) => {
+        $(#[$doc])*
+        #[allow(clippy::too_many_arguments)]
+        $vis fn $name(level: $crate::KernelLevel, $($arg: $type),*) $(-> $ret)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2,fma")]
+                #[allow(clippy::too_many_arguments)]
+                fn avx2($($arg: $type),*) $(-> $ret)? {
+                    $generic::<true>($($arg),*)
+                }
+                #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+                #[allow(clippy::too_many_arguments)]
+                fn avx512($($arg: $type),*) $(-> $ret)? {
+                    $generic::<true>($($arg),*)
+                }
+                match level.available() {
+                    // SAFETY: `available` returned this level, so the processor has its instructions.
+                    $crate::KernelLevel::Avx512 => return unsafe { avx512($($arg),*) },
+                    // SAFETY: as above.
+                    $crate::KernelLevel::Avx2 => return unsafe { avx2($($arg),*) },
+                    $crate::KernelLevel::Portable => {}
+                }
+            }
+            let _ = level;
+            $generic::<false>($($arg),*)
+        }
+    };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -192,39 +192,24 @@ pub struct Waveform {
 
 /// Error for a waveform that the chip cannot produce.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum WaveformError {
     /// A value is out of the chip's range.
     #[error("waveform: {name} is {value} {unit}, allowed is {min} to {max} {unit}")]
     OutOfRange {
         /// Field of [`WaveformRequest`].
         name: &'static str,
-        /// Given value.
         value: f64,
-        /// Least allowed value.
         min: f64,
-        /// Largest allowed value.
         max: f64,
-        /// Unit of all three.
         unit: &'static str,
     },
     /// The antenna list is empty, repeats one, or names one that the chip lacks.
     #[error("waveform: rx_antennas is {got:?}, expected one to three different numbers out of 1, 2, 3")]
-    Antennas {
-        /// Given numbers.
-        got: Vec<u8>,
-    },
+    Antennas { got: Vec<u8> },
     /// The chirps do not fit between the start of two chirps or frames.
     #[error("waveform: {what} take {needed_s:.6} s, but {interval} is {given_s:.6} s; lengthen it or sample less")]
-    DoesNotFit {
-        /// Part that does not fit.
-        what: &'static str,
-        /// Interval that is too short.
-        interval: &'static str,
-        /// Time needed.
-        needed_s: f64,
-        /// Time given.
-        given_s: f64,
-    },
+    DoesNotFit { what: &'static str, interval: &'static str, needed_s: f64, given_s: f64 },
 }
 
 /// Error for frames whose waveform differs too much from the one that is needed.
@@ -312,6 +297,11 @@ impl Waveform {
     /// Time from the start of one frame to the start of the next, s.
     pub fn frame_interval_s(&self) -> f64 {
         self.request.frame_interval_s
+    }
+
+    /// Time of a frame on a clock that starts with the first one, ns: frames come at their interval.
+    pub fn frame_time_ns(&self, sequence: u64) -> u64 {
+        (sequence as f64 * self.frame_interval_s() * 1e9).round() as u64
     }
 
     /// Band swept while samples are taken, Hz.

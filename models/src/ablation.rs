@@ -16,38 +16,24 @@ const SEED: u64 = 1;
 
 /// Change of a map before it is classified again. Range bins of leakage stay unchanged.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Ablation {
     /// No change, for comparison.
     Nothing,
     /// Cells of these speeds or less become noise.
-    Slow {
-        /// Largest speed, m/s.
-        most_m_per_s: f64,
-    },
+    Slow { most_m_per_s: f64 },
     /// Cells of more than these speeds become noise.
-    Fast {
-        /// Largest speed that stays, m/s.
-        most_m_per_s: f64,
-    },
+    Fast { most_m_per_s: f64 },
     /// The nearest tenth of the range bins beyond those of leakage becomes noise.
     Near,
     /// The farthest third of the range bins becomes noise.
     Far,
     /// Cells of less than this over noise become noise.
-    Weak {
-        /// Least level that stays, dB over noise.
-        least_db: f32,
-    },
-    /// Echoes are shifted to larger ranges; vacated bins become noise.
-    Shifted {
-        /// Range bins.
-        bins: usize,
-    },
+    Weak { least_db: f32 },
+    /// Echoes are shifted by range bins to larger ranges; vacated bins become noise.
+    Shifted { bins: usize },
     /// Echoes are weakened.
-    Weaker {
-        /// Attenuation, dB.
-        by_db: f32,
-    },
+    Weaker { by_db: f32 },
 }
 
 /// All ablations: near zero Doppler and away from it, ranges, weak cells, and position and level of echoes.

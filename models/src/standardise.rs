@@ -194,27 +194,16 @@ pub struct CellConstants {
 
 /// Error: maps cannot be standardised.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum StandardiseError {
     /// All cells are the same.
     #[error(
         "the cells of the training maps have standard deviation {sigma_db} dB about {mean_db} dB, too little to divide by (least {LEAST_SIGMA_DB} dB)\n\nhint: noise-free simulated maps sit at the dB floor; add receiver noise to the simulation"
     )]
-    NoSpread {
-        /// Mean, dB.
-        mean_db: f64,
-        /// Standard deviation, dB.
-        sigma_db: f64,
-    },
+    NoSpread { mean_db: f64, sigma_db: f64 },
     /// The cells of one scene and class cannot be standardised.
     #[error("of scene {scene} with class {class}, {of}")]
-    Cell {
-        /// Scene.
-        scene: String,
-        /// Class.
-        class: Occupancy,
-        /// Cause.
-        of: Box<StandardiseError>,
-    },
+    Cell { scene: String, class: Occupancy, of: Box<StandardiseError> },
     /// There are no cells.
     #[error("there are no training maps to take mean and standard deviation from")]
     Empty,

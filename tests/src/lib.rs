@@ -21,6 +21,33 @@ pub fn fixture(name: &str) -> PathBuf {
     root().join("fixtures").join(name)
 }
 
+/// Text of a fixture in which receivers and scenes have their full paths, so that a copy of it may lie anywhere.
+///
+/// # Panics
+/// If there is no such fixture.
+pub fn fixture_text(name: &str) -> String {
+    let text = std::fs::read_to_string(fixture(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    ["receivers", "scenes"].iter().fold(text, |text, folder| {
+        let full = fixture(folder).canonicalize().expect("a folder of fixtures");
+        text.replace(&format!("../{folder}"), &full.display().to_string())
+    })
+}
+
+/// Writes a corridor in which one person walks between two ranges.
+///
+/// # Panics
+/// If the scene cannot be written.
+pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
+    let corridor = fixture_text("scenes/corridor.toml");
+    let head = &corridor[..corridor.find("[people").expect("a people table")];
+    let people = format!(
+        "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}]\n"
+    );
+    let scene = folder.join("walk.toml");
+    std::fs::write(&scene, format!("{head}{people}")).expect("a scene can be written");
+    scene
+}
+
 /// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
 /// and of the time within it, s.
 ///
@@ -67,6 +94,16 @@ pub fn radome() -> Command {
     if let Ok(folders) = std::env::join_paths([root().join("fixtures"), radome_skip::shared_folder()]) {
         command.env("RADOME_PATH", folders);
     }
+    command
+}
+
+/// A command of the built program by its name, such as `board list`.
+///
+/// # Panics
+/// If the program has not been built.
+pub fn subcommand(name: &str) -> Command {
+    let mut command = radome();
+    command.args(name.split_whitespace());
     command
 }
 
@@ -120,7 +157,7 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
 /// # Panics
 /// If the program has no such command.
 pub fn help(name: &str) -> String {
-    let output = run(radome().args(name.split_whitespace()).arg("--help"));
+    let output = run(subcommand(name).arg("--help"));
     assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).expect("text")
 }

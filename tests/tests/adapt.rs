@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use radome_models::ModelCard;
-use radome_tests::{add_signal, failure, fixture, json_lines, radome};
+use radome_tests::{add_signal, failure, fixture, fixture_text, json_lines, subcommand};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -23,35 +23,26 @@ fn made() -> &'static Path {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         let write = |name: &str, text: &str| std::fs::write(at(name), text).expect("writable");
-        let path = |name: &str| fixture(name).canonicalize().expect(name).display().to_string();
-        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = quick.replace("../scenes/hall.toml", &path("scenes/hall.toml"));
-        write("maps.toml", &halls);
-        json_lines(radome().args(["dataset", "build", "--json"]).arg(at("maps.toml")).arg("-o").arg(at("maps")));
+        write("maps.toml", &fixture_text("datasets/quick.toml"));
+        json_lines(subcommand("dataset build").arg("--json").arg(at("maps.toml")).arg("-o").arg(at("maps")));
         write("training.toml", TRAINING);
-        let mut train = radome();
-        train
-            .arg("train")
-            .arg(at("maps"))
-            .arg("--spec")
-            .arg(at("training.toml"))
-            .args(["--network", "descriptor_linear"]);
+        let mut train = subcommand("model train");
+        train.arg(at("maps")).arg("--spec").arg(at("training.toml")).args(["--network", "descriptor_linear"]);
         json_lines(train.args(["--json", "-o"]).arg(at("model.safetensors")));
-        let scene = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("hall.toml");
+        let scene = fixture_text("scenes/hall.toml");
         let (hall, _) = scene.split_once("\n[random]").expect("a table");
-        let hall = hall.replace("../receivers/typical.toml", &path("receivers/typical.toml"));
         let receiver = "\"receiver.antenna.azimuth_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
                         \"receiver.antenna.elevation_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
                         \"receiver.gain_correction_db\" = { between = [4.0, 4.0] }\n";
         write("room.toml", &format!("{hall}\n\n[random]\n{receiver}"));
         for (people, seed) in (0..3).flat_map(|people| (1..4).map(move |seed| (people, seed))) {
             let args = ["--people", &people.to_string(), "--seed", &seed.to_string(), "--frames", "300"];
-            let mut simulate = radome();
-            simulate.arg("simulate").arg(at("room.toml")).args(args).args(["--json", "--overwrite", "-o"]);
+            let mut simulate = subcommand("scene simulate");
+            simulate.arg(at("room.toml")).args(args).args(["--json", "--overwrite", "-o"]);
             json_lines(simulate.arg(at("still.mcap")));
             with_sway(&at("still.mcap"), &at(&format!("{people}-{seed}.mcap")), f64::from(10 * people + seed));
         }
-        json_lines(radome().args(["dataset", "label", "--json", "--span", "0:30=one"]).arg(at("1-1.mcap")));
+        json_lines(subcommand("recording label").args(["--json", "--span", "0:30=one"]).arg(at("1-1.mcap")));
         folder
     });
     folder.path()
@@ -73,8 +64,8 @@ fn with_sway(from: &Path, to: &Path, phase: f64) {
 
 /// `radome model adapt` of the model with recordings such as `0-1=empty`.
 fn adapt(recordings: &[&str]) -> Command {
-    let mut command = radome();
-    command.arg("adapt").arg(made().join("model.safetensors")).arg("--json");
+    let mut command = subcommand("model adapt");
+    command.arg(made().join("model.safetensors")).arg("--json");
     command.args(recordings.iter().map(|recording| {
         let (name, label) =
             recording.split_once('=').map_or((*recording, String::new()), |(n, l)| (n, format!("={l}")));
@@ -86,7 +77,7 @@ fn adapt(recordings: &[&str]) -> Command {
 const ROOM: [&str; 6] = ["0-1=empty", "0-2=empty", "1-1", "1-2=one", "2-1=two", "2-2=two"];
 
 fn evaluate(model: &Path, args: &[&str], inputs: &[PathBuf]) -> Value {
-    json_lines(radome().arg("evaluate").arg(model).args(inputs).arg("--json").args(args)).remove(0)
+    json_lines(subcommand("model evaluate").arg(model).args(inputs).arg("--json").args(args)).remove(0)
 }
 
 fn score(answer: &Value) -> f64 {
@@ -154,8 +145,8 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
     let times = "format = 1\nminutes = [0.1, 0.2]\nrecording_s = 1.0\ntest_s = 2.0\n";
     std::fs::write(&rooms, format!("{times}{}{}", room("a", 800_001), room("b", 800_002))).expect("writable");
     let curve = || {
-        let mut command = radome();
-        command.arg("adapt").arg(made().join("model.safetensors")).arg("--json").arg("--curve").arg(&rooms);
+        let mut command = subcommand("model adapt");
+        command.arg(made().join("model.safetensors")).arg("--json").arg("--curve").arg(&rooms);
         command
     };
     let answer = json_lines(&mut curve()).remove(0);
@@ -215,8 +206,8 @@ mod hard_cases {
             let said = failure(&mut adapt(recordings));
             assert!(said.contains(expected), "{said}");
         }
-        let said = failure(radome().args(["adapt", "cfar"]).arg(text.path()));
+        let said = failure(subcommand("model adapt").arg("cfar").arg(text.path()));
         assert!(said.contains("cannot be adapted"), "{said}");
-        assert_eq!(radome().arg("adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
+        assert_eq!(subcommand("model adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
     }
 }

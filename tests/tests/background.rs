@@ -3,13 +3,13 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_tests::{add_signal, failure, fixture, json_lines, radome};
+use radome_tests::{add_signal, failure, fixture, json_lines, radome, subcommand};
 use serde_json::Value;
 
 /// A corridor with so many people in it, for thirty seconds.
 fn simulate(path: &Path, people: &str, seed: &str) {
-    let mut command = radome();
-    command.arg("simulate").arg(fixture("scenes/corridor.toml")).args(["--people", people, "--seed", seed]);
+    let mut command = subcommand("scene simulate");
+    command.arg(fixture("scenes/corridor.toml")).args(["--people", people, "--seed", seed]);
     json_lines(command.args(["--frames", "300", "--json", "--overwrite", "-o"]).arg(path));
 }
 
@@ -50,8 +50,8 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
     simulate(&at("capture.mcap"), "0", "1");
     with_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
     let model = fixture("models/paper-hqnn.safetensors");
-    let mut command = radome();
-    command.arg("background").arg(at("capture-fan.mcap")).arg("--model").arg(&model);
+    let mut command = subcommand("model background");
+    command.arg(at("capture-fan.mcap")).arg("--model").arg(&model);
     let report = json_lines(command.args(["--json", "-o"]).arg(at("empty.json")));
     assert_eq!(report[0]["frames"], 300);
 
@@ -94,8 +94,8 @@ mod hard_cases {
         simulate(&at("empty.mcap"), "0", "1");
         let model = fixture("models/paper-hqnn.safetensors");
         let capture = |source: &Path, seconds: &str| {
-            let mut command = radome();
-            command.arg("background").arg(source).arg("--model").arg(&model).args(["--seconds", seconds, "-o"]);
+            let mut command = subcommand("model background");
+            command.arg(source).arg("--model").arg(&model).args(["--seconds", seconds, "-o"]);
             command.arg(at("room.json"));
             command
         };

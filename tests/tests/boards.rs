@@ -6,7 +6,7 @@ use std::process::{Child, Output, Stdio};
 
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -18,14 +18,16 @@ fn codes(folder: &Path) -> Vec<u16> {
 fn simulate(frames: usize, fed: &Path) {
     let frames = frames.to_string();
     json_lines(
-        radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]).arg(fed),
+        subcommand("scene simulate")
+            .arg(fixture("scenes/desk.toml"))
+            .args(["--frames", &frames, "--json", "-o"])
+            .arg(fed),
     );
 }
 
 /// An emulated board, and its port.
 fn emulate(from: &Path, arguments: &[&str]) -> (Child, String) {
-    let mut board = radome()
-        .arg("emulate")
+    let mut board = subcommand("board emulate")
         .args(arguments)
         .arg("--from")
         .arg(from)
@@ -56,7 +58,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     let fed = folder.path().join("fed.mcap");
     simulate(FRAMES + 20, &fed);
     let source = folder.path().join("fed");
-    json_lines(radome().arg("convert").arg(&fed).arg(&source).arg("--json"));
+    json_lines(subcommand("recording convert").arg(&fed).arg(&source).arg("--json"));
     let expected = codes(&source);
     let check = |protocol: &str, scheme: &str| {
         let link = folder.path().join(format!("{protocol}-board")).display().to_string();
@@ -66,7 +68,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         // Nobody names the waveform: the board knows.
         let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
-        json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
+        json_lines(subcommand("recording convert").arg(&recorded).arg(&copy).arg("--json"));
         let got = codes(&copy);
         let frame = expected.len() / (FRAMES + 20);
         assert_eq!(got.len(), frame * FRAMES, "{protocol}");
@@ -133,14 +135,17 @@ mod hard_cases {
         let summary: serde_json::Value = serde_json::from_str(said.trim()).expect("one object");
         let dropped = summary["dropped"].as_u64().expect("a number");
         assert!(summary["frames"] == 40 && dropped >= 2, "{said}");
-        let whole = json_lines(radome().arg("convert").arg(&recorded).arg(folder.path().join("copy")).arg("--json"));
+        let whole =
+            json_lines(subcommand("recording convert").arg(&recorded).arg(folder.path().join("copy")).arg("--json"));
         assert_eq!((&whole[0]["frames"], whole[0]["lost"].as_u64()), (&40.into(), Some(dropped)));
     }
 
     #[test]
     fn a_fault_that_nobody_can_follow_is_wrong_use() {
-        let output =
-            radome().args(["emulate", "--from", "nowhere.mcap", "--faults", "explode 3"]).output().expect("runs");
+        let output = subcommand("board emulate")
+            .args(["--from", "nowhere.mcap", "--faults", "explode 3"])
+            .output()
+            .expect("runs");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && said.contains("no such kind"), "{said}");
     }
@@ -176,7 +181,7 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
 
 /// An emulated board that a test looks at, and its port.
 fn running_board(from: &Path, arguments: &[&str]) -> (Running, String) {
-    let board = Running::start(radome().arg("emulate").args(arguments).arg("--from").arg(from));
+    let board = Running::start(subcommand("board emulate").args(arguments).arg("--from").arg(from));
     let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
     (board, port)
 }
@@ -222,7 +227,7 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
         let recorded = folder.path().join(format!("{number}.mcap"));
         record_frames(&port, 10, waveform.map(PathBuf::as_path), &recorded);
         let copy = folder.path().join(number.to_string());
-        json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
+        json_lines(subcommand("recording convert").arg(&recorded).arg(&copy).arg("--json"));
         let codes = codes(&copy);
         assert_eq!(codes.len(), 10 * frame, "recording {number}");
         assert!(codes.iter().any(|code| *code != codes[0]), "there is something in it");
@@ -273,7 +278,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     assert!(!board.stderr.all().iter().any(|line| line.contains("has ended")), "{:?}", board.stderr.all());
     let copies = [(&fed, "fed"), (&recorded, "loop")].map(|(recording, name)| {
         let copy = folder.path().join(name);
-        json_lines(radome().arg("convert").arg(recording).arg(&copy).arg("--json"));
+        json_lines(subcommand("recording convert").arg(recording).arg(&copy).arg("--json"));
         codes(&copy)
     });
     let frame = copies[0].len() / 30;
@@ -292,8 +297,8 @@ fn a_link_is_one_boards_and_goes_with_it() {
     let link_text = link.display().to_string();
     let arguments = ["--speed", "0", "--loop", "--link", &link_text];
     let second = || {
-        let mut command = radome();
-        command.arg("emulate").args(arguments).arg("--from").arg(&fed);
+        let mut command = subcommand("board emulate");
+        command.args(arguments).arg("--from").arg(&fed);
         command
     };
     let (mut first, port) = running_board(&fed, &arguments);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, shared, subcommand};
 use serde_json::Value;
 
 fn number(value: &Value) -> f64 {
@@ -15,7 +15,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("receiver.toml");
-    let lines = json_lines(radome().arg("calibrate").arg(recording).arg("--json").arg("-o").arg(&file));
+    let lines = json_lines(subcommand("scene calibrate").arg(recording).arg("--json").arg("-o").arg(&file));
     let answer = lines.first().expect("an answer");
     assert_eq!((&answer["frames_fitted"], &answer["frames_judged"]), (&Value::from(128), &Value::from(128)));
     let after = answer["after"].as_array().expect("channels");
@@ -49,7 +49,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     let scene = scene.replace("../receivers/desk.toml", "receiver.toml");
     let path = folder.path().join("scene.toml");
     std::fs::write(&path, scene).expect("written");
-    let made = json_lines(radome().arg("simulate").arg(&path).args(["--frames", "4", "--json"]));
+    let made = json_lines(subcommand("scene simulate").arg(&path).args(["--frames", "4", "--json"]));
     assert_eq!(made[0]["frames"], 4);
 }
 
@@ -60,7 +60,7 @@ fn a_simulated_copy_of_the_recording_breathes_as_strongly_and_as_far_away() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let scene = fixture("scenes/desk-person.toml");
     let lines = json_lines(
-        radome().arg("calibrate").arg(recording).arg("--scene").arg(scene).args(["--people", "1", "--json"]),
+        subcommand("scene calibrate").arg(recording).arg("--scene").arg(scene).args(["--people", "1", "--json"]),
     );
     let (answer, line) = (&lines[0], &lines[0]["line"]);
     let real = &line["real"];
@@ -87,8 +87,7 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
     let recording = folder.join(format!("corridor-{seed}.mcap"));
     let (seed, frames) = (seed.to_string(), frames.to_string());
     json_lines(
-        radome()
-            .arg("simulate")
+        subcommand("scene simulate")
             .arg(folder.join("scene.toml"))
             .args(["--people", "0", "--seed", &seed, "--frames", &frames, "--json", "-o"])
             .arg(&recording),
@@ -102,8 +101,7 @@ fn levels_and_jitter_of_what_stands_still_are_found_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = corridor(folder.path(), 3, 130);
     let lines = json_lines(
-        radome()
-            .arg("calibrate")
+        subcommand("scene calibrate")
             .arg(recording)
             .arg("--scene")
             .arg(fixture("scenes/corridor.toml"))
@@ -126,7 +124,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     let recordings = [1, 2, 3].map(|seed| corridor(folder.path(), seed, 40));
     let file = folder.path().join("receiver.toml");
     let lines =
-        json_lines(radome().arg("calibrate").args(&recordings).args(["--copies", "1", "--json", "-o"]).arg(&file));
+        json_lines(subcommand("scene calibrate").args(&recordings).args(["--copies", "1", "--json", "-o"]).arg(&file));
     let answer = &lines[0];
     assert_eq!((&answer["frames_fitted"], &answer["frames_judged"]), (&Value::from(60), &Value::from(60)));
     assert_eq!(answer["resampled"], "recordings");
@@ -137,7 +135,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     assert!(text.contains("corridor-1: 20 of 40 frames; corridor-2: 20 of 40 frames"), "{text}");
     // Those of one waveform only.
     let Some(other) = shared("data/recordings/breathing-person-20260106") else { return };
-    let said = failure(radome().arg("calibrate").args(&recordings).arg(other));
+    let said = failure(subcommand("scene calibrate").args(&recordings).arg(other));
     assert!(said.contains("another waveform") && said.contains("hint:"), "{said}");
 }
 
@@ -146,7 +144,7 @@ fn recordings_are_judged_by_their_labels() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let model = fixture("models/desk-hqnn.safetensors");
     let labelled = |label: &str| format!("{}={label}", recording.display());
-    let lines = json_lines(radome().arg("evaluate").arg("--model").arg(&model).arg(labelled("one")).arg("--json"));
+    let lines = json_lines(subcommand("model evaluate").arg("--model").arg(&model).arg(labelled("one")).arg("--json"));
     let (answer, judged) = (&lines[0], &lines[0]["recordings"][0]);
     assert_eq!(judged["label"], "one");
     let frames = number(&judged["frames"]);
@@ -158,24 +156,24 @@ fn recordings_are_judged_by_their_labels() {
         (recording.display().to_string(), "no label"),
         ("nowhere=one".to_owned(), "nowhere"),
     ] {
-        let said = failure(radome().arg("evaluate").arg("--model").arg(&model).arg(&input).arg(labelled("one")));
+        let said = failure(subcommand("model evaluate").arg("--model").arg(&model).arg(&input).arg(labelled("one")));
         assert!(said.contains(expected), "{input}: {said}");
     }
     let other = fixture("models/paper-hqnn.safetensors");
-    let said = failure(radome().arg("evaluate").arg("--model").arg(other).arg(labelled("one")));
+    let said = failure(subcommand("model evaluate").arg("--model").arg(other).arg(labelled("one")));
     assert!(said.contains("256 samples") && said.contains("64 samples"), "{said}");
 }
 
 #[test]
 fn what_cannot_be_calibrated_is_refused() {
-    let said = failure(radome().args(["calibrate", "nowhere.mcap"]));
+    let said = failure(subcommand("scene calibrate").arg("nowhere.mcap"));
     assert!(said.contains("nowhere.mcap"), "{said}");
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    let said = failure(radome().arg("calibrate").arg(&recording).args(["--part", "1.5"]));
+    let said = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "1.5"]));
     assert!(said.contains("between 0 and 1"), "{said}");
-    let said = failure(radome().arg("calibrate").arg(&recording).args(["--part", "0.02"]));
+    let said = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "0.02"]));
     assert!(said.contains("to judge by") && said.contains("hint:"), "{said}");
     let corridor = fixture("scenes/corridor.toml");
-    let said = failure(radome().arg("calibrate").arg(&recording).arg("--scene").arg(corridor));
+    let said = failure(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(corridor));
     assert!(said.contains("waveform"), "{said}");
 }

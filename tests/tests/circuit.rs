@@ -1,9 +1,9 @@
 //! `radome bench circuit` for other circuits than the paper's.
 
-use radome_tests::{failure, json_lines, radome};
+use radome_tests::{failure, json_lines, subcommand};
 
 fn circuit(arguments: &str) -> serde_json::Value {
-    json_lines(radome().arg("circuit").args(arguments.split(' ')).arg("--json")).remove(0)
+    json_lines(subcommand("bench circuit").args(arguments.split(' ')).arg("--json")).remove(0)
 }
 
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
@@ -47,9 +47,7 @@ fn angles_that_add_up_are_cosines() {
 #[test]
 fn gradients_shrink_with_qubits() {
     let bench = |arguments: &str| {
-        let mut command = radome();
-        command.args(["bench", "trainability"]).args(arguments.split(' ')).arg("--json");
-        json_lines(&mut command).remove(0)
+        json_lines(subcommand("bench trainability").args(arguments.split(' ')).arg("--json")).remove(0)
     };
     let one = &bench("--qubits 1 --depths 0 --points 4000")[0];
     for (key, want) in [("angle_gradient_square", 0.25), ("input_gradient_square", 1.0)] {
@@ -97,11 +95,13 @@ mod hard_cases {
             ("--qubits 8 --depolarising-two-qubit 0.1 --x 1 --theta 1", "at most 6 with depolarising gates"),
             ("--x nan,2 --theta 1,2,3,4", "must be finite"),
         ] {
-            let said = failure(radome().arg("circuit").args(arguments.split(' ')));
+            let said = failure(subcommand("bench circuit").args(arguments.split(' ')));
             assert!(said.contains(part), "{arguments}: {said}");
         }
-        let wrong_use =
-            radome().args(["circuit", "--x", "1,2", "--theta", "1,2,3,4", "--seed", "3"]).output().expect("runs");
+        let wrong_use = subcommand("bench circuit")
+            .args(["--x", "1,2", "--theta", "1,2,3,4", "--seed", "3"])
+            .output()
+            .expect("runs");
         assert_eq!(wrong_use.status.code(), Some(2), "a seed of nothing");
     }
 }

@@ -2,25 +2,25 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
 use serde_json::Value;
 
 fn simulate(folder: &Path, scene: &Path, people: usize) -> String {
     let path = folder.join(format!("people-{people}.mcap"));
     let people = people.to_string();
-    let args = ["simulate", "--people", &people, "--seed", "200001", "--frames", "150", "--json", "-o"];
+    let args = ["scene", "simulate", "--people", &people, "--seed", "200001", "--frames", "150", "--json", "-o"];
     json_lines(radome().args(args).arg(&path).arg(scene));
     path.display().to_string()
 }
 
 /// The hall without what reverberates in it: there one walker is taken for two, which is the detector's limit and not the scene's.
 fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
-    let hall = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("readable");
+    let hall = fixture_text("scenes/hall.toml");
     let (points, bounces) = ("diffuse_points = 64\n", "diffuse_bounces = 8\n");
     assert!(hall.contains(points) && hall.contains(bounces), "the hall has other walls now");
     let hall = hall.replace(points, "").replace(bounces, "");
     let path = folder.join("hall.toml");
-    std::fs::write(&path, hall.replace("../receivers", &fixture("receivers").display().to_string())).expect("writable");
+    std::fs::write(&path, hall).expect("writable");
     path
 }
 
@@ -31,7 +31,7 @@ fn the_detector_judges_recordings_in_place_of_a_model() {
     let hall = hall_without_reverberation(folder.path());
     let labelled =
         [(0, "empty"), (1, "one")].map(|(people, label)| format!("{}={label}", simulate(folder.path(), &hall, people)));
-    let answer = &json_lines(radome().args(["evaluate", "--model", "cfar", "--json"]).args(labelled))[0];
+    let answer = &json_lines(subcommand("model evaluate").args(["--model", "cfar", "--json"]).args(labelled))[0];
     let recordings = answer["recordings"].as_array().expect("a list");
     assert_eq!(recordings[0]["majority"], "empty", "{answer}");
     assert!(recordings[0]["share"].as_f64().expect("number") > 0.95, "{answer}");
@@ -51,14 +51,13 @@ fn the_detector_watches_any_source() {
 #[test]
 fn the_detector_wants_frames_and_not_maps() {
     let folder = tempfile::tempdir().expect("a folder");
-    let said = failure(radome().args(["evaluate", "--model", "cfar"]).arg(folder.path()));
+    let said = failure(subcommand("model evaluate").args(["--model", "cfar"]).arg(folder.path()));
     assert!(said.contains("raw frames") && said.contains("hint:"), "{said}");
 }
 
 /// The corridor with something else after its furniture, in place of its people or before them.
 fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
-    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-    let corridor = corridor.replace("../receivers", &fixture("receivers").display().to_string());
+    let corridor = fixture_text("scenes/corridor.toml");
     let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
     let path = folder.join(name);
     let people = if rest.contains("[people") { "" } else { people };
@@ -75,7 +74,7 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
             "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [2.0, {y_m}] }}, {{ walk_to_m = [5.0, {y_m}], speed_m_per_s = 1.0 }}]\n"
         );
         let path = scene(folder.path(), "walk.toml", &walk);
-        let frames = json_lines(radome().args(["echoes", "--frames", "30", "--json"]).arg(path));
+        let frames = json_lines(subcommand("recording echoes").args(["--frames", "30", "--json"]).arg(path));
         let strongest = frames.iter().filter_map(|frame| frame["echoes"].get(0));
         let sides: Vec<f64> = strongest.filter_map(|echo| echo["azimuth_deg"].as_f64()).collect();
         let right = sides.iter().filter(|azimuth| *azimuth * sign > 0.0).count();
@@ -91,15 +90,18 @@ fn a_reflector_tells_what_receivers_are_unlike_in() {
     let thing = "[[furniture]]\nname = \"corner\"\nposition_m = [2.85, 0.99, 1.49]\nsize_m = [0.02, 0.02, 0.02]\ncross_section_dbsm = 5.0\n";
     let path = scene(folder.path(), "corner.toml", thing);
     let angles = folder.path().join("angles.toml");
-    let args = ["echoes", "--people", "0", "--reflector", "2.5,0,0", "--json", "-o"];
+    let args = ["recording", "echoes", "--people", "0", "--reflector", "2.5,0,0", "--json", "-o"];
     let told: Value = json_lines(radome().args(args).arg(&angles).arg(&path)).remove(0);
     for phase in ["azimuth_phase_rad", "elevation_phase_rad"] {
         assert!(told[phase].as_f64().expect("number").abs() < 0.35, "{told}");
     }
     json_lines(
-        radome().args(["echoes", "--frames", "5", "--people", "0", "--json", "--angles"]).arg(&angles).arg(&path),
+        subcommand("recording echoes")
+            .args(["--frames", "5", "--people", "0", "--json", "--angles"])
+            .arg(&angles)
+            .arg(&path),
     );
     std::fs::write(&angles, "format = 7\n").expect("writable");
-    let said = failure(radome().args(["echoes", "--frames", "5", "--angles"]).arg(&angles).arg(&path));
+    let said = failure(subcommand("recording echoes").args(["--frames", "5", "--angles"]).arg(&angles).arg(&path));
     assert!(said.contains("hint:") && said.contains("angles.toml"), "{said}");
 }

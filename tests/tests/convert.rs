@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, shared};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, shared, subcommand};
 use serde_json::Value;
 
 /// All frames of a recording, and how many were lost.
@@ -26,11 +26,13 @@ fn read(path: &Path) -> (Vec<Frame>, u64) {
 
 fn simulate(path: &Path, frames: &str) {
     let scene = fixture("scenes/corridor.toml");
-    json_lines(radome().arg("simulate").arg(scene).args(["--frames", frames, "--seed", "5", "--json", "-o"]).arg(path));
+    json_lines(
+        subcommand("scene simulate").arg(scene).args(["--frames", frames, "--seed", "5", "--json", "-o"]).arg(path),
+    );
 }
 
 fn convert(from: &Path, to: &Path) -> Value {
-    json_lines(radome().arg("convert").args([from, to]).arg("--json")).remove(0)
+    json_lines(subcommand("recording convert").args([from, to]).arg("--json")).remove(0)
 }
 
 fn codes(frames: &[Frame]) -> Vec<&[u16]> {
@@ -42,7 +44,8 @@ fn a_simulation_becomes_a_folder_and_a_text_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     simulate(&at("x.mcap"), "15");
-    let output = radome().arg("convert").args([at("x.mcap"), at("session/")]).arg("--json").output().expect("runs");
+    let output =
+        subcommand("recording convert").args([at("x.mcap"), at("session/")]).arg("--json").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && said.contains("truth of 15 frames"), "{said}");
     let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
@@ -86,8 +89,8 @@ fn a_recording_cut_in_two_is_repaired() {
     let (whole, _) = read(&cut);
     let bytes = std::fs::read(&cut).expect("reads");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
-    let mut repair = radome();
-    repair.arg("repair").arg(&cut).arg("-o").arg(&fixed).arg("--json");
+    let mut repair = subcommand("recording repair");
+    repair.arg(&cut).arg("-o").arg(&fixed).arg("--json");
     let report = json_lines_of(&mut repair, &[3]).remove(0);
     let (frames, _) = read(&fixed);
     assert!(frames.len() >= 10 && frames == whole[..frames.len()]);
@@ -159,7 +162,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
     let (mut worst, mut frames_given) = (0, 0);
     for round in 0..rounds {
         let path = folder.path().join(format!("{round}.mcap"));
-        let simulate = ["simulate", &scene, "--frames", "60", "--seed", "5", "-o"];
+        let simulate = ["scene", "simulate", &scene, "--frames", "60", "--seed", "5", "-o"];
         let record = ["record", &emulated, "--frames", "60", "--seed", "5", "--waveform", "paper", "-o"];
         let arguments: &[&str] = if round % 2 == 0 { &simulate } else { &record };
         let (given, read) = kill_one(arguments, &path, &mut draw, &whole);
@@ -193,7 +196,7 @@ mod hard_cases {
             let program = radome().get_program().to_owned();
             let mut shell = std::process::Command::new("sh");
             shell.args(["-c", "trap '' XFSZ; ulimit -f 1000; exec \"$@\"", "sh"]).arg(program);
-            let said = failure(shell.arg("convert").arg(&input).arg(folder.path().join(name)));
+            let said = failure(shell.args(["recording", "convert"]).arg(&input).arg(folder.path().join(name)));
             assert!(said.contains(name) && said.contains("cannot be"), "{said}");
             assert!(left_over(folder.path()).is_empty());
         }
@@ -204,7 +207,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         simulate(&at("x.mcap"), "25");
-        let refused = |from: &str, to: &str| failure(radome().arg("convert").args([at(from), at(to)]));
+        let refused = |from: &str, to: &str| failure(subcommand("recording convert").args([at(from), at(to)]));
         assert!(refused("x.mcap", "x.mcap").contains("input and output"));
         assert!(refused("x.mcap", "y.wav").contains("--to"));
         assert!(refused("x.mcap", "absent/y.mcap").contains("mkdir"));
@@ -219,7 +222,7 @@ mod hard_cases {
         std::fs::write(at("x.mcap"), bytes).expect("writes");
         let said = refused("x.mcap", "session");
         assert!(said.contains("at byte") && said.contains("radome recording repair"), "{said}");
-        let said = failure(radome().arg("repair").arg(at("full/thesis.tex")).arg("-o").arg(at("y.mcap")));
+        let said = failure(subcommand("recording repair").arg(at("full/thesis.tex")).arg("-o").arg(at("y.mcap")));
         assert!(said.contains("not an MCAP file"), "{said}");
         let mut left = left_over(folder.path());
         left.sort();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::{failure, fixture, json_lines, model_of_one_waveform, radome};
+use radome_tests::{failure, fixture, fixture_text, json_lines, model_of_one_waveform, radome, subcommand};
 
 /// Maps of one channel in decibels.
 const MAP: &str = r#"[map]
@@ -47,8 +47,8 @@ every = 100
 }
 
 fn build(spec: &Path, output: &Path) -> Command {
-    let mut command = radome();
-    command.args(["dataset", "build"]).arg(spec).arg("-o").arg(output).arg("--json");
+    let mut command = subcommand("dataset build");
+    command.arg(spec).arg("-o").arg(output).arg("--json");
     command
 }
 
@@ -133,8 +133,8 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
         shards.map(|i| folder.path().join(format!("shards/shard-{i:05}-of-00008"))).collect::<Vec<_>>()
     };
     let merge = |parts: &[PathBuf], output: &str| {
-        let mut command = radome();
-        command.args(["dataset", "merge", "--json"]).args(parts).arg("-o").arg(folder.path().join(output));
+        let mut command = subcommand("dataset merge");
+        command.args(["--json"]).args(parts).arg("-o").arg(folder.path().join(output));
         command
     };
     if !path("shards/shard-00004-of-00008").exists() {
@@ -145,7 +145,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     assert_eq!(json_lines(&mut shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
     json_lines(&mut merge(&all(None), "merged"));
     assert_eq!(files(&path("merged")), files(&path("single")));
-    let report = json_lines(radome().args(["dataset", "verify", "--json"]).arg(path("merged"))).remove(0);
+    let report = json_lines(subcommand("dataset verify").arg("--json").arg(path("merged"))).remove(0);
     assert!(
         report["maps"] == 70 && report["split_maps"].as_array().is_some_and(|n| n.iter().all(|n| *n != 0)),
         "{report}"
@@ -193,8 +193,8 @@ fn a_zero_sigma_is_not_hidden() {
     let spec = spec(folder.path(), 4, "");
     json_lines(&mut build(&spec, &folder.path().join("set")));
     let stats = |set: &Path| {
-        let mut command = radome();
-        command.args(["dataset", "stats", "--json"]).arg(set);
+        let mut command = subcommand("dataset stats");
+        command.args(["--json"]).arg(set);
         command
     };
     let table = json_lines(&mut stats(&folder.path().join("set"))).remove(0);
@@ -224,7 +224,7 @@ fn a_zero_sigma_is_not_hidden() {
     assert!(output.status.code() == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
     assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
     // And verify finds that these maps are all the same.
-    let said = failure(radome().args(["dataset", "verify"]).arg(folder.path().join("flat")));
+    let said = failure(subcommand("dataset verify").arg(folder.path().join("flat")));
     assert!(said.contains("1 groups of duplicates"), "{said}");
 }
 
@@ -233,9 +233,9 @@ fn session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
     let scene = fixture("scenes/corridor.toml");
     json_lines(
-        radome().arg("simulate").arg(scene).args(["--json", "--frames", &frames.to_string(), "-o"]).arg(&recording),
+        subcommand("scene simulate").arg(scene).args(["--json", "--frames", &frames.to_string(), "-o"]).arg(&recording),
     );
-    json_lines(radome().arg("convert").arg(&recording).arg(&session).args(["--to", "infineon", "--json"]));
+    json_lines(subcommand("recording convert").arg(&recording).arg(&session).args(["--to", "infineon", "--json"]));
     session
 }
 
@@ -326,7 +326,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
         .expect("writable");
     // The SDK's text recording, a native one, and one whose labels say what it is.
-    json_lines(radome().arg("convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
+    json_lines(subcommand("recording convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
     copy(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
     copy(&made, &path("data/home/mixed_1"));
     let header = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
@@ -388,11 +388,11 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     let scene = fixture("scenes/corridor.toml");
     let simulate = |name: &str, people: &str| {
         let arguments = ["--json", "--frames", "150", "--seed", "100021", "--people", people, "-o"];
-        json_lines(radome().arg("simulate").arg(&scene).args(arguments).arg(path(name)));
+        json_lines(subcommand("scene simulate").arg(&scene).args(arguments).arg(path(name)));
     };
     let label = |name: &str| {
-        let mut command = radome();
-        command.args(["dataset", "label", "--json"]).arg(path(name));
+        let mut command = subcommand("recording label");
+        command.args(["--json"]).arg(path(name));
         command
     };
     simulate("one.mcap", "1");
@@ -415,7 +415,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
         (0..150).filter(|i| at(&truth, f64::from(*i) * 0.1 + 0.05) == at(&found, f64::from(*i) * 0.1 + 0.05)).count();
     assert!(agree > 120, "{agree} of 150 frames: {found}");
     // They are in the recording now, and a dataset is built of them.
-    let held = json_lines(radome().arg("labels").arg(path("one.mcap")).arg("--json")).remove(0);
+    let held = json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0);
     assert_eq!(held, found);
 
     // What contradicts them, runs backwards or lies outside is refused by name, and nothing is written.
@@ -427,7 +427,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
         let said = failure(label("one.mcap").args(["--span", span]));
         assert!(said.contains(what), "{said}");
     }
-    assert_eq!(json_lines(radome().arg("labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
+    assert_eq!(json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
     json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
 
     // A folder keeps its labels beside the samples; a file of them is taken in.
@@ -446,14 +446,8 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     let path = |name: &str| folder.path().join(name);
     let simulate = |output: &str, more: &[&str]| {
         let scene = fixture("scenes/corridor.toml");
-        let mut command = radome();
-        command
-            .arg("simulate")
-            .arg(scene)
-            .args(["--frames", "20", "--seed", "3", "--json"])
-            .args(more)
-            .arg("-o")
-            .arg(path(output));
+        let mut command = subcommand("scene simulate");
+        command.arg(scene).args(["--frames", "20", "--seed", "3", "--json"]).args(more).arg("-o").arg(path(output));
         json_lines(&mut command).remove(0)
     };
     let read = |name: &str| {
@@ -480,9 +474,7 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
 
 /// Writes the hall with other values of these keys of its waveform.
 fn hall_in(path: &Path, changes: &[(&str, &str)]) {
-    let hall = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("reads");
-    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
-    let mut text = hall.replace("../receivers/typical.toml", &receiver.display().to_string());
+    let mut text = fixture_text("scenes/hall.toml");
     for (key, value) in changes {
         let line = text.lines().find(|line| line.starts_with(key)).expect("a key of the waveform").to_owned();
         text = text.replace(&line, &format!("{key} = {value}"));
@@ -567,13 +559,13 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")]);
-    let mut simulate = radome();
-    simulate.arg("simulate").arg(path("short.toml")).args(["--people", "1", "--frames", "6", "--json", "-o"]);
+    let mut simulate = subcommand("scene simulate");
+    simulate.arg(path("short.toml")).args(["--people", "1", "--frames", "6", "--json", "-o"]);
     json_lines(simulate.arg(path("short.mcap")));
     let evaluate = |model: &Path| {
         let mut command = radome();
         let input = format!("{}=one", path("short.mcap").display());
-        command.args(["evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
+        command.args(["model", "evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
         command
     };
     let output = evaluate(&fixture("models/room-cnn.safetensors")).output().expect("runs");

@@ -5,7 +5,7 @@ use std::io::{Cursor, Read};
 use std::net::TcpListener;
 use std::path::Path;
 
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{fixture, json_lines, radome, subcommand};
 use serde_json::Value;
 
 fn doctor() -> std::process::Command {
@@ -62,8 +62,9 @@ fn a_source_that_works_is_examined_and_packed() {
         if name == "frames.mcap" {
             let path = folder.path().join(name);
             std::fs::write(&path, &part).expect("writable");
-            let report =
-                json_lines(radome().arg("convert").arg(&path).arg(folder.path().join("copy.mcap")).arg("--json"));
+            let report = json_lines(
+                subcommand("recording convert").arg(&path).arg(folder.path().join("copy.mcap")).arg("--json"),
+            );
             assert_eq!(report[0]["frames"], 20);
         }
         if name == "wire.txt" {
@@ -212,7 +213,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =
         |name: &str| std::fs::read_to_string(radome_tests::root().join("packaging").join(name)).expect("packaged");
-    let printed = radome().args(["devices", "--udev-rules"]).output().expect("runs");
+    let printed = subcommand("board list").arg("--udev-rules").output().expect("runs");
     assert_eq!(String::from_utf8_lossy(&printed.stdout).trim(), read("udev/70-radome.rules").trim());
     let unit = read("systemd/radome.service");
     let help = radome().args(["live", "--help"]).output().expect("runs");

@@ -8,14 +8,14 @@ use std::process::{Command, Output, Stdio};
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, skip};
+use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
 use serde_json::Value;
 
 /// Frames of a simulated desk.
 fn simulate(frames: u64, to: &Path) {
     let frames = frames.to_string();
-    let mut command = radome();
-    command.arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]);
+    let mut command = subcommand("scene simulate");
+    command.arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]);
     json_lines(command.arg(to));
 }
 
@@ -60,8 +60,8 @@ fn output(command: &mut Command) -> (Option<i32>, String, String) {
 /// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
 fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
-    let mut command = radome();
-    command.arg("emulate").arg("--from").arg(fixture("scenes/desk.toml")).args(["--protocol", protocol]);
+    let mut command = subcommand("board emulate");
+    command.arg("--from").arg(fixture("scenes/desk.toml")).args(["--protocol", protocol]);
     let board = Running::start(command.args(["--link", &link]));
     let port = board.stdout.find(0, "the board's port", |line| Some(line.trim().to_owned()));
     (board, port)
@@ -165,8 +165,11 @@ fn a_closed_stdout_ends_every_command_quietly() {
         assert_eq!(status, Some(0), "{command:?}: {said}");
         assert!(!said.contains("panic") && !said.contains("error"), "{command:?}: {said}");
     };
-    quiet(radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", "3", "-o"]).arg(at("x.mcap")), 0);
-    quiet(radome().arg("results").arg(fixture("formats/judged.mcap")), 1);
+    quiet(
+        subcommand("scene simulate").arg(fixture("scenes/desk.toml")).args(["--frames", "3", "-o"]).arg(at("x.mcap")),
+        0,
+    );
+    quiet(subcommand("recording answers").arg(fixture("formats/judged.mcap")), 1);
     quiet(radome().args(["completions", "bash"]), 0);
     quiet(radome().arg("record").arg(at("desk.mcap")).arg("-o").arg(at("y.mcap")), 0);
     for (lines, arguments) in [(0, &[] as &[&str]), (1, &[]), (3, &["--json"])] {
@@ -184,7 +187,7 @@ fn a_stdout_that_is_full_is_a_failure() {
     let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else {
         return skip("/dev/full", "a device of Linux");
     };
-    let said = failure_with_stdout(radome().args(["models", "--json"]), full.into());
+    let said = failure_with_stdout(subcommand("model list").arg("--json"), full.into());
     assert!(said.contains("cannot write to stdout"), "{said}");
 }
 
@@ -203,7 +206,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     simulate(40, &at("whole.mcap"));
     let repair = |from: &str| {
         let (status, _, said) =
-            output(radome().arg("repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
+            output(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
         (status, said)
     };
     assert_eq!(repair("whole.mcap").0, Some(0));
@@ -250,7 +253,8 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
 
 #[test]
 fn wrong_use_ends_with_2() {
-    for arguments in [&["record", "x.mcap"][..], &["repair", "--nonsense"], &["live"], &["nonsense"], &[]] {
+    for arguments in [&["record", "x.mcap"][..], &["recording", "repair", "--nonsense"], &["live"], &["nonsense"], &[]]
+    {
         assert_eq!(output(radome().args(arguments)).0, Some(2), "{arguments:?}");
     }
 }

@@ -1,20 +1,18 @@
 //! `dataset stats --features`: simulated halls beside what recordings of people walking about show.
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, fixture_text, json_lines, subcommand};
 
 #[test]
 fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = std::fs::read_to_string(fixture("datasets/halls.toml")).expect("a spec");
-    let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
-    let spec = spec.replace("../scenes/hall.toml", &scene.display().to_string()).replace("[1, 500]", "[1, 3]");
+    let spec = fixture_text("datasets/halls.toml").replace("[1, 500]", "[1, 3]");
     let file = folder.path().join("halls.toml");
     std::fs::write(&file, spec).expect("writable");
     let set = folder.path().join("set");
-    json_lines(radome().args(["dataset", "build", "--json"]).arg(&file).arg("-o").arg(&set));
+    json_lines(subcommand("dataset build").arg("--json").arg(&file).arg("-o").arg(&set));
     let stats = |more: &[&str]| {
-        let mut command = radome();
-        command.args(["dataset", "stats", "--features", "--json"]).arg(&set).args(more);
+        let mut command = subcommand("dataset stats");
+        command.args(["--features", "--json"]).arg(&set).args(more);
         command
     };
     let rows = json_lines(&mut stats(&[])).remove(0);
@@ -30,6 +28,7 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     assert!(found("one.moving_energy_db") > 17.0);
     // Clutter is seen in frames, which a dataset does not hold.
     assert!(row("clutter.level_lsb")["found"].is_null());
+    let scene = fixture("scenes/hall.toml");
     let with_frames = json_lines(&mut stats(&["--frames", scene.to_str().expect("a path")])).remove(0);
     for key in ["clutter.level_lsb", "clutter.phase_jitter_rad", "clutter.drift_rad", "clutter.amplitude_jitter"] {
         let clutter = with_frames.as_array().expect("a list").iter().find(|row| row["key"] == key).expect("a row");

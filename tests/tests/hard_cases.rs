@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, subcommand};
 use serde_json::json;
 
 /// Frames, channels, chirps, samples of the made-up recording.
@@ -37,7 +37,7 @@ fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u1
 
 fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
     let output = folder.join("maps.npy");
-    let said = json_lines(radome().arg("rdm").arg(folder).arg("-o").arg(&output).arg("--json"));
+    let said = json_lines(subcommand("recording maps").arg(folder).arg("-o").arg(&output).arg("--json"));
     let file = std::io::BufReader::new(std::fs::File::open(output).expect("written"));
     let values = npyz::NpyFile::new(file).expect("an array").into_vec().expect("f32");
     (said.last().expect("a line").clone(), values)
@@ -66,14 +66,14 @@ fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
     let folder = tempfile::tempdir().expect("a folder");
     recording(folder.path(), 128, |_| 2048);
     let output = folder.path().join("maps.npy");
-    let said = failure(radome().arg("rdm").arg(folder.path()).arg("-o").arg(&output));
+    let said = failure(subcommand("recording maps").arg(folder.path()).arg("-o").arg(&output));
     assert!(said.contains("128") && said.contains("64") && said.contains("config.json"), "{said}");
     assert!(!output.exists());
 }
 
 #[test]
 fn an_output_that_cannot_be_written_is_named_before_any_work() {
-    let said = failure(radome().arg("simulate").arg(fixture("scenes/desk.toml")).args([
+    let said = failure(subcommand("scene simulate").arg(fixture("scenes/desk.toml")).args([
         "--frames",
         "2",
         "-o",

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, free_port, wait_for};
-use radome_tests::{fixture, json_lines, radome, skip};
+use radome_tests::{fixture, json_lines, radome, skip, subcommand};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -378,7 +378,7 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let ear = Ear::new();
     // A board in a process of its own, that can be made to stand still.
     let scene = fixture("scenes/corridor.toml");
-    let board = Running::start(radome().arg("emulate").arg("--from").arg(scene).args(["--speed", "1"]));
+    let board = Running::start(subcommand("board emulate").arg("--from").arg(scene).args(["--speed", "1"]));
     let port = board.stdout.find(0, "the board's port", |line| {
         line.split(|c: char| c.is_whitespace() || c == '"')
             .find(|word| word.starts_with("/dev/pts/"))
@@ -453,12 +453,12 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     assert_eq!((first.len(), second.len(), rest.len()), (1, 2, 2));
     let mut labels = Vec::new();
     for path in &third {
-        let answers = json_lines(radome().arg("results").arg(path).arg("--json"));
+        let answers = json_lines(subcommand("recording answers").arg(path).arg("--json"));
         let times: Vec<u64> = answers.iter().map(|answer| answer["time_ns"].as_u64().expect("a time")).collect();
         // Three seconds, but for frames that an overloaded machine's board has lost.
         let span_s = (times[times.len() - 1] - times[0]) as f64 * 1e-9;
         assert!((2.0..3.05).contains(&span_s), "{span_s} s");
-        let found = json_lines(radome().arg("labels").arg(path).arg("--json"));
+        let found = json_lines(subcommand("recording labels").arg(path).arg("--json"));
         assert_eq!(found[0].as_array().map(Vec::len), Some(1), "{found:?}");
         labels.push(found[0][0]["label"].as_str().expect("a label").to_owned());
         let frames = json_lines(

@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use radome_tests::browser::{PATIENCE, Served};
 use radome_tests::running::wait_for;
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, subcommand};
 use serde_json::Value;
 use tungstenite::Message;
 
@@ -14,35 +14,37 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     json_lines(
-        radome()
-            .arg("simulate")
+        subcommand("scene simulate")
             .arg(fixture("scenes/desk.toml"))
             .args(["--frames", "40", "--json", "-o"])
             .arg(path("run.mcap")),
     );
     let maps = |name: &str| {
-        json_lines(radome().arg("rdm").arg(path("run.mcap")).arg("--json").arg("-o").arg(path(name)));
+        json_lines(subcommand("recording maps").arg(path("run.mcap")).arg("--json").arg("-o").arg(path(name)));
         std::fs::read(path(name)).expect("maps")
     };
     let before = maps("before.npy");
     std::fs::write(path("track.txt"), "0.500000\t1.250000\tempty\n1.250000\t3.000000\tone\n").expect("writable");
     let import = ["--who", "a test", "--json", "--import"];
-    let spans = json_lines(radome().arg("labels").arg(path("run.mcap")).args(import).arg(path("track.txt"))).remove(0);
+    let spans =
+        json_lines(subcommand("recording labels").arg(path("run.mcap")).args(import).arg(path("track.txt"))).remove(0);
     assert_eq!((spans[0]["label"].as_str(), spans[1]["end_s"].as_f64()), (Some("empty"), Some(3.0)));
     assert_eq!(spans[1]["who"], "a test");
-    json_lines(radome().arg("labels").arg(path("run.mcap")).args(["--json", "--export"]).arg(path("out.label")));
+    json_lines(
+        subcommand("recording labels").arg(path("run.mcap")).args(["--json", "--export"]).arg(path("out.label")),
+    );
     let text = std::fs::read_to_string(path("out.label")).expect("written");
     assert!(text.starts_with("Time(Seconds),Length(Seconds),") && text.contains("1.250000,1.750000,one,"), "{text}");
     assert_eq!(maps("after.npy"), before);
 
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
-    let said = failure(radome().arg("labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
+    let said = failure(subcommand("recording labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
 }
 
 /// Labels of a recording, whatever state it is in.
 fn spans(recording: &Path) -> Vec<Value> {
-    match json_lines(radome().arg("labels").arg(recording).arg("--json")).remove(0) {
+    match json_lines(subcommand("recording labels").arg(recording).arg("--json")).remove(0) {
         Value::Array(spans) => spans,
         other => panic!("{other}"),
     }
@@ -91,7 +93,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     }
     let repaired = folder.path().join("repaired.mcap");
     // It may have been killed within a chunk, which is lost then.
-    json_lines_of(radome().arg("repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
+    json_lines_of(subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
     assert_eq!(spans(&repaired), killed);
 }
 
@@ -102,7 +104,7 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("it is mine.mcap");
     let scene = fixture("scenes/hall.toml");
-    let arguments = ["simulate", "--people", "1", "--seed", "700101", "--frames", "60", "--json", "-o"];
+    let arguments = ["scene", "simulate", "--people", "1", "--seed", "700101", "--frames", "60", "--json", "-o"];
     json_lines(radome().args(arguments).arg(&recording).arg(scene));
     let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]).stdout(Stdio::null()));
     let (mut socket, _) = tungstenite::connect(format!("ws://{}/stream", served.address)).expect("a page");

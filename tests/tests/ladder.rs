@@ -2,18 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, subcommand};
 use serde_json::Value;
 
 fn simulate(scene: &str, people: &str, frames: &str, path: &Path) {
-    let arguments = ["simulate", "--seed", "700101", "--people", people, "--frames", frames, "--json", "-o"];
+    let arguments = ["scene", "simulate", "--seed", "700101", "--people", people, "--frames", frames, "--json", "-o"];
     json_lines(radome().args(arguments).arg(path).arg(fixture(&format!("scenes/{scene}.toml"))));
 }
 
 fn evaluate(model: &str) -> std::process::Command {
     let mut command = radome();
     let model = if model == "cfar" { PathBuf::from(model) } else { fixture(&format!("models/{model}.safetensors")) };
-    command.args(["evaluate", "--json", "--model"]).arg(model);
+    command.args(["model", "evaluate", "--json", "--model"]).arg(model);
     command
 }
 
@@ -59,7 +59,7 @@ fn frames_are_judged_by_the_span_that_they_lie_in() {
         assert!(by_file[key].is_f64(), "{key}: {by_file}");
     }
 
-    json_lines(radome().arg("labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
     let held = json_lines(evaluate("cfar").arg(&recording)).remove(0);
     assert_eq!(held, by_file);
 }
@@ -111,8 +111,8 @@ fn models_are_compared_on_the_same_frames() {
     let keep = folder.path().join("kept");
     let model = model_of_one_waveform(folder.path());
     let ladder = || {
-        let mut command = radome();
-        command.args(["evaluate", "--json", "--model"]).arg(&model).args(["--model", "cfar", "--ladder"]).arg(&rung);
+        let mut command = subcommand("model evaluate");
+        command.args(["--json", "--model"]).arg(&model).args(["--model", "cfar", "--ladder"]).arg(&rung);
         command
     };
     let answer = json_lines(&mut ladder()).remove(0);
@@ -166,7 +166,7 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(fitted["models"], answer["models"]);
 
     // The same as a table.
-    let output = radome().arg("evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
+    let output = subcommand("model evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
     let table = String::from_utf8(output.stdout).expect("text");
     assert!(output.status.success() && table.contains("small") && table.contains("1 refused"), "{table}");
 }
@@ -198,7 +198,7 @@ mod hard_cases {
     fn what_cannot_be_compared_is_refused() {
         let said = failure(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]));
         assert!(said.contains("2 models") && said.contains("--ladder"), "{said}");
-        let said = failure(radome().args(["evaluate", "--ladder"]).arg(fixture("ladder")));
+        let said = failure(subcommand("model evaluate").arg("--ladder").arg(fixture("ladder")));
         assert!(said.contains("no model"), "{said}");
         let said = failure(evaluate("cfar").args(["--ladder", "nowhere"]));
         assert!(said.contains("nowhere"), "{said}");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
 
 /// A small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -12,14 +12,10 @@ pub fn maps() -> &'static Path {
     let (_, path) = MAPS.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = folder.path().join("maps.toml");
-        let quick = std::fs::read_to_string(radome_tests::fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = radome_tests::fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
-        let few = quick
-            .replace("seeds = [1, 24]", "seeds = [1, 8]")
-            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(&spec, few).expect("writable");
         let path = folder.path().join("maps");
-        json_lines(radome().args(["dataset", "build", "--json"]).arg(&spec).arg("-o").arg(&path));
+        json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(&path));
         (folder, path)
     });
     path
@@ -38,8 +34,8 @@ fn a_training_that_is_killed_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = write(folder.path(), "training.toml", TRAINING);
     let train = |name: &str| {
-        let mut command = radome();
-        command.arg("train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(folder.path().join(name)).arg("--json");
+        let mut command = subcommand("model train");
+        command.arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(folder.path().join(name)).arg("--json");
         command
     };
     let told = json_lines(&mut train("whole.safetensors"));
@@ -78,30 +74,30 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
         "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n\
          reference = { over_noise = { skip_range_bins = 3 } }\n",
     );
-    let networks = json_lines(radome().args(["models", "--json"])).remove(0);
+    let networks = json_lines(subcommand("model list").arg("--json")).remove(0);
     for network in networks.as_array().expect("a list") {
         let name = network["name"].as_str().expect("a name");
         let model = folder.path().join(format!("{name}.safetensors"));
         json_lines(
-            radome()
-                .arg("train")
+            subcommand("model train")
                 .arg(maps())
                 .arg("--spec")
                 .arg(&spec)
                 .args(["--network", name, "--json", "-o"])
                 .arg(&model),
         );
-        let metrics = json_lines(radome().arg("evaluate").arg(&model).arg(maps()).arg("--json")).remove(0);
+        let metrics = json_lines(subcommand("model evaluate").arg(&model).arg(maps()).arg("--json")).remove(0);
         let score = metrics["balanced_accuracy"].as_f64().expect("a score");
         assert!((0.0..=1.0).contains(&score), "{name}: {metrics}");
     }
-    let said = failure(radome().arg("train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
+    let said = failure(subcommand("model train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
     assert!(said.contains("no network 'hqmm'") && said.contains("doppler_net"), "{said}");
     // Descriptors are of levels over noise, which the default settings do not give.
-    let said = failure(radome().arg("train").arg(maps()).args(["--network", "descriptor_linear", "-o", "x"]));
+    let said = failure(subcommand("model train").arg(maps()).args(["--network", "descriptor_linear", "-o", "x"]));
     assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
-    let said =
-        failure(radome().arg("export").arg(folder.path().join("descriptor_linear.safetensors")).args(["-o", "x.onnx"]));
+    let said = failure(
+        subcommand("model export").arg(folder.path().join("descriptor_linear.safetensors")).args(["-o", "x.onnx"]),
+    );
     assert!(said.contains("no ONNX form") && said.contains("hint: "), "{said}");
 }
 
@@ -116,9 +112,8 @@ fn one_recording_can_be_held_out() {
     let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
     let model = folder.path().join("model.safetensors");
     let train = |sequence: &str| {
-        let mut command = radome();
+        let mut command = subcommand("model train");
         command
-            .arg("train")
             .arg(maps())
             .arg("--spec")
             .arg(&spec)
@@ -142,8 +137,8 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
     let spec = write(folder.path(), "study.toml", text);
     let output = folder.path().join("study");
     let study = || {
-        let mut command = radome();
-        command.arg("study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output).arg("--json");
+        let mut command = subcommand("model study");
+        command.arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output).arg("--json");
         command
     };
     let mut child = study().stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
@@ -191,11 +186,11 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
                 range_stretch = 0.1\nvelocity_stretch = 0.1\nsuperpose = { probability = 0.2 }\nsway = { probability = 0.7 }\n";
     let spec = write(folder.path(), "training.toml", text);
     let model = folder.path().join("model.safetensors");
-    json_lines(radome().arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+    json_lines(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
 
     let on_maps = || {
-        let mut command = radome();
-        command.arg("evaluate").arg(&model).arg(maps());
+        let mut command = subcommand("model evaluate");
+        command.arg(&model).arg(maps());
         command
     };
     let answer = json_lines(on_maps().args(["--ablate", "--json"])).remove(0);
@@ -221,12 +216,12 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     assert!(table.contains("replaced by noise") && table.contains("far ranges"), "{table}");
 
     let recording = folder.path().join("one.mcap");
-    let arguments = ["simulate", "--people", "1", "--seed", "9", "--frames", "6", "--json", "-o"];
+    let arguments = ["scene", "simulate", "--people", "1", "--seed", "9", "--frames", "6", "--json", "-o"];
     json_lines(radome().args(arguments).arg(&recording).arg(fixture("scenes/hall.toml")));
     let labelled = format!("{}=one", recording.display());
     let on_recording = |name: &Path| {
-        let mut command = radome();
-        command.arg("evaluate").arg("--model").arg(name).arg(&labelled).arg("--ablate");
+        let mut command = subcommand("model evaluate");
+        command.arg("--model").arg(name).arg(&labelled).arg("--ablate");
         command
     };
     let answer = json_lines(on_recording(&model).arg("--json")).remove(0);
@@ -251,8 +246,8 @@ fn shipped_settings_train_a_model() {
     ] {
         let spec = fixture("datasets").join(format!("{name}-training.toml"));
         let model = folder.path().join(format!("{name}.safetensors"));
-        let mut command = radome();
-        command.arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--network", network]);
+        let mut command = subcommand("model train");
+        command.arg(maps()).arg("--spec").arg(&spec).args(["--network", network]);
         command.args(["--epochs", "1", "--json", "-o"]).arg(&model);
         let told = json_lines(&mut command);
         assert!(told.last().is_some_and(|last| last["training"]["epochs"] == 1), "{name}: {told:?}");
@@ -273,7 +268,7 @@ mod hard_cases {
         ] {
             let spec = write(folder.path(), "training.toml", &format!("[augmentation]\n{augmentation}\n"));
             let output = folder.path().join("model.safetensors");
-            let said = failure(radome().arg("train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(&output));
+            let said = failure(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(&output));
             assert!(said.contains(expected), "{augmentation}: {said}");
             assert!(!output.exists());
         }
@@ -285,7 +280,7 @@ mod hard_cases {
         let output = folder.path().join("study");
         let say = |text: &str| {
             let spec = write(folder.path(), "study.toml", text);
-            failure(radome().arg("study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output))
+            failure(subcommand("model study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output))
         };
         let good = "title = \"T\"\ndataset = \"x.toml\"\nseeds = [1]\nvariants = [{ name = \"hqnn\" }]\n";
         for (from, to, expected) in [

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, shared, walk};
 use serde_json::Value;
 
 #[test]
@@ -30,8 +30,7 @@ fn demo_counts_people_through_the_emulated_board() {
 #[test]
 fn people_are_counted_alike_at_other_gains() {
     let folder = tempfile::tempdir().expect("a folder");
-    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-    let corridor = corridor.replace("../receivers", &fixture("receivers").display().to_string());
+    let corridor = fixture_text("scenes/corridor.toml");
     for gain_db in ["35.0", "45.0"] {
         let scene = folder.path().join("corridor.toml");
         let other = corridor.replace("if_gain_db = 40.0", &format!("if_gain_db = {gain_db}"));
@@ -73,15 +72,7 @@ fn a_model_refuses_frames_of_another_waveform_and_names_both() {
 fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
-        let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-        let head = &corridor[..corridor.find("[people").expect("a people table")];
-        // The scene moves to another folder; its receiver does not.
-        let head = head.replace("../receivers", &fixture("receivers").display().to_string());
-        let people = format!(
-            "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from}, 1.0] }}, {{ walk_to_m = [{to}, 1.0], speed_m_per_s = 1.2 }}]\n"
-        );
-        let scene = folder.path().join("walk.toml");
-        std::fs::write(&scene, format!("{head}{people}")).expect("writable");
+        let scene = walk(folder.path(), from, to);
         let mut child = radome()
             .args([
                 "demo",

@@ -2,14 +2,14 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, shared, subcommand};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().join("maps.npy");
-    let said = json_lines(radome().arg("rdm").arg(&recording).arg("-o").arg(&output).arg("--json"));
+    let said = json_lines(subcommand("recording maps").arg(&recording).arg("-o").arg(&output).arg("--json"));
     assert_eq!(said[0]["shape"], serde_json::json!([256, 3, 8, 32]));
 
     let read = |path: &std::path::Path| std::io::BufReader::new(std::fs::File::open(path).expect("readable"));
@@ -58,12 +58,12 @@ fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
 fn an_array_on_stdout_is_the_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (input, path) = (fixture("formats/recording.mcap"), folder.path().join("maps.npy"));
-    json_lines(radome().args(["recording", "maps", "--json", "-o"]).args([&path, &input]));
-    let output = radome().args(["recording", "maps", "-o", "-"]).arg(&input).output().expect("runs");
+    json_lines(subcommand("recording maps").args(["--json", "-o"]).args([&path, &input]));
+    let output = subcommand("recording maps").args(["-o", "-"]).arg(&input).output().expect("runs");
     assert!(output.status.success() && String::from_utf8_lossy(&output.stderr).contains("8 maps"));
     assert!(output.stdout == std::fs::read(&path).expect("reads"));
     let array = npyz::NpyFile::new(output.stdout.as_slice()).expect("npy");
     assert_eq!(array.shape(), [8, 2, 2, 4]);
-    let said = failure(radome().args(["recording", "maps", "--json", "-o", "-"]).arg(&input));
+    let said = failure(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input));
     assert!(said.contains("--json") && said.contains("stdout"), "{said}");
 }

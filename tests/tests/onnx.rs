@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, radome, skip};
+use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
 use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
@@ -12,7 +12,7 @@ const WITHOUT_ONNX_FORM: [&str; 2] = ["room-hqnn", "room-linear"];
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
     let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));
-    let lines = json_lines(radome().arg("export").arg(model).arg("-o").arg(&file).arg("--json"));
+    let lines = json_lines(subcommand("model export").arg(model).arg("-o").arg(&file).arg("--json"));
     assert_eq!(lines[0]["bytes"].as_u64(), std::fs::metadata(&file).map(|of| of.len()).ok(), "{lines:?}");
     file
 }
@@ -20,7 +20,7 @@ fn export(model: &Path, folder: &Path) -> PathBuf {
 /// Whether there is an onnxruntime, by what the program says of a file that it would need it for. Where there is none, the test is
 /// counted as skipped.
 fn is_installed(onnx: &Path) -> bool {
-    let output = radome().args(["evaluate", "--model"]).arg(onnx).arg("nowhere=one").output().expect("runs");
+    let output = subcommand("model evaluate").arg("--model").arg(onnx).arg("nowhere=one").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
     let installed = !said.contains("onnxruntime");
     if !installed {
@@ -66,8 +66,7 @@ fn exported_models_answer_as_the_models() {
         }
         let recording = folder.path().join(format!("{model}.mcap"));
         let scene = fixture(&format!("scenes/{scene}.toml"));
-        let made = radome()
-            .arg("simulate")
+        let made = subcommand("scene simulate")
             .arg(scene)
             // As many as the desk's maps are made of, and some.
             .args(["--frames", "140", "--people", "1", "-o"])
@@ -84,14 +83,15 @@ fn exported_models_answer_as_the_models() {
             assert_alike(&without_latency(a), &without_latency(b));
         }
         let labelled = format!("{}=one", recording.display());
-        let evaluate =
-            |model: &Path| json_lines(radome().args(["evaluate", "--model"]).arg(model).args([&labelled, "--json"]));
+        let evaluate = |model: &Path| {
+            json_lines(subcommand("model evaluate").arg("--model").arg(model).args([&labelled, "--json"]))
+        };
         assert_alike(&evaluate(&native)[0], &evaluate(&onnx)[0]);
     }
     for model in WITHOUT_ONNX_FORM {
         let file = folder.path().join("none.onnx");
         let native = fixture(&format!("models/{model}.safetensors"));
-        let said = failure(radome().arg("export").arg(native).arg("-o").arg(&file));
+        let said = failure(subcommand("model export").arg(native).arg("-o").arg(&file));
         assert!(said.contains("no ONNX form") && !file.exists(), "{model}: {said}");
     }
     assert_eq!(
@@ -110,7 +110,7 @@ fn the_waveform_travels_along() {
     let folder = tempfile::tempdir().expect("a folder");
     let native = fixture("models/paper-hqnn.safetensors");
     let onnx = export(&native, folder.path());
-    let config = |path: &Path| json_lines(radome().arg("config").arg(path).arg("--json"));
+    let config = |path: &Path| json_lines(subcommand("board config").arg(path).arg("--json"));
     assert_eq!(config(&native), config(&onnx));
 }
 
@@ -200,8 +200,8 @@ mod hard_cases {
             ("PYTHONPATH", folder.path().display().to_string()),
             ("PATH", format!(".:{path}")),
         ] {
-            let mut command = radome();
-            command.args(["evaluate", "--model"]).arg(&onnx).arg("nowhere=one").current_dir(folder.path());
+            let mut command = subcommand("model evaluate");
+            command.args(["--model"]).arg(&onnx).arg("nowhere=one").current_dir(folder.path());
             command.env_remove("ORT_DYLIB_PATH").env_remove("PYTHONPATH").env(variable, value);
             // Where onnxruntime is installed, the recording is what is missing.
             let said = failure(&mut command);
@@ -214,8 +214,9 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let onnx = export(&fixture("models/paper-hqnn.safetensors"), folder.path());
         for (library, expected) in [("/nowhere", "/nowhere"), ("Cargo.toml", "cannot be loaded")] {
-            let said =
-                failure(radome().args(["evaluate", "--model"]).arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library));
+            let said = failure(
+                subcommand("model evaluate").arg("--model").arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library),
+            );
             assert!(said.contains(expected) && said.contains("pip install"), "{said}");
         }
     }

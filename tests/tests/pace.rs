@@ -10,7 +10,7 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOpti
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 use radome_models::Model;
 use radome_tests::running::{Running, wait_up_to};
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{fixture, json_lines, radome, subcommand};
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
@@ -183,8 +183,8 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let run = folder.path().join("run.mcap");
     let scene = fixture("scenes/corridor.toml");
     let count = (frames + 20).to_string();
-    json_lines(radome().arg("simulate").arg(scene).args(["--frames", &count, "--json", "-o"]).arg(&run));
-    let board = Running::start(radome().arg("emulate").arg("--from").arg(&run).args(["--speed", "1"]));
+    json_lines(subcommand("scene simulate").arg(scene).args(["--frames", &count, "--json", "-o"]).arg(&run));
+    let board = Running::start(subcommand("board emulate").arg("--from").arg(&run).args(["--speed", "1"]));
     let port = board.stdout.find(0, "the board's port", |line| {
         line.split(|c: char| c.is_whitespace() || c == '"')
             .find(|word| word.starts_with("/dev/pts/"))
@@ -230,7 +230,7 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let summary = &summary["summary"];
     eprintln!("latency {}, pages saw {seen:?} pictures, {summary}", summary["latency_ms"]);
     assert_eq!((&summary["frames"], &summary["dropped"]), (&frames.into(), &0.into()));
-    let kept = json_lines(radome().arg("results").arg(&night).arg("--json"));
+    let kept = json_lines(subcommand("recording answers").arg(&night).arg("--json"));
     assert_eq!(kept.len() as u64, frames);
     assert!(seen.iter().all(|seen| *seen as u64 > frames / 2), "{seen:?}");
     let latency = |quantile: &str| summary["latency_ms"][quantile].as_f64().expect("a number");

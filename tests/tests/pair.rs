@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, fixture_text, json_lines, shared, subcommand};
 use serde_json::Value;
 
 /// Path of a walker: places, and the speed of the way to each; a place twice is a stand of two seconds.
@@ -21,10 +21,9 @@ fn motion(path: &Path2) -> Motion {
 
 /// A scene file of the fixtures with these people in it.
 fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
-    let text = std::fs::read_to_string(fixture(fixture_name)).expect("a scene");
+    let text = fixture_text(fixture_name);
     let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
-    let receivers = fixture("receivers").canonicalize().expect("a folder");
-    let mut text = room.replace("../receivers", &receivers.display().to_string());
+    let mut text = room.to_owned();
     for path in paths {
         let step = |(i, (place, speed)): (usize, &([f64; 2], f64))| match i {
             0 => format!("{{ walk_to_m = {place:?} }}"),
@@ -43,14 +42,14 @@ fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
     let file = scene.with_extension("mcap");
     let (frames, seed) = (frames.to_string(), seed.to_string());
     json_lines(
-        radome().arg("simulate").arg(scene).args(["--frames", &frames, "--seed", &seed, "--json", "-o"]).arg(&file),
+        subcommand("scene simulate").arg(scene).args(["--frames", &frames, "--seed", &seed, "--json", "-o"]).arg(&file),
     );
     file
 }
 
 fn pair(recording: &Path, scene: &Path, output: &Path) -> Command {
-    let mut command = radome();
-    command.args(["dataset", "pair"]).arg(recording).arg(scene).arg("--json").arg("-o").arg(output);
+    let mut command = subcommand("scene pair");
+    command.arg(recording).arg(scene).arg("--json").arg("-o").arg(output);
     command
 }
 
@@ -222,13 +221,14 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
         assert_ne!(a["recording"], b["recording"]);
         assert_ne!(a["hash"], b["hash"]);
     }
-    let verified = json_lines(radome().args(["dataset", "verify", "--json"]).arg(&set)).remove(0);
+    let verified = json_lines(subcommand("dataset verify").arg("--json").arg(&set)).remove(0);
     assert_eq!((verified["pairs"].as_u64(), verified["sequences"].as_u64()), (Some(1), Some(1)));
     assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
-    json_lines(radome().args(["dataset", "stats", "--json"]).arg(&set));
+    json_lines(subcommand("dataset stats").arg("--json").arg(&set));
     // The mirror gives the same frames once more.
     let again =
-        json_lines(radome().args(["simulate", "--json", "--frames", "30"]).arg(set.join("mirror.toml"))).remove(0);
+        json_lines(subcommand("scene simulate").args(["--json", "--frames", "30"]).arg(set.join("mirror.toml")))
+            .remove(0);
     assert_eq!(again["frames"], 30);
     let twice = folder.path().join("twice");
     json_lines(&mut make(&twice));
@@ -259,10 +259,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
 #[test]
 fn visitors_come_and_go_by_doors() {
     let folder = tempfile::tempdir().expect("a folder");
-    let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("a scene");
-    let receivers = fixture("receivers").canonicalize().expect("a folder");
-    let text =
-        text.replace("../receivers", &receivers.display().to_string()).replace("max_people = 2", "max_people = 1");
+    let text = fixture_text("scenes/corridor.toml").replace("max_people = 2", "max_people = 1");
     let scene = folder.path().join("visits.toml");
     std::fs::write(&scene, text).expect("writable");
     let recording = record(&scene, 150, 2);
@@ -304,7 +301,7 @@ fn a_real_recording_goes_through_to_the_end() {
     let said = json_lines(pair(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
     assert_eq!((said["frames"].as_u64(), said["maps"].as_u64()), (Some(256), Some(512)));
     assert_eq!(said["labels_agree"], 256);
-    json_lines(radome().args(["dataset", "verify", "--json"]).arg(&set));
+    json_lines(subcommand("dataset verify").arg("--json").arg(&set));
     // Bins 12 and 13: the person's surface is 0.36 to 0.39 m away.
     let person = &said["people"][0];
     assert_eq!(person["followed"], 256, "{said}");
@@ -319,12 +316,8 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[&[([5.0, 1.0], 0.0)]]);
         let recording = folder.path().join("empty.mcap");
-        let mut simulate = radome();
-        simulate
-            .arg("simulate")
-            .arg(&scene_file)
-            .args(["--frames", "12", "--people", "0", "--json", "-o"])
-            .arg(&recording);
+        let mut simulate = subcommand("scene simulate");
+        simulate.arg(&scene_file).args(["--frames", "12", "--people", "0", "--json", "-o"]).arg(&recording);
         json_lines(&mut simulate);
         let text = std::fs::read_to_string(&scene_file).expect("a scene");
         let (room, _) = text.split_once("[[people.actor]]").expect("people");

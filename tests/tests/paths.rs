@@ -1,6 +1,6 @@
 //! `radome scene paths`: the list against mirrors worked out by hand.
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, subcommand};
 use serde_json::Value;
 
 /// Speed of light, m/s.
@@ -25,8 +25,8 @@ fn scene(folder: &std::path::Path) -> std::path::PathBuf {
 }
 
 fn list(scene: &std::path::Path, arguments: &[&str]) -> Value {
-    let mut command = radome();
-    command.arg("paths").arg(scene).args(["--margin-db", "60", "--json"]).args(arguments);
+    let mut command = subcommand("scene paths");
+    command.arg(scene).args(["--margin-db", "60", "--json"]).args(arguments);
     json_lines(&mut command).remove(0)
 }
 
@@ -97,8 +97,8 @@ fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
 fn the_list_is_drawn_and_told_in_words() {
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("paths.png");
-    let mut command = radome();
-    command.arg("paths").arg(fixture("scenes/corridor.toml")).args(["--time", "3", "--preview"]).arg(&picture);
+    let mut command = subcommand("scene paths");
+    command.arg(fixture("scenes/corridor.toml")).args(["--time", "3", "--preview"]).arg(&picture);
     let output = command.output().expect("runs");
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && said.contains("length/m") && said.contains("x_high"), "{said}");
@@ -111,9 +111,9 @@ mod hard_cases {
     #[test]
     fn somebody_who_is_not_there_and_a_time_that_is_none_are_said() {
         let scene = fixture("scenes/corridor.toml");
-        let said = failure(radome().arg("paths").arg(&scene).args(["--person", "7"]));
+        let said = failure(subcommand("scene paths").arg(&scene).args(["--person", "7"]));
         assert!(said.contains("person 7") && said.contains("hint"), "{said}");
-        let said = failure(radome().arg("paths").arg(&scene).args(["--time", "inf"]));
+        let said = failure(subcommand("scene paths").arg(&scene).args(["--time", "inf"]));
         assert!(said.contains("--time"), "{said}");
     }
 }

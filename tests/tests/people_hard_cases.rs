@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
 use serde_json::Value;
 
 /// A scene of `fixtures/scenes/rooms.toml` whose waveform has other values for these keys.
 fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
-    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
-    let text = std::fs::read_to_string(fixture("scenes/rooms.toml")).expect("a scene");
-    let mut text = text.replace("../receivers/typical.toml", &receiver.display().to_string());
+    let mut text = fixture_text("scenes/rooms.toml");
     for (key, value) in waveform {
         let is_key = |line: &str| line.split_once(" = ").is_some_and(|(name, _)| name == *key);
         assert_eq!(text.lines().filter(|line| is_key(line)).count(), 1, "{key}");
@@ -27,8 +25,8 @@ fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
 /// A recording of a scene.
 fn simulate(scene: &Path, people: usize, seed: u64, frames: usize) -> PathBuf {
     let path = scene.with_file_name(format!("people{people}-seed{seed}.mcap"));
-    let mut command = radome();
-    command.arg("simulate").arg(scene).args(["--people", &people.to_string(), "--seed", &seed.to_string()]);
+    let mut command = subcommand("scene simulate");
+    command.arg(scene).args(["--people", &people.to_string(), "--seed", &seed.to_string()]);
     json_lines(command.args(["--frames", &frames.to_string(), "--json", "-o"]).arg(&path));
     path
 }
@@ -123,7 +121,7 @@ fn a_band_below_the_limit_is_refused_with_the_limit() {
     let said = failure(radome().arg("live").arg(&recording).arg("--json"));
     assert!(said.contains("sampled band is 0.238 GHz") && said.contains("0.300 GHz or more"), "{said}");
     assert!(said.contains("hint: capture with a waveform within this limit"), "{said}");
-    let said = failure(radome().args(["evaluate", "room-hqnn"]).arg(&recording));
+    let said = failure(subcommand("model evaluate").arg("room-hqnn").arg(&recording));
     assert!(said.contains("sampled band is 0.238 GHz") && said.contains("hint:"), "{said}");
 }
 
@@ -202,7 +200,7 @@ fn frames_without_a_signal_get_no_answer_and_change_none() {
         assert!(said.contains("warning: receiver 1 of 1") && said.contains("get no answer"), "{said}");
         // Nothing else is said of a recording that has no other frames.
         let nothing = changed(&dead, "nothing.mcap", 50, |_, _| ());
-        let said = failure(radome().args(["evaluate", "room-hqnn"]).arg(format!("{}=one", nothing.display())));
+        let said = failure(subcommand("model evaluate").arg("room-hqnn").arg(format!("{}=one", nothing.display())));
         assert!(said.contains("no frame of it can be judged") && said.contains("no signal"), "{name}: {said}");
         std::fs::remove_file(nothing).expect("removable");
     }
@@ -280,8 +278,8 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
                 seeds = [731010, 731011]\npeople = 2\nframes = 5\n";
     std::fs::write(&rung, text).expect("writable");
     let ladder = |hours: &str| {
-        let mut command = radome();
-        command.args(["evaluate", "--model", "room-hqnn", "--json", "--empty-hours", hours, "--ladder"]).arg(&rung);
+        let mut command = subcommand("model evaluate");
+        command.args(["--model", "room-hqnn", "--json", "--empty-hours", hours, "--ladder"]).arg(&rung);
         command
     };
     let answer = json_lines(&mut ladder("0.005")).remove(0);
@@ -297,12 +295,12 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     // Somebody walks through a room that is said to be empty.
     let walked = simulate(&scene, 1, 731_012, 60);
     let empty = format!("{}=empty", walked.display());
-    let answer = json_lines(radome().args(["evaluate", "--json", "room-hqnn"]).arg(&empty)).remove(0);
+    let answer = json_lines(subcommand("model evaluate").args(["--json", "room-hqnn"]).arg(&empty)).remove(0);
     assert!(answer["empty_s"].as_f64().is_some_and(|seconds| (5.9..6.1).contains(&seconds)), "{answer}");
     assert!(answer["false_alarms"].as_u64().is_some_and(|alarms| alarms > 0), "{answer}");
     assert!(answer["false_alarms_per_hour"].as_f64().is_some_and(|rate| rate > 500.0), "{answer}");
     assert!(answer["false_alarm_share"].as_f64().is_some_and(|share| (0.5..1.0).contains(&share)), "{answer}");
-    let output = radome().args(["evaluate", "room-hqnn"]).arg(&empty).output().expect("runs");
+    let output = subcommand("model evaluate").arg("room-hqnn").arg(&empty).output().expect("runs");
     let table = String::from_utf8(output.stdout).expect("text");
     assert!(table.contains("false alarms") && table.contains("an hour"), "{table}");
 }

@@ -2,12 +2,12 @@
 
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, subcommand};
 use serde_json::json;
 
 #[test]
 fn models_lists_the_hqnn_with_its_parameters() {
-    let lists = json_lines(radome().args(["models", "--json"]));
+    let lists = json_lines(subcommand("model list").arg("--json"));
     let hqnn = lists[0].as_array().expect("a list").iter().find(|n| n["name"] == "hqnn").expect("hqnn");
     assert_eq!(hqnn["parameters"], 66_447);
 }
@@ -27,7 +27,7 @@ fn circuit_agrees_with_qiskit() {
     };
     for point in reference["reps"]["1"]["points"].as_array().expect("points").iter().step_by(7) {
         let (x, theta) = (list(&point["x"]), list(&point["theta"]));
-        let args = ["circuit", "--x", &x, "--theta", &theta, "--repetitions", "1", "--json"];
+        let args = ["bench", "circuit", "--x", &x, "--theta", &theta, "--repetitions", "1", "--json"];
         let got = &json_lines(radome().args(args))[0];
         let near = |got: &serde_json::Value, want: &serde_json::Value, tolerance: f64| {
             let (got, want) = (got.as_f64().expect("number"), want.as_f64().expect("number"));
@@ -51,7 +51,7 @@ fn circuit_agrees_with_qiskit() {
 
 #[test]
 fn config_derives_axes_from_the_sampled_band() {
-    let paper = &json_lines(radome().args(["config", "paper", "--json"]))[0];
+    let paper = &json_lines(subcommand("board config").args(["paper", "--json"]))[0];
     let resolution = paper["range_resolution_m"].as_f64().expect("number");
     assert!((resolution - 0.171).abs() < 0.003, "{resolution}");
     let velocity = paper["max_velocity_m_per_s"].as_f64().expect("number");
@@ -61,7 +61,7 @@ fn config_derives_axes_from_the_sampled_band() {
 /// The gain comes in steps of 5 dB over 18 or 30, the frame of 98304 samples in twelve halves of the FIFO.
 #[test]
 fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
-    let paper = &json_lines(radome().args(["config", "paper", "--json"]))[0];
+    let paper = &json_lines(subcommand("board config").args(["paper", "--json"]))[0];
     let nearest = paper["nearest"].as_array().expect("a list");
     let gain = nearest.iter().find(|n| n["name"] == "IF gain").expect("48 dB is no step");
     assert_eq!((gain["requested"].as_f64(), gain["realised"].as_f64()), (Some(48.0), Some(50.0)));
@@ -74,7 +74,7 @@ fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
 #[test]
 fn a_closed_pipe_ends_quietly() {
     let mut child =
-        radome().args(["models", "--json"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+        subcommand("model list").arg("--json").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
     drop(child.stdout.take());
     let output = child.wait_with_output().expect("ends");
     assert!(output.status.success());
@@ -85,9 +85,9 @@ fn a_closed_pipe_ends_quietly() {
 fn errors_say_what_and_what_to_do() {
     let said = failure(radome().args(["live", "nowhere.mcap", "--model", "nothing.safetensors"]));
     assert!(said.starts_with("error: ") && said.contains("nothing.safetensors"), "{said}");
-    let said = failure(radome().args(["rdm", "/nonexistent", "-o", "/tmp/never.npy"]));
+    let said = failure(subcommand("recording maps").args(["/nonexistent", "-o", "/tmp/never.npy"]));
     assert!(said.contains("/nonexistent"), "{said}");
-    let said = failure(radome().args(["circuit", "--x", "1", "--theta", "1,2,3,4"]));
+    let said = failure(subcommand("bench circuit").args(["--x", "1", "--theta", "1,2,3,4"]));
     assert!(said.contains("two numbers"), "{said}");
     let wrong_use = radome().args(["live"]).output().expect("runs");
     assert_eq!(wrong_use.status.code(), Some(2));
@@ -95,7 +95,7 @@ fn errors_say_what_and_what_to_do() {
 
 #[test]
 fn devices_answers_on_a_machine_without_usb() {
-    json_lines(radome().args(["devices", "--json"]));
+    json_lines(subcommand("board list").arg("--json"));
 }
 
 #[test]
@@ -103,14 +103,14 @@ fn a_recording_says_its_waveform_its_length_and_its_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
     let simulated = ["--people", "0", "--frames", "20", "--json", "-o"];
-    json_lines(radome().args(["scene", "simulate"]).arg(fixture("scenes/hall.toml")).args(simulated).arg(&recording));
-    let info = json_lines(radome().args(["recording", "info", "--json"]).arg(&recording)).remove(0);
+    json_lines(subcommand("scene simulate").arg(fixture("scenes/hall.toml")).args(simulated).arg(&recording));
+    let info = json_lines(subcommand("recording info").arg("--json").arg(&recording)).remove(0);
     assert_eq!(
         (&info["format"], &info["frames"], &info["labelled_s"]),
         (&"mcap".into(), &20.into(), &json!({})),
         "{info}"
     );
-    let of_recording = json_lines(radome().args(["board", "config", "--json"]).arg(&recording)).remove(0);
+    let of_recording = json_lines(subcommand("board config").arg("--json").arg(&recording)).remove(0);
     assert_eq!(of_recording["waveform"], info["waveform"]);
 
     let label = ["recording", "label", "--json"];
@@ -123,7 +123,7 @@ fn a_recording_says_its_waveform_its_length_and_its_labels() {
     let track = folder.path().join("track.txt");
     json_lines(radome().args(label).arg(&recording).arg("-o").arg(&track));
     assert!(std::fs::read_to_string(&track).is_ok_and(|text| text.contains("empty")));
-    let info = json_lines(radome().args(["recording", "info", "--json"]).arg(&recording)).remove(0);
+    let info = json_lines(subcommand("recording info").arg("--json").arg(&recording)).remove(0);
     assert_eq!(info["labelled_s"], json!({ "empty": 1.0 }), "{info}");
 }
 
@@ -132,8 +132,8 @@ fn a_preview_is_drawn_and_replaces_no_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("scene.png");
     let draw = || {
-        let mut command = radome();
-        command.args(["scene", "preview", "--frames", "20", "--json", "-o"]).arg(&picture);
+        let mut command = subcommand("scene preview");
+        command.args(["--frames", "20", "--json", "-o"]).arg(&picture);
         command.arg(fixture("scenes/corridor.toml"));
         command
     };
@@ -142,14 +142,14 @@ fn a_preview_is_drawn_and_replaces_no_file() {
     assert!(std::fs::read(&picture).is_ok_and(|bytes| bytes.starts_with(b"\x89PNG")));
     assert!(failure(&mut draw()).contains("exists already"));
     let by_former_option = folder.path().join("former.png");
-    let former = ["simulate", "fixtures/scenes/corridor.toml", "--frames", "20", "--json", "--preview"];
+    let former = ["scene", "simulate", "fixtures/scenes/corridor.toml", "--frames", "20", "--json", "--preview"];
     json_lines(radome().args(former).arg(&by_former_option));
     assert_eq!(std::fs::read(by_former_option).expect("a picture"), std::fs::read(picture).expect("a picture"));
 }
 
 #[test]
 fn a_reset_without_a_probe_says_where_probes_are_listed() {
-    for arguments in [["board", "reset", "nothing"], ["devices", "--reset", "nothing"]] {
+    for arguments in [&["board", "reset", "nothing"][..], &["board", "list", "--reset", "nothing"]] {
         let said = failure(radome().args(arguments));
         assert!(said.contains("nothing is no debug probe") && said.contains("lists the probes"), "{said}");
     }

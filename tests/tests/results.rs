@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, skip};
+use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
 use serde_json::Value;
 
 /// `live` on two seconds of a simulated corridor, recorded; its JSON lines.
@@ -15,7 +15,7 @@ fn live(output: &Path, frames: &str) -> Vec<Value> {
 }
 
 fn results(path: &Path) -> Vec<Value> {
-    json_lines(radome().arg("results").arg(path).arg("--json"))
+    json_lines(subcommand("recording answers").arg(path).arg("--json"))
 }
 
 #[test]
@@ -44,19 +44,19 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     );
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
-    json_lines(radome().arg("convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
+    json_lines(subcommand("recording convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
     assert_eq!(results(&at("copy.mcap")), kept);
-    json_lines(radome().arg("repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
+    json_lines(subcommand("recording repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
     assert_eq!(results(&at("fixed.mcap")), kept);
     let track = at("track.txt");
     std::fs::write(&track, "0.5\t1.5\tone\n").expect("writable");
-    json_lines(radome().arg("labels").arg(at("copy.mcap")).arg("--import").arg(&track).arg("--json"));
+    json_lines(subcommand("recording labels").arg(at("copy.mcap")).arg("--import").arg(&track).arg("--json"));
     assert_eq!(results(&at("copy.mcap")), kept);
 
-    let output = radome().arg("convert").args([at("night.mcap"), at("folder/")]).output().expect("runs");
+    let output = subcommand("recording convert").args([at("night.mcap"), at("folder/")]).output().expect("runs");
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success() && told.contains("what was said about 40 frames"), "{told}");
-    let told = failure(radome().arg("results").arg(at("folder")));
+    let told = failure(subcommand("recording answers").arg(at("folder")));
     assert!(told.contains("holds no results") && told.contains("hint:"), "{told}");
 }
 
@@ -65,7 +65,7 @@ fn csv_has_a_line_a_frame_or_one_a_change() {
     let folder = tempfile::tempdir().expect("a folder");
     let (night, table) = (folder.path().join("night.mcap"), folder.path().join("night.csv"));
     let said = live(&night, "80");
-    let output = radome().arg("results").arg(&night).arg("--csv").arg(&table).output().expect("runs");
+    let output = subcommand("recording answers").arg(&night).arg("--csv").arg(&table).output().expect("runs");
     assert!(output.status.success() && output.stdout.is_empty());
     assert!(String::from_utf8_lossy(&output.stderr).contains("paper-hqnn.safetensors"));
     let table = std::fs::read_to_string(&table).expect("a table");
@@ -77,7 +77,7 @@ fn csv_has_a_line_a_frame_or_one_a_change() {
         assert_eq!(row[column("label")], said["label"].as_str().expect("a label"));
         assert_eq!(row[column("people")], said["people"].to_string());
     }
-    let changes = radome().arg("results").arg(&night).arg("--changes").output().expect("runs");
+    let changes = subcommand("recording answers").arg(&night).arg("--changes").output().expect("runs");
     let changes = String::from_utf8_lossy(&changes.stdout).lines().count();
     let people: Vec<_> = said[..80].iter().map(|said| said["people"].as_u64()).collect();
     let expected = 1 + people.windows(2).filter(|pair| pair[0] != pair[1]).count();

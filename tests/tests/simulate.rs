@@ -1,13 +1,13 @@
 //! Simulations into recordings: the same bytes whatever the threads, and whole through board and file.
 
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome, subcommand};
 
 fn simulate(folder: &std::path::Path, name: &str, threads: &str) -> Vec<u8> {
     let path = folder.join(name);
     let lines = json_lines(
         radome()
             .env("RAYON_NUM_THREADS", threads)
-            .arg("simulate")
+            .args(["scene", "simulate"])
             .arg(fixture("scenes/corridor.toml"))
             .args(["--frames", "40", "--seed", "7", "--people", "2", "--json", "-o"])
             .arg(&path),
@@ -31,7 +31,7 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     let scene = fixture("scenes/corridor.toml");
     let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
     json_lines(
-        radome().arg("simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct),
+        subcommand("scene simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct),
     );
     let emulated = format!("emulated:{}", scene.display());
     let args = ["--frames", "12", "--seed", "3", "--waveform", "paper", "--json", "-o"];
@@ -60,7 +60,7 @@ mod hard_cases {
         let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
         let scene = folder.path().join("bad.toml");
         std::fs::write(&scene, text.replace("position_m", "position")).expect("writable");
-        let said = failure(radome().arg("simulate").arg(&scene).arg("-o").arg(folder.path().join("x.mcap")));
+        let said = failure(subcommand("scene simulate").arg(&scene).arg("-o").arg(folder.path().join("x.mcap")));
         assert!(said.contains("bad.toml") && said.contains("position"), "{said}");
         assert!(!folder.path().join("x.mcap").exists());
     }
@@ -71,8 +71,12 @@ mod hard_cases {
         let bytes = simulate(folder.path(), "whole.mcap", "2");
         let path = folder.path().join("cut.mcap");
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
-        let output =
-            radome().arg("rdm").arg(&path).arg("-o").arg(folder.path().join("maps.npy")).output().expect("runs");
+        let output = subcommand("recording maps")
+            .arg(&path)
+            .arg("-o")
+            .arg(folder.path().join("maps.npy"))
+            .output()
+            .expect("runs");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!said.contains("panicked"), "{said}");
         assert!(output.status.success() || said.contains("cut.mcap"), "{said}");

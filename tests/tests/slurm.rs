@@ -8,7 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::free_port;
-use radome_tests::{fixture, json_lines, radome, skip};
+use radome_tests::{fixture, json_lines, skip, subcommand};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report};
@@ -198,9 +198,9 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
          [[simulated]]\nscene = {scene:?}\nseeds = [1, 32]\npeople = [2]\nframes = 200\nevery = 5\n"
     );
     fs::write(&spec, text).expect("writable");
-    json_lines(radome().args(["dataset", "build", "--json"]).arg(&spec).arg("-o").arg(path("single")));
+    json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(path("single")));
 
-    let script = text_of(radome().args(["dataset", "slurm", "--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
+    let script = text_of(subcommand("dataset slurm").args(["--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
     let job = cluster.queue(&script);
 
     // Killed as soon as it has made a unit; then queued again.
@@ -226,8 +226,8 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let log = fs::read_to_string(path(&format!("radome-spec-{job}_{index}.log"))).expect("a log");
     assert!(log.contains("units are there"), "it went on where it was: {log}");
 
-    let mut merge = radome();
-    merge.args(["dataset", "merge", "--json", "-o"]).arg(path("merged"));
+    let mut merge = subcommand("dataset merge");
+    merge.args(["--json", "-o"]).arg(path("merged"));
     merge.args((0..8).map(|i| path(&format!("shards/shard-{i:05}-of-00008"))));
     json_lines(&mut merge);
     for entry in fs::read_dir(path("single")).expect("a folder").flatten() {
@@ -251,21 +251,14 @@ fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
     let spec = path("study.toml");
     fs::write(&spec, STUDY).expect("writable");
     let study = |name: &str| {
-        let mut command = radome();
-        command
-            .args(["model", "study"])
-            .arg(&spec)
-            .arg("--dataset")
-            .arg(maps())
-            .arg("-o")
-            .arg(path(name))
-            .arg("--json");
+        let mut command = subcommand("model study");
+        command.arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(path(name)).arg("--json");
         command
     };
     json_lines(&mut study("single"));
 
-    let mut script = radome();
-    script.args(["model", "slurm", "--tasks", "6"]).arg(&spec).arg("--dataset").arg(maps());
+    let mut script = subcommand("model slurm");
+    script.args(["--tasks", "6"]).arg(&spec).arg("--dataset").arg(maps());
     let job = cluster.queue(&text_of(script.arg("-o").arg(path("array"))));
     // Two tasks run at once, the first before the others.
     wait("the first task to be at work", || progress(&path("array")).iter().any(|count| *count > 0));

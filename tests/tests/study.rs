@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use radome_models::Dataset;
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
 
 use super::learning::maps;
 
@@ -36,8 +36,8 @@ impl Place {
 
     /// The command of the study in the folder `name`.
     fn study(&self, name: &str) -> Command {
-        let mut command = radome();
-        command.args(["model", "study"]).arg(self.at("study.toml")).arg("--dataset").arg(maps());
+        let mut command = subcommand("model study");
+        command.arg(self.at("study.toml")).arg("--dataset").arg(maps());
         command.arg("--json").arg("-o").arg(self.at(name));
         command
     }
@@ -234,8 +234,8 @@ fn a_plan_counts_scores_under_conditions() {
 fn the_script_of_an_array_runs_the_study_in_shards() {
     let place = Place::new(STUDY);
     let script = |arguments: &[&str]| {
-        let mut command = radome();
-        command.args(["model", "slurm"]).arg(place.at("study.toml")).arg("-o").arg(place.at("out put")).args(arguments);
+        let mut command = subcommand("model slurm");
+        command.arg(place.at("study.toml")).arg("-o").arg(place.at("out put")).args(arguments);
         command
     };
     let output = script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]).output().expect("runs");
@@ -340,16 +340,12 @@ mod hard_cases {
     /// Shards of a study without a dataset: one of them builds it, the others wait.
     #[test]
     fn shards_build_one_dataset() {
-        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
-        let halls = fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
-        let few = quick
-            .replace("seeds = [1, 24]", "seeds = [1, 8]")
-            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(place.at("maps.toml"), few).expect("writable");
         let start = |shard: &str| {
-            let mut command = radome();
-            command.args(["model", "study"]).arg(place.at("study.toml")).arg("-o").arg(place.at("study"));
+            let mut command = subcommand("model study");
+            command.arg(place.at("study.toml")).arg("-o").arg(place.at("study"));
             command.args(["--json", "--shard", shard]).stdout(Stdio::null()).stderr(Stdio::piped());
             command.spawn().expect("starts")
         };

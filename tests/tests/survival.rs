@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, root, skip};
+use radome_tests::{failure, fixture, json_lines, radome, root, skip, subcommand};
 
 /// One receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
@@ -78,15 +78,15 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     let commands: [&[&str]; 11] = [
         &["record", &plain, "-o"],
         &["live", &plain, "--model", "cfar", "-o"],
-        &["simulate", &scene, "--frames", "2", "-o"],
-        &["convert", &plain],
-        &["repair", &plain, "-o"],
-        &["rdm", &plain, "-o"],
-        &["export", &model, "-o"],
-        &["background", &plain, "--model", "cfar", "-o"],
-        &["train", "no-dataset", "-o"],
-        &["labels", &plain, "--export"],
-        &["results", &judged, "--csv"],
+        &["scene", "simulate", &scene, "--frames", "2", "-o"],
+        &["recording", "convert", &plain],
+        &["recording", "repair", &plain, "-o"],
+        &["recording", "maps", &plain, "-o"],
+        &["model", "export", &model, "-o"],
+        &["model", "background", &plain, "--model", "cfar", "-o"],
+        &["model", "train", "no-dataset", "-o"],
+        &["recording", "labels", &plain, "--export"],
+        &["recording", "answers", &judged, "--csv"],
     ];
     for command in commands {
         let said = failure(radome().args(command).arg(&kept));
@@ -94,9 +94,10 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
         assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
-    for command in
-        commands.iter().filter(|command| ["record", "simulate", "convert", "rdm", "export"].contains(&command[0]))
-    {
+    let replaces = |command: &&&[&str]| {
+        command[..2].iter().any(|word| ["record", "simulate", "convert", "maps", "export"].contains(word))
+    };
+    for command in commands.iter().filter(replaces) {
         std::fs::write(&kept, "a night of frames").expect("writable");
         let output = radome().args(*command).arg(&kept).arg("--overwrite").output().expect("runs");
         assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -184,15 +185,15 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
     let source = at("source.mcap");
     assert!(failure(radome().arg("record").arg(&source).arg("-o").arg(&made)).contains("exists already"));
     assert!(failure(radome().arg("record").arg(&source).arg("--overwrite").arg("-o").arg(&made)).contains(busy));
-    assert!(failure(radome().arg("convert").arg(&source).arg(&made).arg("--overwrite")).contains(busy));
+    assert!(failure(subcommand("recording convert").arg(&source).arg(&made).arg("--overwrite")).contains(busy));
     std::fs::write(at("track.txt"), "0.0\t0.3\tone\n").expect("writable");
-    let said = failure(radome().arg("labels").arg(&made).arg("--import").arg(at("track.txt")));
+    let said = failure(subcommand("recording labels").arg(&made).arg("--import").arg(at("track.txt")));
     assert!(said.contains(busy) && said.contains("made.mcap"), "{said}");
     recorder.signal("INT");
     assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
     assert!(is_complete(&made) && readable(&made) >= 5);
     // Who waited may write now.
-    json_lines(radome().arg("labels").arg(&made).args(["--json", "--import"]).arg(at("track.txt")));
+    json_lines(subcommand("recording labels").arg(&made).args(["--json", "--import"]).arg(at("track.txt")));
     assert_eq!(McapReader::open(&made).expect("opens").labels().expect("labels").len(), 1);
     assert_eq!(files(folder.path()), [made, source, at("track.txt")]);
 }
@@ -206,8 +207,8 @@ fn labels_that_are_imported_at_once_are_all_there() {
         .map(|k| {
             let track = at(&format!("{k}.txt"));
             std::fs::write(&track, format!("{k}.0\t{k}.5\tone\n")).expect("writable");
-            let mut command = radome();
-            command.arg("labels").arg(at("a.mcap")).args(["--json", "--import"]).arg(track);
+            let mut command = subcommand("recording labels");
+            command.arg(at("a.mcap")).args(["--json", "--import"]).arg(track);
             command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("starts")
         })
         .collect();
@@ -239,7 +240,7 @@ fn a_recorder_that_is_killed_leaves_what_it_had_written() {
         assert!(count >= seen && !is_complete(&made), "{count} of {seen}");
         let repaired = at(&format!("repaired-{name}"));
         // Its exit status says that the end was lost.
-        radome().arg("repair").arg(&made).arg("-o").arg(&repaired).output().expect("runs");
+        subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).output().expect("runs");
         assert!(readable(&repaired) == count && is_complete(&repaired));
         let again = failure(radome().arg("record").arg(at("source.mcap")).arg("-o").arg(&made));
         assert!(again.contains("exists already"), "{again}");

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{failure, fixture, json_lines, radome, root, skip};
+use radome_tests::{failure, fixture, json_lines, radome, root, skip, subcommand};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -116,8 +116,8 @@ struct Found {
 
 fn export(input: &Path, folder: &Path) -> PathBuf {
     let output = folder.join("viewers.mcap");
-    let mut convert = radome();
-    convert.args(["recording", "convert", "--to", "viewers", "--json"]).args([input, &output]);
+    let mut convert = subcommand("recording convert");
+    convert.args(["--to", "viewers", "--json"]).args([input, &output]);
     let said = json_lines(&mut convert).remove(0);
     assert_eq!(said["written"], std::fs::metadata(&output).expect("a file").len());
     output
@@ -244,8 +244,8 @@ fn numbers_and_events_are_those_of_the_recording() {
 fn a_pixel_of_a_map_is_a_cell() {
     let folder = tempfile::tempdir().expect("a folder");
     let input = folder.path().join("room.mcap");
-    let mut simulate = radome();
-    simulate.args(["scene", "simulate"]).arg(fixture("scenes/corridor.toml"));
+    let mut simulate = subcommand("scene simulate");
+    simulate.arg(fixture("scenes/corridor.toml"));
     json_lines(simulate.args(["--frames", "3", "--seed", "5", "--json", "-o"]).arg(&input));
     let found = read(&export(&input, folder.path()));
     assert!(of::<Answer>(&found, "/radome/answer", "radome.Answer").is_empty());
@@ -253,8 +253,8 @@ fn a_pixel_of_a_map_is_a_cell() {
     assert_eq!(maps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), [0, 100_000_000, 200_000_000]);
 
     let array = folder.path().join("maps.npy");
-    let mut cells = radome();
-    cells.args(["recording", "maps", "--incoherent", "--json", "-o"]).args([&array, &input]);
+    let mut cells = subcommand("recording maps");
+    cells.args(["--incoherent", "--json", "-o"]).args([&array, &input]);
     let said = json_lines(&mut cells).remove(0);
     let shape: Vec<usize> = serde_json::from_value(said["shape"].clone()).expect("lengths");
     let (rows, columns) = (shape[2], shape[3]);
@@ -353,10 +353,10 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let input = fixture("formats/judged.mcap");
         let output = export(&input, folder.path());
-        let said = failure(radome().args(["recording", "info"]).arg(&output));
+        let said = failure(subcommand("recording info").arg(&output));
         assert!(said.contains("not one of our recordings"), "{said}");
         let before = std::fs::read(&output).expect("reads");
-        let said = failure(radome().args(["recording", "convert", "--to", "viewers"]).args([&input, &output]));
+        let said = failure(subcommand("recording convert").args(["--to", "viewers"]).args([&input, &output]));
         assert!(said.contains("--overwrite"), "{said}");
         assert!(std::fs::read(&output).expect("reads") == before);
     }

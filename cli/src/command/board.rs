@@ -5,17 +5,10 @@ mod emulate;
 mod list;
 mod reset;
 
-/// `radome board`
-#[derive(clap::Args)]
-pub struct Arguments {
-    #[command(subcommand)]
-    action: Action,
-}
-
 // There is one in a program: its size does not matter.
 #[allow(clippy::large_enum_variant)]
 #[derive(clap::Subcommand)]
-enum Action {
+pub enum Action {
     /// List attached boards and debug probes: their identity, or what to do where one cannot be used
     List(list::Arguments),
     /// Show what follows from a waveform: ranges, resolutions, data rate, registers
@@ -30,8 +23,8 @@ enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match &arguments.action {
+pub fn run(action: &Action) -> anyhow::Result<()> {
+    match action {
         Action::List(arguments) => list::run(arguments),
         Action::Config(arguments) => config::run(arguments),
         Action::Emulate(arguments) => emulate::run(arguments),

@@ -8,15 +8,8 @@ mod slurm;
 mod stats;
 mod verify;
 
-/// `radome dataset`
-#[derive(clap::Args)]
-pub struct Arguments {
-    #[command(subcommand)]
-    action: Action,
-}
-
 #[derive(clap::Subcommand)]
-enum Action {
+pub enum Action {
     /// Maps, labels and manifest from simulated and recorded sources; goes on where an earlier run was stopped
     Build(build::Arguments),
     /// One dataset of all shards of a build, or of several datasets
@@ -33,8 +26,8 @@ enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match &arguments.action {
+pub fn run(action: &Action) -> anyhow::Result<()> {
+    match action {
         Action::Build(arguments) => build::run(arguments),
         Action::Merge(arguments) => merge::run(arguments),
         Action::Stats(arguments) => stats::run(arguments),

@@ -92,13 +92,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 
 /// Inputs and options of `live` and `demo`.
 pub struct Watch<'a> {
-    /// SOURCE.
     pub source: &'a str,
-    /// Model file.
     pub model: &'a Path,
     /// Waveform to program a board with, if not the model's.
     pub waveform: Option<&'a str>,
-    /// Seed of a simulation.
     pub seed: u64,
     /// People that a simulation is forced to have.
     pub people: Option<usize>,
@@ -106,19 +103,14 @@ pub struct Watch<'a> {
     pub frames: Option<u64>,
     /// Times real time; 0 is as fast as it goes. `None`: recordings at their own pace, all else as fast as it goes.
     pub speed: Option<f64>,
-    /// JSON lines instead of a table.
     pub json: bool,
-    /// Filter and delays.
     pub delays: Delays,
-    /// The page.
     pub view: &'a view::Arguments,
     /// Recording to write.
     pub output: Option<&'a Path>,
-    /// Permission to replace an existing file.
     pub overwrite: Overwrite,
     /// Capture of the empty room.
     pub background: Option<&'a Path>,
-    /// Options of the integrations.
     pub integrations: &'a integrations::Arguments,
     /// Whether gaps in the recording count as success.
     pub allow_loss: bool,

@@ -33,15 +33,20 @@ pub enum Command {
     /// Check what could keep the program from working: permissions, ports, library, model and board, disk
     Doctor(doctor::Arguments),
     /// Boards: list, configure, emulate, reset
-    Board(board::Arguments),
+    #[command(subcommand)]
+    Board(board::Action),
     /// Recordings: convert, repair, label; answers, maps and echoes
-    Recording(recording::Arguments),
+    #[command(subcommand)]
+    Recording(recording::Action),
     /// Scenes: simulate, preview, calibrate, pair
-    Scene(scene::Arguments),
+    #[command(subcommand)]
+    Scene(scene::Action),
     /// Datasets of labelled maps: build, merge, verify
-    Dataset(dataset::Arguments),
+    #[command(subcommand)]
+    Dataset(dataset::Action),
     /// Models: train, adapt, evaluate, compare, export
-    Model(model::Arguments),
+    #[command(subcommand)]
+    Model(model::Action),
     /// Measure speed and error of every stage in one table, or of one stage; for developers
     Bench(bench::Arguments),
     /// Print the JSON schema of a kind of TOML file, by which editors complete and check keys
@@ -62,11 +67,11 @@ pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<E
         Command::Live(arguments) => return live::run(&arguments),
         Command::Record(arguments) => return record::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
-        Command::Board(arguments) => board::run(&arguments),
-        Command::Recording(arguments) => return recording::run(&arguments),
-        Command::Scene(arguments) => scene::run(&arguments),
-        Command::Dataset(arguments) => dataset::run(&arguments),
-        Command::Model(arguments) => model::run(&arguments),
+        Command::Board(action) => board::run(&action),
+        Command::Recording(action) => return recording::run(&action),
+        Command::Scene(action) => scene::run(&action),
+        Command::Dataset(action) => dataset::run(&action),
+        Command::Model(action) => model::run(&action),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Schema(arguments) => schema::run(&arguments),
         Command::Completions(arguments) => manual::completions(&arguments, program()),

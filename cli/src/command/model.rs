@@ -11,15 +11,8 @@ mod train;
 
 pub use study::StudyFile;
 
-/// `radome model`
-#[derive(clap::Args)]
-pub struct Arguments {
-    #[command(subcommand)]
-    action: Action,
-}
-
 #[derive(clap::Subcommand)]
-enum Action {
+pub enum Action {
     /// Train a network on a dataset
     Train(train::Arguments),
     /// Adapt a model to one room by labelled recordings of it, or by a recording of it empty
@@ -42,8 +35,8 @@ enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match &arguments.action {
+pub fn run(action: &Action) -> anyhow::Result<()> {
+    match action {
         Action::Train(arguments) => train::run(arguments),
         Action::Adapt(arguments) => adapt::run(arguments),
         Action::Background(arguments) => background::run(arguments),

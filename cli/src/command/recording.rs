@@ -11,15 +11,8 @@ mod repair;
 
 use crate::exit::Ended;
 
-/// `radome recording`
-#[derive(clap::Args)]
-pub struct Arguments {
-    #[command(subcommand)]
-    action: Action,
-}
-
 #[derive(clap::Subcommand)]
-enum Action {
+pub enum Action {
     /// Show format, length, waveform, board, labels and model of a recording
     Info(info::Arguments),
     /// Convert a recording to another format: MCAP, Infineon's folder, text
@@ -44,8 +37,8 @@ enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
-    let done: anyhow::Result<()> = match &arguments.action {
+pub fn run(action: &Action) -> anyhow::Result<Ended> {
+    let done: anyhow::Result<()> = match action {
         Action::Info(arguments) => info::run(arguments),
         Action::Convert(arguments) => convert::run(arguments),
         Action::Repair(arguments) => return repair::run(arguments),

@@ -6,15 +6,8 @@ mod paths;
 mod preview;
 mod simulate;
 
-/// `radome scene`
-#[derive(clap::Args)]
-pub struct Arguments {
-    #[command(subcommand)]
-    action: Action,
-}
-
 #[derive(clap::Subcommand)]
-enum Action {
+pub enum Action {
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
     /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
@@ -31,8 +24,8 @@ enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match &arguments.action {
+pub fn run(action: &Action) -> anyhow::Result<()> {
+    match action {
         Action::Simulate(arguments) => simulate::run(arguments),
         Action::Paths(arguments) => paths::run(arguments),
         Action::Preview(arguments) => preview::run(arguments),

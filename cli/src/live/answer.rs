@@ -36,7 +36,6 @@ impl From<[f32; 3]> for Probabilities {
 /// Answer to one frame.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Answer {
-    /// Sequence number of the frame.
     pub sequence: u64,
     /// Time since the acquisition started, s.
     pub time_s: f64,
@@ -78,7 +77,6 @@ fn is_zero(n: &u32) -> bool {
 /// Quantiles of the latency, ms.
 #[derive(Debug, Clone, Serialize)]
 pub struct Latency {
-    /// Median.
     pub p50: f64,
     /// 95 of 100 are faster.
     pub p95: f64,

@@ -32,7 +32,6 @@ pub struct Background {
     model_hash: String,
     doppler: usize,
     range: usize,
-    /// Frames of the capture.
     pub frames: usize,
     /// Sum over cells of what exceeds the level, from which on somebody may be there, dB.
     pub threshold_db: f32,

@@ -11,7 +11,6 @@ const RATE_FRAMES: usize = 32;
 /// Counters of a run.
 #[derive(Debug, Clone)]
 pub struct Health {
-    /// Start of the run.
     pub started: Instant,
     /// Frames that were judged.
     pub frames: u64,

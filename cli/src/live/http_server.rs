@@ -62,7 +62,6 @@ pub enum Event {
 /// The client of a request; handlers find it among the request's extensions.
 #[derive(Debug, Clone)]
 pub struct Client {
-    /// Network address.
     pub address: SocketAddr,
     admitted: Arc<AtomicBool>,
 }

@@ -67,7 +67,6 @@ impl Failure {
 
 /// An item and when the host had it.
 pub struct Delivery {
-    /// Item.
     pub item: Item,
     /// Arrival of the frame's last byte.
     pub arrived: Instant,

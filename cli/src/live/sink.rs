@@ -9,13 +9,11 @@ use super::health::Health;
 
 /// A frame that has been judged, and everything that is known then.
 pub struct Moment<'a> {
-    /// Answer to the frame.
     pub answer: &'a Answer,
     /// The frame; a sink that keeps it longer takes it out of the pool, which then grows by one.
     pub frame: &'a Arc<Frame>,
     /// Its map; what it shows means nothing while the answer warms up.
     pub map: &'a Rdm,
-    /// The run so far.
     pub health: &'a Health,
 }
 

@@ -14,16 +14,13 @@ const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
 pub enum Kind {
     /// A number, text or bytes.
     Plain(Type),
-    /// `google.protobuf.Timestamp`.
     Timestamp,
-    /// The enumeration that the message defines.
     Enumeration,
 }
 
 /// Type of a message.
 #[derive(Debug)]
 pub struct MessageType {
-    /// Package of the type.
     pub package: &'static str,
     /// Name in its package.
     pub name: &'static str,

@@ -16,164 +16,75 @@ use crate::transport::usb::OpenError;
 
 /// Errors of a board and its connection.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum BoardError {
     /// The port cannot be opened.
     #[error("{path}: cannot be opened")]
-    Open {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    Open { path: PathBuf, source: std::io::Error },
     /// No board of this address is attached.
     #[error(
         "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome board list lists what is attached; boards with \
          the vendor's shipped firmware answer on serial:/dev/ttyACM0"
     )]
-    Absent {
-        /// Address that was asked for.
-        path: PathBuf,
-    },
+    Absent { path: PathBuf },
     /// More than one board matches the address.
     #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "))]
-    Ambiguous {
-        /// Address that was asked for.
-        path: PathBuf,
-        /// Addresses of the boards that match.
-        found: Vec<String>,
-    },
+    Ambiguous { path: PathBuf, found: Vec<String> },
     /// Another program holds the port.
     #[error("{path}: another program has this port open; close it and try again")]
-    Busy {
-        /// Name of the port or USB device.
-        path: PathBuf,
-    },
+    Busy { path: PathBuf },
     /// The user may not open the port.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         remedy = crate::transport::PERMISSION_REMEDY
     )]
-    PermissionDenied {
-        /// Name of the port or USB device.
-        path: PathBuf,
-    },
+    PermissionDenied { path: PathBuf },
     /// The connection broke.
     #[error("{path}: the connection broke; was the board unplugged?")]
-    Disconnected {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    Disconnected { path: PathBuf, source: std::io::Error },
     /// The board did not answer a request.
     #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?")]
-    NoAnswer {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Name of the request.
-        command: &'static str,
-    },
+    NoAnswer { path: PathBuf, command: &'static str },
     /// The board answered a request with an error status.
     #[error("{path}: the board answered {status} to the request for {command}")]
-    Refused {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Name of the request.
-        command: &'static str,
-        /// Status that it answered.
-        status: Status,
-    },
+    Refused { path: PathBuf, command: &'static str, status: Status },
     /// An answer does not have the form of its kind.
     #[error("{path}: the answer is malformed")]
-    Malformed {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Difference from the expected form.
-        source: PayloadError,
-    },
+    Malformed { path: PathBuf, source: PayloadError },
     /// The firmware speaks another version of the protocol.
     #[error(
         "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware"
     )]
-    Protocol {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Major version.
-        major: u16,
-        /// Minor version.
-        minor: u16,
-    },
+    Protocol { path: PathBuf, major: u16, minor: u16 },
     /// The board has no radar chip that answers.
     #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated")]
-    ChipSilent {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Content of its CHIP_ID register.
-        chip_id: u32,
-    },
+    ChipSilent { path: PathBuf, chip_id: u32 },
     /// The board has another radar chip.
     #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C")]
-    OtherChip {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Name of the chip.
-        chip: &'static str,
-        /// Content of its CHIP_ID register.
-        chip_id: u32,
-    },
+    OtherChip { path: PathBuf, chip: &'static str, chip_id: u32 },
     /// Another board is on the port of the one that measured.
     #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it")]
-    OtherBoard {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// UUID of the board that measured.
-        expected: String,
-        /// UUID of the board that is there now.
-        found: String,
-    },
+    OtherBoard { path: PathBuf, expected: String, found: String },
     /// The chip cannot hold the waveform.
     #[error(transparent)]
     Chip(#[from] ChipError),
     /// The board stopped measuring by itself.
     #[error("{path}: the board stopped measuring with error code {code}")]
-    Acquisition {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Error code of the board.
-        code: u32,
-    },
+    Acquisition { path: PathBuf, code: u32 },
     /// No frame came within the deadline.
     #[error("{path}: no frame for {waited:.1?}; the board has stalled")]
-    Stalled {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Time since the last frame.
-        waited: Duration,
-    },
+    Stalled { path: PathBuf, waited: Duration },
     /// The board sends lines, but none is a frame of the waveform.
     #[error("{path}: no frame among its lines")]
-    Line {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// Error of the last line.
-        source: LineError,
-    },
+    Line { path: PathBuf, source: LineError },
     /// The board does not state its waveform, and the caller gave none.
     #[error(
         "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml"
     )]
-    WaveformUnknown {
-        /// Name of the port or USB device.
-        path: PathBuf,
-    },
+    WaveformUnknown { path: PathBuf },
     /// An error that only DEEPCRAFT boards have.
     #[error("{path}: {source}")]
-    Deepcraft {
-        /// Name of the port or USB device.
-        path: PathBuf,
-        /// The error.
-        source: DeepcraftError,
-    },
+    Deepcraft { path: PathBuf, source: DeepcraftError },
     /// The stream was stopped before.
     #[error("the acquisition has been stopped")]
     Stopped,

@@ -141,43 +141,28 @@ const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
 
 /// Error of a waveform that the registers cannot hold, or of registers that do not hold a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ChipError {
     /// A register field cannot hold a quantity.
     #[error(
         "chip: {quantity} would be {value:.7} {unit}, register {field} allows {min:.7} to {max:.7} {unit}; change {hint}"
     )]
     FieldRange {
-        /// Register field.
         field: &'static str,
-        /// Quantity that the field holds.
         quantity: &'static str,
-        /// Value needed.
         value: f64,
-        /// Smallest possible.
         min: f64,
-        /// Largest possible.
         max: f64,
-        /// Unit of the three.
         unit: &'static str,
         /// Quantities of the waveform that it comes from.
         hint: &'static str,
     },
     /// An interval is too short.
     #[error("chip: {what} takes {needed_s:.7} s at least, {given_s:.7} s were asked for")]
-    TooShort {
-        /// Chirp or frame.
-        what: &'static str,
-        /// Time needed, s.
-        needed_s: f64,
-        /// Time given, s.
-        given_s: f64,
-    },
+    TooShort { what: &'static str, needed_s: f64, given_s: f64 },
     /// The registers do not stand for a waveform of this program.
     #[error("chip: registers cannot be read as a waveform: {reason}")]
-    NotAWaveform {
-        /// Description of the reason.
-        reason: String,
-    },
+    NotAWaveform { reason: String },
 }
 
 /// Configuration of the chip: a waveform and the FIFO level of the interrupt.

@@ -11,31 +11,20 @@ use crate::transport::{Address, PERMISSION_REMEDY};
 /// State of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum State {
-    /// The device has answered and can be used.
-    Ready {
-        /// Identity that it reports.
-        identity: Identity,
-    },
+    /// The device has answered with its identity and can be used.
+    Ready { identity: Identity },
     /// The device has not been asked.
     NotAsked,
     /// Another program holds the device.
     Busy,
-    /// The user may not open the device.
-    PermissionDenied {
-        /// Commands that give access.
-        remedy: &'static str,
-    },
+    /// The user may not open the device until commands have given access.
+    PermissionDenied { remedy: &'static str },
     /// The device cannot be opened, does not answer, or its answer is malformed.
-    NotAnswering {
-        /// Description of the reason.
-        why: String,
-    },
+    NotAnswering { why: String },
     /// The board has a radar chip that this program does not support.
-    OtherChip {
-        /// Name of the chip.
-        chip: String,
-    },
+    OtherChip { chip: String },
     /// The system has no driver for the device, so that it has no port.
     NoDriver,
 }

@@ -8,39 +8,26 @@ use crate::chip::ChipError;
 
 /// Error of starting an emulated board.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum EmulatorError {
     /// The line to the host cannot be opened.
     #[error("emulator: cannot make {what}")]
-    Line {
-        /// Description of the line.
-        what: String,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    Line { what: String, source: std::io::Error },
     /// Another emulated board has the link.
     #[error(
         "emulator: another emulated board has the link {link}\n\nhint: stop that board, or give this one another link",
         link = link.display()
     )]
-    LinkTaken {
-        /// The link.
-        link: PathBuf,
-    },
+    LinkTaken { link: PathBuf },
     /// The path of the link exists and is not the remains of an emulated board.
     #[error(
         "emulator: {link} exists and is no link that an emulated board has left behind\n\nhint: remove it, or give the board another link",
         link = link.display()
     )]
-    LinkExists {
-        /// The link.
-        link: PathBuf,
-    },
+    LinkExists { link: PathBuf },
     /// A board with USB endpoints cannot use a terminal.
     #[error("emulator: a board with bulk transfers cannot be on the terminal {path}")]
-    NoTerminal {
-        /// Path of the terminal.
-        path: PathBuf,
-    },
+    NoTerminal { path: PathBuf },
     /// The thread cannot be started.
     #[error("emulator: cannot start a thread")]
     Thread(#[source] std::io::Error),
@@ -49,8 +36,5 @@ pub enum EmulatorError {
     Chip(#[from] ChipError),
     /// The speed is not a positive number.
     #[error("emulator: speed is {speed}, it must be a positive number")]
-    Speed {
-        /// Speed that was given.
-        speed: f64,
-    },
+    Speed { speed: f64 },
 }

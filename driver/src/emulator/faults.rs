@@ -9,53 +9,29 @@ use thiserror::Error;
 /// Injected fault. Packets are the firmware's data messages (an ESP32's lines), counted from 0 since the emulator was
 /// started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Fault {
     /// The packet is not sent.
     DropPacket(u64),
     /// The packet is sent twice.
     DoublePacket(u64),
     /// One bit of the packet is inverted, counted from its first byte's lowest bit, modulo its length.
-    FlipBit {
-        /// Number of the packet.
-        packet: u64,
-        /// Index of the bit.
-        bit: usize,
-    },
+    FlipBit { packet: u64, bit: usize },
     /// Only the packet's first bytes are sent.
-    TruncatePacket {
-        /// Number of the packet.
-        packet: u64,
-        /// Number of bytes.
-        bytes: usize,
-    },
+    TruncatePacket { packet: u64, bytes: usize },
     /// The packet is sent after its successor.
     ReorderPacket(u64),
     /// The firmware's counter jumps before this packet, as if others had been sent.
-    SkipCounter {
-        /// Number of the packet.
-        packet: u64,
-        /// Packets skipped.
-        by: u16,
-    },
+    SkipCounter { packet: u64, by: u16 },
     /// The chip's FIFO overflows instead of this packet being sent.
     Overflow(u64),
     /// Nothing more is sent from this packet on until the host starts the board anew. Requests are answered.
     Stall(u64),
     /// The board is unplugged instead of this packet being sent, and so loses its power. It comes back after a while,
     /// at [`EmulatorOptions::link`](super::EmulatorOptions::link).
-    Unplug {
-        /// Number of the packet.
-        packet: u64,
-        /// Duration.
-        duration: Duration,
-    },
+    Unplug { packet: u64, duration: Duration },
     /// The host reads nothing from this packet on: the port takes no more bytes while the chip keeps sampling.
-    SlowHost {
-        /// Number of the packet.
-        packet: u64,
-        /// Duration.
-        duration: Duration,
-    },
+    SlowHost { packet: u64, duration: Duration },
     /// CHIP_ID reads this value: another chip, or one that does not answer (0, all ones).
     ForeignChip(u32),
     /// The firmware reports this major version of its protocol, and speaks as before.

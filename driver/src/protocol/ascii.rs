@@ -31,6 +31,7 @@ pub enum Line<'a> {
 
 /// Error of a line that begins like a frame but is not one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum LineError {
     /// An unexpected character in place of the number, a bracket or a code.
     #[error("frame line: unexpected byte {byte:#04x} at column {column}")]
@@ -43,7 +44,6 @@ pub enum LineError {
     /// Code of more than 12 bits.
     #[error("frame {number}: code {index} is beyond 4095")]
     Code {
-        /// Number of the frame.
         number: u64,
         /// Index of the code in the frame, from 0.
         index: usize,
@@ -52,20 +52,10 @@ pub enum LineError {
     #[error(
         "frame {number}: {got} codes, expected {expected}\n\nhint: name the waveform that the firmware is built for"
     )]
-    Length {
-        /// Number of the frame.
-        number: u64,
-        /// Codes in the line.
-        got: usize,
-        /// Codes of a frame.
-        expected: usize,
-    },
+    Length { number: u64, got: usize, expected: usize },
     /// Line longer than any frame.
     #[error("a line of more than {limit} bytes; skipped to the next")]
-    TooLong {
-        /// Longest line, bytes.
-        limit: usize,
-    },
+    TooLong { limit: usize },
 }
 
 /// Appends a frame's line; `codes` in FIFO order.

@@ -55,6 +55,7 @@ impl Info {
 
 /// Command of a host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Command {
     /// DAP_Info.
     Info(Info),
@@ -64,15 +65,8 @@ pub enum Command {
     Disconnect,
     /// DAP_ResetTarget: runs the probe's own reset sequence for its target.
     ResetTarget,
-    /// DAP_SWJ_Pins: sets the selected pins and waits until they have the levels, at most `wait_us`.
-    Pins {
-        /// Levels of the selected pins.
-        output: u8,
-        /// Pins to set.
-        select: u8,
-        /// Longest wait, microseconds.
-        wait_us: u32,
-    },
+    /// DAP_SWJ_Pins: sets the selected pins to these levels and waits until they have them, at most `wait_us`.
+    Pins { output: u8, select: u8, wait_us: u32 },
 }
 
 const INFO: u8 = 0x00;
@@ -86,6 +80,7 @@ const OK: u8 = 0;
 
 /// An answer, its data borrowed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Answer<'a> {
     /// To [`Command::Info`]: a text, with or without its NUL, or numbers.
     Info(&'a [u8]),
@@ -93,42 +88,25 @@ pub enum Answer<'a> {
     Port(u8),
     /// To [`Command::Disconnect`]: whether it has been done.
     Disconnected(bool),
-    /// To [`Command::ResetTarget`].
-    Reset {
-        /// Whether the probe has not failed.
-        is_ok: bool,
-        /// Whether it knows how to reset its target at all.
-        is_implemented: bool,
-    },
+    /// To [`Command::ResetTarget`]: whether the probe has not failed, and knows how to reset its target at all.
+    Reset { is_ok: bool, is_implemented: bool },
     /// To [`Command::Pins`]: the levels of all pins.
     Pins(u8),
 }
 
 /// Error of an answer that does not belong to the command.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum AnswerError {
     /// The probe does not know the command.
     #[error("CMSIS-DAP: the probe does not know command {command:#04x}")]
-    Unknown {
-        /// Code of the command.
-        command: u8,
-    },
+    Unknown { command: u8 },
     /// The answer belongs to another command.
     #[error("CMSIS-DAP: an answer to command {got:#04x}, expected one to {expected:#04x}")]
-    Other {
-        /// Command that was answered.
-        got: u8,
-        /// Command that was sent.
-        expected: u8,
-    },
+    Other { got: u8, expected: u8 },
     /// The answer is too short.
     #[error("CMSIS-DAP: the answer to command {command:#04x} has {got} bytes, it lacks some")]
-    Short {
-        /// Code of the command.
-        command: u8,
-        /// Length of the answer, bytes.
-        got: usize,
-    },
+    Short { command: u8, got: usize },
 }
 
 impl Command {

@@ -39,15 +39,15 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     rest.iter().fold(crc, |crc, &byte| (crc << 8) ^ at(0, (crc >> 8) as u8 ^ byte))
 }
 
-/// CRC of these bytes, bit by bit from the definition; the reference for [`crc16`].
-pub fn crc16_bitwise(bytes: &[u8]) -> u16 {
-    bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// CRC of these bytes, bit by bit from the definition.
+    fn crc16_bitwise(bytes: &[u8]) -> u16 {
+        bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
+    }
 
     /// The check value of the CRC catalogue.
     #[test]

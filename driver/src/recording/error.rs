@@ -7,160 +7,70 @@ use thiserror::Error;
 
 /// Errors of recordings.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum RecordingError {
     /// A file cannot be read or written.
     #[error("{path}: {what}")]
-    Io {
-        /// File.
-        path: PathBuf,
-        /// Operation that failed.
-        what: &'static str,
-        /// Reason of the failure.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, what: &'static str, source: std::io::Error },
     /// A file that belongs to the recording is absent.
     #[error("{path}: no such file, though the recording needs it")]
-    Missing {
-        /// File.
-        path: PathBuf,
-    },
+    Missing { path: PathBuf },
     /// An output exists and must not be replaced.
     #[error(
         "{path}: exists already{and}\n\nhint: choose another name, or remove it",
         and = if path.is_dir() { " and is not empty" } else { "" }
     )]
-    Occupied {
-        /// File or folder that exists.
-        path: PathBuf,
-    },
+    Occupied { path: PathBuf },
     /// Another writer has the file.
     #[error(
         "{path}: another program is writing to it\n\nhint: stop that program, wait for its end, or choose another name"
     )]
-    Locked {
-        /// File.
-        path: PathBuf,
-    },
+    Locked { path: PathBuf },
     /// The disk accepts data but does not store them.
     #[error(
         "{path}: the disk has not stored any of it for {waited_s:.0} s\n\nhint: record to a faster disk, and see the system's log for \
          errors of this one"
     )]
-    Stalled {
-        /// File.
-        path: PathBuf,
-        /// Time waited, s.
-        waited_s: f64,
-    },
+    Stalled { path: PathBuf, waited_s: f64 },
     /// The path is not a recording.
     #[error(
         "{path}: not a recording: expected an MCAP file, a folder with RadarIfxAvian_00 or radar.npy in it, or the \
          vendor's text file with its _config.json beside it"
     )]
-    Unknown {
-        /// Path that was given.
-        path: PathBuf,
-    },
+    Unknown { path: PathBuf },
     /// The content breaks the format's rules.
     #[error("{path}: at byte {offset}: {reason}")]
-    Corrupt {
-        /// File.
-        path: PathBuf,
-        /// Position in the file, bytes.
-        offset: u64,
-        /// Description of the error and of the expected content.
-        reason: String,
-    },
+    Corrupt { path: PathBuf, offset: u64, reason: String },
     /// A field of a JSON file is absent or of the wrong kind.
     #[error("{path}: field `{field}`: {reason}")]
-    Field {
-        /// File.
-        path: PathBuf,
-        /// Field.
-        field: String,
-        /// Description of the error and of the expected content.
-        reason: String,
-    },
+    Field { path: PathBuf, field: String, reason: String },
     /// Configuration and data disagree.
     #[error(
         "{data}: frames are {got}, but {config} says {expected}; one of the two files is not this recording's",
         data = data.display(),
         config = config.display()
     )]
-    Shape {
-        /// File with the samples.
-        data: PathBuf,
-        /// Shape of its frames.
-        got: String,
-        /// File with the configuration.
-        config: PathBuf,
-        /// Shape that it states.
-        expected: String,
-    },
+    Shape { data: PathBuf, got: String, config: PathBuf, expected: String },
     /// The file ends too early.
     #[error(
         "{path}: cut short at byte {offset}: {whole_frames} whole frames can be read, {expected_frames} were promised"
     )]
-    Truncated {
-        /// File.
-        path: PathBuf,
-        /// Its length.
-        offset: u64,
-        /// Number of whole frames in the file.
-        whole_frames: u64,
-        /// Frames that its header promises.
-        expected_frames: u64,
-    },
+    Truncated { path: PathBuf, offset: u64, whole_frames: u64, expected_frames: u64 },
     /// The file was never finished and ends within a record.
     #[error("{path}: the recording was not finished: its last whole chunk ends at byte {offset}")]
-    Unfinished {
-        /// File.
-        path: PathBuf,
-        /// End of what can be read.
-        offset: u64,
-    },
+    Unfinished { path: PathBuf, offset: u64 },
     /// The file was written by a newer program.
     #[error("{path}: format version {got}, this program reads up to {supported}; update it")]
-    Newer {
-        /// File.
-        path: PathBuf,
-        /// Version found.
-        got: String,
-        /// Newest known.
-        supported: &'static str,
-    },
+    Newer { path: PathBuf, got: String, supported: &'static str },
     /// A sample is not a 12-bit code.
     #[error("{path}: at byte {offset}: code {code} in frame {frame}, largest possible is 4095")]
-    Code {
-        /// File.
-        path: PathBuf,
-        /// Position in the file, bytes.
-        offset: u64,
-        /// Frame.
-        frame: u64,
-        /// Value of the sample.
-        code: u16,
-    },
+    Code { path: PathBuf, offset: u64, frame: u64, code: u16 },
     /// The waveform is impossible.
     #[error("{path}: the waveform is impossible")]
-    Waveform {
-        /// File.
-        path: PathBuf,
-        /// Error of the waveform.
-        source: WaveformError,
-    },
+    Waveform { path: PathBuf, source: WaveformError },
     /// A frame has another shape than the recording.
     #[error("{path}: frame {sequence} is {got}, the recording holds {expected}")]
-    FrameShape {
-        /// File.
-        path: PathBuf,
-        /// Frame.
-        sequence: u64,
-        /// Its shape.
-        got: String,
-        /// Shape of the recording.
-        expected: String,
-    },
+    FrameShape { path: PathBuf, sequence: u64, got: String, expected: String },
 }
 
 impl RecordingError {

@@ -107,7 +107,7 @@ impl InfineonReader {
         match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
             (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
             (Some(now), _) => *now,
-            _ => nominal_time_ns(&self.waveform, index),
+            _ => self.waveform.frame_time_ns(index),
         }
     }
 
@@ -194,11 +194,6 @@ impl FrameSource for InfineonReader {
     fn frame_count(&self) -> Option<u64> {
         Some(self.frames)
     }
-}
-
-/// Time of a frame without a stamp, from the frame interval, ns.
-fn nominal_time_ns(waveform: &Waveform, index: u64) -> u64 {
-    (index as f64 * waveform.frame_interval_s() * 1e9).round() as u64
 }
 
 /// Finds the folder that holds `radar.npy`: the given one, or the first `RadarIfxAvian_NN` in it.

@@ -38,7 +38,7 @@ mod staged;
 mod syncer;
 mod writer;
 
-pub use label_list::{LabelEditor, append_labels, set_labels, stage_labels};
+pub use label_list::{LabelEditor, set_labels, stage_labels};
 pub use reader::{McapReader, Results};
 pub use recorder::{Recorder, RecorderOptions, RecordingSummary};
 pub use repair::{Damage, RepairReport, repair, repair_with};

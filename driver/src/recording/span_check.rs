@@ -9,59 +9,29 @@ pub const ROUNDING_S: f64 = 2e-6;
 
 /// Error of inconsistent spans.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum SpanError {
     /// A time is not a finite number.
     #[error("the label '{label}' from {start_s} to {end_s} s: times must be finite")]
-    NotFinite {
-        /// Text of the label.
-        label: String,
-        /// Start of the span, s.
-        start_s: f64,
-        /// End of the span, s.
-        end_s: f64,
-    },
+    NotFinite { label: String, start_s: f64, end_s: f64 },
     /// The end comes before the start.
     #[error("the label '{label}' is reversed: it starts at {start_s} s and ends at {end_s} s")]
-    Reversed {
-        /// Text of the label.
-        label: String,
-        /// Start of the span, s.
-        start_s: f64,
-        /// End of the span, s.
-        end_s: f64,
-    },
+    Reversed { label: String, start_s: f64, end_s: f64 },
     /// Part of the span lies outside the recording.
     #[error(
         "the label '{label}' from {start_s} to {end_s} s is out of range: the recording's frames are from {first_s} to {last_s} s"
     )]
-    OutOfRange {
-        /// Text of the label.
-        label: String,
-        /// Start of the span, s.
-        start_s: f64,
-        /// End of the span, s.
-        end_s: f64,
-        /// Start of the recording, s.
-        first_s: f64,
-        /// End of the recording, s.
-        last_s: f64,
-    },
+    OutOfRange { label: String, start_s: f64, end_s: f64, first_s: f64, last_s: f64 },
     /// Two spans of different classes overlap.
     #[error(
         "the labels '{first}' ({first_start_s} to {first_end_s} s) and '{second}' ({second_start_s} to {second_end_s} s) overlap"
     )]
     Overlap {
-        /// Text of the earlier label.
         first: String,
-        /// Its start, s.
         first_start_s: f64,
-        /// End of the recording, s.
         first_end_s: f64,
-        /// Text of the later label.
         second: String,
-        /// Its start, s.
         second_start_s: f64,
-        /// End of the recording, s.
         second_end_s: f64,
     },
 }

@@ -99,7 +99,7 @@ impl TextReader {
     /// [`RecordingError::Io`].
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         let time_ns = time_ns(time_s);
-        self.seek_frame(first_index(self.whole_frames(), |index| self.time_ns(index) >= time_ns))
+        self.seek_frame(first_index(self.whole_frames(), |index| self.waveform.frame_time_ns(index) >= time_ns))
     }
 
     /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
@@ -108,12 +108,8 @@ impl TextReader {
     /// [`RecordingError::Io`].
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         self.seek_frame(0)?;
-        let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
+        let at = |sequence| Position { sequence, time_ns: self.waveform.frame_time_ns(sequence) };
         Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
-    }
-
-    fn time_ns(&self, index: u64) -> u64 {
-        (index as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64
     }
 
     fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
@@ -156,7 +152,7 @@ impl TextReader {
             }
         }
         frame.sequence = self.next;
-        frame.time_ns = self.time_ns(self.next);
+        frame.time_ns = self.waveform.frame_time_ns(self.next);
         frame.host_time_ns = 0;
         frame.truth = None;
         frame.temperature_millicelsius = None;
@@ -253,8 +249,7 @@ impl TextWriter {
     /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         self.tally.frame(&self.path, self.header.waveform.shape(), frame)?;
-        self.timed |= frame.host_time_ns > 0
-            || frame.time_ns != (frame.sequence as f64 * self.header.waveform.frame_interval_s() * 1e9).round() as u64;
+        self.timed |= frame.host_time_ns > 0 || frame.time_ns != self.header.waveform.frame_time_ns(frame.sequence);
         self.temperatures |= frame.temperature_millicelsius.is_some();
         for chirp in frame.codes.chunks(frame.shape.samples.max(1)) {
             for line in chirp.iter().filter_map(|code| self.lines.get(usize::from(*code))) {

@@ -46,7 +46,7 @@ impl FrameSource for Source {
         frame.codes.resize(frame.shape.codes(), 0);
         fill(self.seed, self.next, &mut frame.codes);
         frame.sequence = self.next;
-        frame.time_ns = (self.next as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = self.waveform.frame_time_ns(self.next);
         self.next += 1;
         Ok(SourceEvent::Frame)
     }

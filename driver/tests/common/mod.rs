@@ -1,120 +1,54 @@
-//! A source of known frames. Each test binary uses a part.
+//! What tests of boards and recordings share. Each test binary uses a part.
 
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
 
-use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
+mod pattern;
 
-/// Frames in which every code follows from frame, receiver, chirp and sample.
-pub struct Pattern {
-    pub waveform: Waveform,
-    pub frames: u64,
-    pub next: u64,
-    /// A gap to report before the frame that follows it.
-    pub gap: Option<Gap>,
-    pub truth: Option<Truth>,
+use std::path::Path;
+use std::time::Duration;
+
+use proptest::prelude::ProptestConfig;
+use radome_driver::{
+    EmulatedBoard, EmulatorOptions, Fault, Kind, LabelSpan, Pace, Reconnect, Recorder, RecordingHeader,
+};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+
+pub use self::pattern::*;
+
+/// Patient enough for any machine.
+pub const POLICY: Reconnect = Reconnect {
+    first_wait: Duration::from_millis(10),
+    longest_wait: Duration::from_millis(50),
+    give_up_after: Duration::from_secs(60),
+};
+
+/// Cases of a property: fifty times as many where `RADOME_LONG` is set.
+pub fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
 }
 
-impl Pattern {
-    pub fn new(waveform: Waveform, frames: u64) -> Self {
-        Pattern { waveform, frames, next: 0, gap: None, truth: None }
-    }
-
-    pub fn fill(&self, sequence: u64, frame: &mut Frame) {
-        frame.shape = self.waveform.shape();
-        frame.codes.resize(frame.shape.codes(), 0);
-        for (i, code) in frame.codes.iter_mut().enumerate() {
-            *code = ((i as u64).wrapping_mul(2_654_435_761).wrapping_add(sequence * 977) >> 5 & 0xFFF) as u16;
-        }
-        frame.sequence = sequence;
-        frame.time_ns = (sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
-        frame.host_time_ns = 0;
-        frame.truth = self.truth;
-        frame.temperature_millicelsius = None;
-    }
+/// Options of a board with these faults that sends as fast as it is read.
+pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() }
 }
 
-impl FrameSource for Pattern {
-    fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        if self.next >= self.frames {
-            return Ok(SourceEvent::End);
-        }
-        if let Some(gap) = self.gap
-            && gap.first_sequence == self.next
-        {
-            self.next += gap.frames;
-            self.gap = None;
-            return Ok(SourceEvent::Gap(gap));
-        }
-        self.fill(self.next, frame);
-        self.next += 1;
-        Ok(SourceEvent::Frame)
-    }
-
-    fn frame_count(&self) -> Option<u64> {
-        Some(self.frames)
-    }
+/// Such a board that measures so many frames of a [`Pattern`].
+pub fn board(waveform: &Waveform, frames: u64, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
+    let source = Pattern::new(waveform.clone(), frames);
+    EmulatedBoard::spawn(Box::new(source), options(kind, faults)).expect("spawns")
 }
 
-/// A waveform with this shape; a frame every `frame_interval_s`.
-pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s: f64) -> Waveform {
-    Waveform::realise(WaveformRequest {
-        rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
-        chirps_per_frame: chirps,
-        samples_per_chirp: samples,
-        frame_interval_s,
-        ..WaveformRequest::paper()
-    })
-    .expect("valid")
-}
-
-/// Waveform of the captured sessions.
-pub fn captured_waveform() -> Waveform {
-    Waveform::realise(WaveformRequest {
-        start_frequency_hz: 58e9,
-        end_frequency_hz: 63e9,
-        samples_per_chirp: 64,
-        chirps_per_frame: 64,
-        sample_rate_hz: 2e6,
-        chirp_interval_s: 591.125e-6,
-        frame_interval_s: 0.0772688,
-        if_gain_db: 23.0,
-        high_pass_cutoff_hz: 80e3,
-        ..WaveformRequest::paper()
-    })
-    .expect("valid")
-}
-
-/// Reads so many frames of a board that measures a [`Pattern`]. Each must be a whole frame of the pattern, later than the one
-/// before, and sequence numbers must leave no hole but the gaps. Returns the gaps.
-pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&Frame)) -> Vec<Gap> {
-    let pattern = Pattern::new(stream.waveform().clone(), 0);
-    let mut frame = Frame::zeroed(pattern.waveform.shape());
-    let mut expected = frame.clone();
-    let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
-    while received < frames {
-        match stream.next_frame(&mut frame).expect("stream") {
-            SourceEvent::Frame => {
-                let found = (next_of_source..next_of_source + 5000).find(|sequence| {
-                    pattern.fill(*sequence, &mut expected);
-                    expected.codes == frame.codes
-                });
-                next_of_source = found.expect("a frame of the source") + 1;
-                assert_eq!(frame.sequence, next_sequence);
-                check(&frame);
-                next_sequence += 1;
-                received += 1;
-            }
-            SourceEvent::Gap(gap) => {
-                assert!(gap.first_sequence == next_sequence && gap.frames > 0, "{gap:?}");
-                next_sequence += gap.frames;
-                gaps.push(gap);
-            }
-            SourceEvent::End => panic!("a board does not end"),
+/// Records a source, with one label.
+pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    loop {
+        match source.next_frame(&mut frame).expect("frame") {
+            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
+            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
+            SourceEvent::End => break,
         }
     }
-    gaps
+    recorder.label(label).expect("records");
+    recorder.finish().expect("finishes");
 }

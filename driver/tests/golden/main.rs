@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use make::{GAP, HOST_NS, code, frames, header, judge, labels, results, waveform};
 use radome_driver::recording::Recording;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
-use radome_driver::recording::mcap::{append_labels, repair};
+use radome_driver::recording::mcap::{repair, set_labels};
 use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
@@ -198,8 +198,8 @@ fn results_of_an_unfinished_recording_are_found() {
     let report = repair(&cut, &fixed).expect("repairs");
     assert_eq!((report.results, results_of(&fixed)), (7, results()));
     assert_eq!(McapReader::open(&fixed).expect("opens").header().judge, Some(judge()));
-    // Labels are added to a judged recording without loss.
-    append_labels(&fixed, &labels()[..1]).expect("appends");
+    // Labels of a judged recording change without loss.
+    set_labels(&fixed, &labels()[..1]).expect("sets");
     assert_eq!(results_of(&fixed), results());
 }
 

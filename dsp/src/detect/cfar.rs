@@ -40,43 +40,23 @@ pub struct CfarSpec {
 
 /// Error for a specification of a detector that is invalid or does not fit the maps.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum CfarError {
     /// The false-alarm rate is out of range.
     #[error("CFAR: the false-alarm rate is {got}, expected above 1e-12 and below 0.5")]
-    Rate {
-        /// Given value.
-        got: f64,
-    },
+    Rate { got: f64 },
     /// The rank is out of range.
     #[error("CFAR: the rank is {got}, expected above 0 and up to 1")]
-    Rank {
-        /// Given value.
-        got: f64,
-    },
+    Rank { got: f64 },
     /// The number of receivers is out of range.
     #[error("CFAR: {got} looks, expected 1 to 16")]
-    Looks {
-        /// Given value.
-        got: usize,
-    },
+    Looks { got: usize },
     /// There are no training cells.
     #[error("CFAR: the training window is empty; it reaches {reach:?} beyond the guard cells")]
-    NoTraining {
-        /// Given half widths.
-        reach: CellReach,
-    },
+    NoTraining { reach: CellReach },
     /// The window is wider than the periodic Doppler axis, or leaves no training cell at some range.
     #[error("CFAR: a window of {doppler} x {range} cells does not fit a map of {of_doppler} x {of_range}")]
-    TooWide {
-        /// Doppler cells of the window.
-        doppler: usize,
-        /// Range cells of the window.
-        range: usize,
-        /// Doppler cells of the map.
-        of_doppler: usize,
-        /// Range cells of the map.
-        of_range: usize,
-    },
+    TooWide { doppler: usize, range: usize, of_doppler: usize, of_range: usize },
 }
 
 /// Cell above its threshold.

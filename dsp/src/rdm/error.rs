@@ -15,27 +15,14 @@ pub(super) const MOST_CELLS: usize = 1 << 26;
 
 /// Error for a frame that does not fit the processor.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum MapError {
     /// The shape of the frame is not that of the waveform.
     #[error("frame {sequence} is {got}, expected {expected}: is this from another waveform?")]
-    Shape {
-        /// Sequence number of the frame.
-        sequence: u64,
-        /// Shape of the waveform.
-        expected: FrameShape,
-        /// Shape of the frame.
-        got: FrameShape,
-    },
+    Shape { sequence: u64, expected: FrameShape, got: FrameShape },
     /// The frame has fewer or more samples than the shape says.
     #[error("frame {sequence} holds {got} samples, expected {expected}")]
-    Length {
-        /// Sequence number of the frame.
-        sequence: u64,
-        /// Number of samples by the shape.
-        expected: usize,
-        /// Number of samples in the frame.
-        got: usize,
-    },
+    Length { sequence: u64, expected: usize, got: usize },
 }
 
 /// Error for frames whose maps cannot be compared with those of another waveform.
@@ -51,103 +38,53 @@ pub enum MapMismatch {
 
 /// Error for a specification that cannot be applied to a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum SpecError {
     /// A physical axis is out of range.
     #[error("map spec: physical_axes.{key} is {value}, expected {expected}")]
     Axis {
         /// Key of [`PhysicalAxes`](super::PhysicalAxes).
         key: &'static str,
-        /// Given value.
         value: f64,
-        /// Allowed values.
         expected: &'static str,
     },
     /// Physical axes and another key contradict each other.
     #[error("map spec: physical_axes and {key} exclude each other\n\nhint: leave one of them out")]
-    AxesExclude {
-        /// The other key.
-        key: &'static str,
-    },
+    AxesExclude { key: &'static str },
     /// Frames of the waveform cannot be brought onto physical axes.
     #[error(
         "waveform: {quantity} is {given}, maps on physical axes need {needed}\n\nhint: capture with a waveform within this limit; \
          `radome board config` shows the sampled band of one"
     )]
-    Waveform {
-        /// Quantity that is out of the limits.
-        quantity: &'static str,
-        /// Given value, with unit.
-        given: String,
-        /// Allowed values, with unit.
-        needed: String,
-    },
+    Waveform { quantity: &'static str, given: String, needed: String },
     /// The channel does not exist.
     #[error("map spec: channel index {index} asked for, but frames have {rx} channels (0 to {max})", max = rx - 1)]
-    NoSuchChannel {
-        /// Requested index.
-        index: usize,
-        /// Number of channels of a frame.
-        rx: usize,
-    },
+    NoSuchChannel { index: usize, rx: usize },
     /// An FFT is shorter than its data.
     #[error("map spec: the {axis} FFT has {fft} points but there are {data} samples; zero-padding only lengthens")]
-    FftTooShort {
-        /// Name of the axis.
-        axis: &'static str,
-        /// Requested number of points.
-        fft: usize,
-        /// Number of samples on the axis.
-        data: usize,
-    },
+    FftTooShort { axis: &'static str, fft: usize, data: usize },
     /// An FFT is longer than the limit.
     #[error("map spec: the {axis} FFT has {fft} points, at most {MOST_FFT_POINTS} are computed")]
-    FftTooLong {
-        /// Name of the axis.
-        axis: &'static str,
-        /// Requested number of points.
-        fft: usize,
-    },
+    FftTooLong { axis: &'static str, fft: usize },
     /// A map has more cells than the limit.
     #[error("map spec: a map would have {cells} cells, at most {MOST_CELLS} are computed")]
-    TooManyCells {
-        /// Number of cells of a map.
-        cells: usize,
-    },
+    TooManyCells { cells: usize },
     /// An axis has fewer than two samples.
     #[error("map spec: {axis} has {length} samples, at least 2 are needed")]
-    TooShort {
-        /// Name of the axis.
-        axis: &'static str,
-        /// Number of samples on the axis.
-        length: usize,
-    },
+    TooShort { axis: &'static str, length: usize },
     /// The MTI weight is out of range.
     #[error("map spec: MTI alpha is {alpha}, allowed is above 0 and up to 1")]
-    Alpha {
-        /// Given weight.
-        alpha: f64,
-    },
+    Alpha { alpha: f64 },
     /// Change is requested without physical axes.
     #[error("map spec: change_over_s needs physical_axes\n\nhint: give physical_axes, or leave change_over_s out")]
     ChangeWithoutAxes,
     /// The time constant of change is out of range.
     #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
-    ChangeTime {
-        /// Given time, s.
-        time_s: f64,
-    },
+    ChangeTime { time_s: f64 },
     /// The floor is not a level that f32 power can represent.
     #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
-    Floor {
-        /// Given floor, dB.
-        floor_db: f64,
-    },
+    Floor { floor_db: f64 },
     /// The requested kernel level is not available on this machine.
     #[error("map kernel: {level} asked for, but the best this processor has is {detected}; force that or a lower one")]
-    Kernel {
-        /// Requested level.
-        level: KernelLevel,
-        /// Fastest level of this machine.
-        detected: KernelLevel,
-    },
+    Kernel { level: KernelLevel, detected: KernelLevel },
 }

@@ -13,7 +13,7 @@ use super::axes::PhysicalAxes;
 use super::change::Change;
 use super::plan::MapPlan;
 use crate::decibel::power_to_db_portable;
-use crate::{KernelLevel, MAX_CODE, Waveform};
+use crate::{KernelLevel, MAX_CODE, Waveform, dispatch};
 
 /// Number of receivers of the chip.
 const MOST_RECEIVERS: usize = 3;
@@ -302,33 +302,13 @@ fn mix(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Sums `rows`, each as long as `sums`, each times its weight. `level` must be available.
-fn weighted_sum(level: KernelLevel, weights: &[f32], rows: &[f32], sums: &mut [f32]) {
-    match level {
-        // SAFETY: the level is available, as the caller has checked.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx2 => unsafe { weighted_sum_avx2(weights, rows, sums) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx512 => unsafe { weighted_sum_avx512(weights, rows, sums) },
-        _ => sum_rows(weights, rows, sums),
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn weighted_sum_avx2(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
-    sum_rows(weights, rows, sums);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512bw")]
-fn weighted_sum_avx512(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
-    sum_rows(weights, rows, sums);
+dispatch! {
+    /// Sums `rows`, each as long as `sums`, each times its weight.
+    fn weighted_sum(weights: &[f32], rows: &[f32], sums: &mut [f32]) = sum_rows
 }
 
 #[inline(always)]
-fn sum_rows(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+fn sum_rows<const FUSED: bool>(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
     let width = sums.len().max(1);
     sums.fill(0.0);
     // Four rows at a time: the sums are read and written a quarter as often.

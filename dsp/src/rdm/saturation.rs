@@ -1,34 +1,14 @@
 //! Count of codes at either end of the ADC's range.
 
-use crate::{KernelLevel, MAX_CODE};
+use crate::{MAX_CODE, dispatch};
 
-/// Number of codes that are 0, or [`MAX_CODE`] or above (the chip cannot send more). `level` must be available.
-pub(super) fn saturated_codes(level: KernelLevel, codes: &[u16]) -> u32 {
-    match level {
-        // SAFETY: the level is available, as the caller has checked.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx2 => unsafe { count_avx2(codes) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        KernelLevel::Avx512 => unsafe { count_avx512(codes) },
-        _ => count(codes),
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn count_avx2(codes: &[u16]) -> u32 {
-    count(codes)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512bw")]
-fn count_avx512(codes: &[u16]) -> u32 {
-    count(codes)
+dispatch! {
+    /// Number of codes that are 0, or [`MAX_CODE`] or above (the chip cannot send more).
+    pub(super) fn saturated_codes(codes: &[u16]) -> u32 = count
 }
 
 #[inline(always)]
-fn count(codes: &[u16]) -> u32 {
+fn count<const FUSED: bool>(codes: &[u16]) -> u32 {
     let mut total = 0;
     // Sums of 16 bits are as wide as the codes; a chunk cannot overflow them.
     for chunk in codes.chunks(4096) {
@@ -45,6 +25,7 @@ fn count(codes: &[u16]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::KernelLevel;
 
     #[test]
     fn every_level_counts_both_ends_and_what_lies_beyond() {

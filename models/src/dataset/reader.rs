@@ -12,7 +12,7 @@ use super::header::{DatasetHeader, FORMAT_VERSION};
 use super::layout::{MAPS_PER_SHARD, network_input, shard_name};
 use super::manifest::{ManifestRow, Split};
 use super::split::SplitSpec;
-use super::writer::{check_map, hex, map_hash};
+use super::writer::{check_map, map_hash};
 use crate::bounded_file::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 
 /// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.
@@ -215,7 +215,7 @@ impl Dataset {
         for row in &self.rows {
             hash.update(serde_json::to_vec(row).unwrap_or_default());
         }
-        hex(&hash.finalize())
+        format!("{:x}", hash.finalize())
     }
 
     /// Reads every map and compares it with its hash; the first that differs is an error.

@@ -34,11 +34,7 @@ pub(super) fn map_hash(db: &[f32]) -> String {
     for value in db {
         hash.update(value.to_le_bytes());
     }
-    hex(&hash.finalize())
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
+    format!("{:x}", hash.finalize())
 }
 
 pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: u64) -> Result<(), DatasetError> {

@@ -206,6 +206,22 @@ fn sum_relu_generic<const FUSED: bool>(a: &[f32], b: &[f32], output: &mut [f32])
 
 dispatch! { fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) = sum_relu_generic }
 
+/// Output of a function of each pair of values of two arrays of one shape.
+pub(super) fn each_pair(
+    name: &str,
+    inputs: &[Argument<'_>],
+    function: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
+) -> Result<(Vec<f32>, Shape)> {
+    let [a, b] = inputs else { candle_core::bail!("{name}: expected two inputs") };
+    if a.dims != b.dims {
+        return Err(Error::Msg(format!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
+    }
+    let mut output = unwritten(a.values.len());
+    let parts = output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK));
+    parts.for_each(|((output, a), b)| function(a, b, output));
+    Ok((output, Shape::from(a.dims)))
+}
+
 /// `max(a + b, 0)`: the end of a residual block.
 ///
 /// # Errors
@@ -224,17 +240,7 @@ impl Operation for AddRelu {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [a, b] = inputs else { candle_core::bail!("add_relu: expected two inputs") };
-        if a.dims != b.dims {
-            return Err(Error::Msg(format!("add_relu: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
-        }
-        let mut output = unwritten(a.values.len());
-        output
-            .par_chunks_mut(CHUNK)
-            .zip(a.values.par_chunks(CHUNK))
-            .zip(b.values.par_chunks(CHUNK))
-            .for_each(|((output, a), b)| sum_relu(self.level, a, b, output));
-        Ok((output, Shape::from(a.dims)))
+        each_pair(self.name(), inputs, |a, b, output| sum_relu(self.level, a, b, output))
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {

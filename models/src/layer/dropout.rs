@@ -1,4 +1,4 @@
-//! Dropout.
+//! Dropout of values and of whole samples.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rand::Rng;
@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::random::stream;
 
-const NAME: &str = "dropout";
 /// Values for which one generator is used.
 const BLOCK: usize = 4096;
 
@@ -17,44 +16,66 @@ const BLOCK: usize = 4096;
 /// # Errors
 /// The probability is outside of `0..1`, or the tensor is not f32 on the CPU.
 pub fn dropout(input: &Tensor, probability: f32, seed: u64, draw: u64) -> Result<Tensor> {
-    if !(0.0..1.0).contains(&probability) {
-        return Err(Error::Msg(format!("{NAME}: expected a probability from 0 to below 1, got {probability}")).bt());
-    }
-    apply(&[input], Dropout { probability, seed, draw })
-}
-
-struct Dropout {
-    probability: f32,
-    seed: u64,
-    draw: u64,
-}
-
-impl Dropout {
-    fn drop(&self, values: &mut [f32]) {
-        let scale = 1.0 / (1.0 - self.probability);
+    let name = "dropout";
+    let kept = scale(name, probability)?;
+    let drop = move |values: &mut [f32]| {
         values.par_chunks_mut(BLOCK).enumerate().for_each(|(block, values)| {
-            let mut random = stream(self.seed, &format!("{NAME} {}", self.draw), block as u64);
+            let mut random = stream(seed, &format!("{name} {draw}"), block as u64);
             for value in values {
-                *value = if random.random::<f32>() < self.probability { 0.0 } else { *value * scale };
+                *value = if random.random::<f32>() < probability { 0.0 } else { *value * kept };
             }
         });
-    }
+    };
+    apply(&[input], Dropout { name, drop })
 }
 
-impl Operation for Dropout {
+/// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only
+/// (stochastic depth: Huang et al., ECCV 2016; torchvision's "row" mode). The choice is a function of `seed` and `draw`.
+///
+/// # Errors
+/// The probability is outside of `0..1`, or the tensor is not f32 on the CPU.
+pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> Result<Tensor> {
+    let name = "drop_samples";
+    let kept = scale(name, probability)?;
+    let batch = input.dims().first().copied().unwrap_or_default();
+    let mut rng = stream(seed, name, draw);
+    let factors: Vec<f32> = (0..batch).map(|_| if rng.random::<f32>() < probability { 0.0 } else { kept }).collect();
+    let drop = move |values: &mut [f32]| {
+        let length = values.len() / factors.len().max(1);
+        let samples = values.par_chunks_exact_mut(length.max(1)).zip(&factors);
+        samples.for_each(|(sample, factor)| sample.iter_mut().for_each(|x| *x *= factor));
+    };
+    apply(&[input], Dropout { name, drop })
+}
+
+/// Factor of what is kept.
+fn scale(name: &str, probability: f32) -> Result<f32> {
+    if !(0.0..1.0).contains(&probability) {
+        return Err(Error::Msg(format!("{name}: expected a probability from 0 to below 1, got {probability}")).bt());
+    }
+    Ok(1.0 / (1.0 - probability))
+}
+
+/// A layer that multiplies values by constants, and gradients by the same ones.
+struct Dropout<F> {
+    name: &'static str,
+    drop: F,
+}
+
+impl<F: Fn(&mut [f32]) + Send + Sync + 'static> Operation for Dropout<F> {
     fn name(&self) -> &'static str {
-        NAME
+        self.name
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { candle_core::bail!("{}: expected one input", self.name) };
         let mut output = input.values.to_vec();
-        self.drop(&mut output);
+        (self.drop)(&mut output);
         Ok((output, Shape::from(input.dims)))
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
-        self.drop(&mut gradient);
+        (self.drop)(&mut gradient);
         Ok(vec![Some(gradient)])
     }
 }

@@ -1,11 +1,9 @@
 //! Sum and concatenation of two arrays.
 
 use candle_core::{Error, Result, Shape, Tensor};
-use rayon::prelude::*;
 
-use super::activation::CHUNK;
+use super::activation::each_pair;
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::kernel::buffer::unwritten;
 
 /// `a + b`, of one shape.
 ///
@@ -23,17 +21,9 @@ impl Operation for Add {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [a, b] = inputs else { candle_core::bail!("add: expected two inputs") };
-        if a.dims != b.dims {
-            return Err(Error::Msg(format!("add: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
-        }
-        let mut output = unwritten(a.values.len());
-        output
-            .par_chunks_mut(CHUNK)
-            .zip(a.values.par_chunks(CHUNK))
-            .zip(b.values.par_chunks(CHUNK))
-            .for_each(|((output, a), b)| output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b));
-        Ok((output, Shape::from(a.dims)))
+        each_pair(self.name(), inputs, |a, b, output| {
+            output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b);
+        })
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {

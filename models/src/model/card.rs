@@ -87,80 +87,36 @@ pub struct ModelCard {
 
 /// Error of writing or reading a model file.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ModelError {
     /// A file operation failed.
     #[error("{path}: {action} failed: {source}")]
-    Io {
-        /// File.
-        path: PathBuf,
-        /// Operation that failed.
-        action: &'static str,
-        /// Cause.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, action: &'static str, source: std::io::Error },
     /// The file is no complete safetensors file.
     #[error(
         "{path}: expected a safetensors file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
     )]
-    NotSafetensors {
-        /// File.
-        path: PathBuf,
-        /// Message of the parser.
-        reason: String,
-        /// Length of the file.
-        length: usize,
-    },
+    NotSafetensors { path: PathBuf, reason: String, length: usize },
     /// The file is no complete ONNX file.
     #[error(
         "{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
     )]
-    NotOnnx {
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        reason: String,
-        /// Length of the file.
-        length: usize,
-    },
+    NotOnnx { path: PathBuf, reason: String, length: usize },
     /// The safetensors or ONNX file has no card.
     #[error(
         "{path}: the metadata has no '{CARD_KEY}' entry, which says which maps the network needs and how they are \
          standardised\n\nhint: only models that `radome model train` and `radome model export` wrote can be loaded"
     )]
-    NoCard {
-        /// File.
-        path: PathBuf,
-    },
+    NoCard { path: PathBuf },
     /// The card is no valid JSON of a card.
     #[error("{path}: model card: {source}")]
-    Card {
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: serde_json::Error,
-    },
+    Card { path: PathBuf, source: serde_json::Error },
     /// A newer program wrote the file.
     #[error("{path}: model format {found} is newer than {supported}, the newest this program reads\n\nhint: update it")]
-    Newer {
-        /// File.
-        path: PathBuf,
-        /// Version found.
-        found: u32,
-        /// Newest version that is understood.
-        supported: u32,
-    },
+    Newer { path: PathBuf, found: u32, supported: u32 },
     /// A value in the file contradicts another one or is out of range.
     #[error("{path}: {what}: expected {expected}, found {found}")]
-    Inconsistent {
-        /// File.
-        path: PathBuf,
-        /// Name of the value.
-        what: String,
-        /// Expected value.
-        expected: String,
-        /// Value found.
-        found: String,
-    },
+    Inconsistent { path: PathBuf, what: String, expected: String, found: String },
     /// An ONNX network cannot be run.
     #[error(transparent)]
     Onnx(#[from] OnnxError),

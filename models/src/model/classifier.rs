@@ -63,25 +63,17 @@ impl Engine {
 
 /// Error of the classification of a map.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ClassifyError {
     /// The map has another shape than the model was trained for.
     #[error(
         "map is {got} ({cells} cells), the model needs {expected}\n\nhint: make maps with the waveform and the map spec that the model names"
     )]
-    Shape {
-        /// Shape that is needed.
-        expected: RdmShape,
-        /// Shape of the map.
-        got: RdmShape,
-        /// Number of its cells.
-        cells: usize,
-    },
+    Shape { expected: RdmShape, got: RdmShape, cells: usize },
     /// The map holds NaN or infinity.
     #[error("map of frame {sequence}: {cells} cells are not finite, the first at index {first}; it is not classified")]
     NonFinite {
-        /// Sequence number of its frame.
         sequence: u64,
-        /// Number of these cells.
         cells: usize,
         /// Index of the first in `db`.
         first: usize,

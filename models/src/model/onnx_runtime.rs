@@ -24,45 +24,23 @@ const CLASSES: i64 = 3;
 
 /// Error of running an ONNX network.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum OnnxError {
     /// The library was not found.
     #[error("ONNX files are run by onnxruntime, which is not installed: {looked}\n\n{INSTALL_HINT}")]
-    NoLibrary {
-        /// Places that were searched.
-        looked: String,
-    },
+    NoLibrary { looked: String },
     /// The library cannot be loaded or is too old.
     #[error("onnxruntime cannot be loaded: {reason}\n\n{INSTALL_HINT}")]
-    Library {
-        /// Message of the loader.
-        reason: String,
-    },
+    Library { reason: String },
     /// The runtime refuses the file.
     #[error("{path}: onnxruntime cannot load it: {reason}")]
-    Refused {
-        /// File.
-        path: PathBuf,
-        /// Message of the runtime.
-        reason: String,
-    },
+    Refused { path: PathBuf, reason: String },
     /// The file has other inputs or outputs than a network of this crate.
     #[error("{path}: {what} is {found}, expected {expected}\n\nhint: `radome model export` writes such files")]
-    Signature {
-        /// File.
-        path: PathBuf,
-        /// Name of the value.
-        what: &'static str,
-        /// Expected value.
-        expected: String,
-        /// Value found.
-        found: String,
-    },
+    Signature { path: PathBuf, what: &'static str, expected: String, found: String },
     /// A run failed.
     #[error("onnxruntime: {reason}")]
-    Run {
-        /// Message of the runtime.
-        reason: String,
-    },
+    Run { reason: String },
 }
 
 /// A network that onnxruntime runs.

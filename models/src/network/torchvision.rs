@@ -25,57 +25,27 @@ const MOST_NAMES: usize = 6;
 
 /// Weights that cannot be started from.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum WeightsError {
     /// The file cannot be read.
     #[error("{path}: reading failed: {source}")]
-    Io {
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: std::io::Error },
     /// No whole safetensors file.
     #[error("{path}: expected weights as safetensors, but {reason}\n\n{CONVERT_HINT}")]
-    NotSafetensors {
-        /// File.
-        path: PathBuf,
-        /// Message of the parser.
-        reason: String,
-    },
+    NotSafetensors { path: PathBuf, reason: String },
     /// torchvision has no such network.
     #[error(
         "torchvision has no {network:?}\n\nhint: weights exist for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
     )]
-    NoCounterpart {
-        /// The network.
-        network: NetworkKind,
-    },
+    NoCounterpart { network: NetworkKind },
     /// Arrays that the network needs are not in the file.
     #[error(
         "{path}: the weights are not those of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
     )]
-    Missing {
-        /// File.
-        path: PathBuf,
-        /// The network.
-        network: NetworkKind,
-        /// Names that the network has and the file has not.
-        missing: String,
-        /// Names that the file has and the network has not.
-        unknown: String,
-    },
+    Missing { path: PathBuf, network: NetworkKind, missing: String, unknown: String },
     /// An array is of another kind than the network's.
     #[error("{path}: {name} is {found}, expected {expected}")]
-    Shape {
-        /// File.
-        path: PathBuf,
-        /// Array.
-        name: String,
-        /// Expected type or shape.
-        expected: String,
-        /// Type or shape found.
-        found: String,
-    },
+    Shape { path: PathBuf, name: String, expected: String, found: String },
 }
 
 /// Weights that fit a network, and the arrays without a counterpart.
@@ -156,7 +126,7 @@ impl TorchvisionWeights {
             let (missing, unknown) = (list(&missing), list(&unused));
             return Err(WeightsError::Missing { path: path.to_owned(), network: spec.kind, missing, unknown });
         }
-        let hash = Sha256::digest(data).iter().map(|byte| format!("{byte:02x}")).collect();
+        let hash = format!("{:x}", Sha256::digest(data));
         Ok(TorchvisionWeights { values, hash, initialised, unused })
     }
 

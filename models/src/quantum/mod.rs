@@ -12,7 +12,7 @@
 //!
 //! # Files
 //! `spec.rs` and `gates.rs` define the circuit. `evaluate.rs` chooses the method: `closed_form.rs`, `layers.rs` (state vector with
-//! adjoint gradients) or `noise.rs` (density matrix), each with `shots.rs` for measurements. [`state_vector`] is the reference
+//! adjoint gradients) or `noise.rs` (density matrix), each with `shots.rs` for measurements. `state_vector.rs` is the reference
 //! simulation, gate by gate with parameter shift, that all methods are tested against.
 
 mod closed_form;
@@ -23,7 +23,7 @@ mod noise;
 mod shots;
 mod sin_cos;
 mod spec;
-pub mod state_vector;
+pub(crate) mod state_vector;
 #[cfg(test)]
 mod tests;
 

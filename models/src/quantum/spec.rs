@@ -113,27 +113,14 @@ impl Noise {
 
 /// Error of a circuit's settings or of its inputs.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum CircuitError {
     /// A setting is out of range.
     #[error("circuit: {key} is {value}, expected {expected}")]
-    Setting {
-        /// The setting.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// Allowed values.
-        expected: String,
-    },
+    Setting { key: &'static str, value: String, expected: String },
     /// The number of inputs, angles or cotangents is not the circuit's.
     #[error("circuit: expected {expected} {what}, got {got}")]
-    Count {
-        /// Name of the numbers.
-        what: &'static str,
-        /// Number that the circuit takes.
-        expected: usize,
-        /// Number given.
-        got: usize,
-    },
+    Count { what: &'static str, expected: usize, got: usize },
 }
 
 impl CircuitSpec {

@@ -61,11 +61,13 @@ impl State {
     }
 
     /// Probability of each outcome.
+    #[cfg(test)]
     pub fn probabilities(&self) -> Vec<f64> {
         self.0.iter().map(|z| z.norm_sqr()).collect()
     }
 
     /// `<Z>` of each qubit, the highest first.
+    #[cfg(test)]
     pub fn expectations(&self) -> Vec<f64> {
         z_expectations(&self.probabilities())
     }
@@ -87,12 +89,14 @@ pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
 ///
 /// # Errors
 /// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
+#[cfg(test)]
 pub fn run(circuit: &Circuit, x: &[f64], theta: &[f64]) -> Result<State, CircuitError> {
     circuit.check_counts(x, theta)?;
     Ok(run_at(circuit, &circuit.gate_angles(x, theta)))
 }
 
 /// State at the end of the circuit at these angles of all rotation gates.
+#[cfg(test)]
 pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
     let mut state = State::zero(circuit.qubits());
     for &gate in circuit.gates.iter() {

@@ -10,15 +10,14 @@ use crate::standardise::StandardiseError;
 
 /// Error of a training.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum TrainError {
     /// A setting is out of range.
     #[error("training: {name} is {value}, expected {expected}")]
     Setting {
         /// Field of [`TrainSpec`](super::TrainSpec).
         name: &'static str,
-        /// Its value.
         value: String,
-        /// Allowed values.
         expected: &'static str,
     },
     /// The augmentation needs levels over noise, which maps of an absolute reference lack.
@@ -33,38 +32,18 @@ pub enum TrainError {
     #[error(
         "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"
     )]
-    Channels {
-        /// Channels of a map.
-        rx: usize,
-    },
+    Channels { rx: usize },
     /// Maps are too small for the network's poolings.
     #[error("maps are {range} range x {doppler} doppler bins, too few for the network's layer {layer}")]
-    TooSmall {
-        /// Layer whose input is too small.
-        layer: String,
-        /// Range bins.
-        range: usize,
-        /// Doppler bins.
-        doppler: usize,
-    },
+    TooSmall { layer: String, range: usize, doppler: usize },
     /// A required split is empty.
     #[error(
         "the {split} split is empty: {maps} maps in {sequences} sequences\n\nhint: splits are made of whole sequences; record more of them, or give rows a split"
     )]
-    EmptySplit {
-        /// The split.
-        split: Split,
-        /// Maps in the dataset.
-        maps: usize,
-        /// Sequences in the dataset.
-        sequences: usize,
-    },
+    EmptySplit { split: Split, maps: usize, sequences: usize },
     /// The training split has maps of one class only.
     #[error("the training split holds maps of one class only ({class}); at least two are needed")]
-    OneClass {
-        /// The class.
-        class: Occupancy,
-    },
+    OneClass { class: Occupancy },
     /// The network cannot read such maps.
     #[error(transparent)]
     Maps(#[from] UnreadableMaps),
@@ -76,15 +55,12 @@ pub enum TrainError {
         "{what} is not finite at start {start}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high"
     )]
     NonFinite {
-        /// Layer or gradient.
         what: String,
-        /// Index of the initialisation.
         start: u64,
         /// Epoch, from 1.
         epoch: usize,
         /// Step within the start, from 1.
         step: usize,
-        /// Learning rate of the spec.
         learning_rate: f64,
     },
     /// A training step does not fit into memory.
@@ -93,11 +69,8 @@ pub enum TrainError {
         gigabytes(.needed_bytes), gigabytes(.available_bytes)
     )]
     Memory {
-        /// Kind of the network.
         network: NetworkKind,
-        /// Maps in a step.
         batch_size: usize,
-        /// Estimate of what it takes, bytes.
         needed_bytes: u64,
         /// Memory of the machine, or of the process's control group where it has a limit, bytes.
         available_bytes: u64,
@@ -107,10 +80,7 @@ pub enum TrainError {
     Weights(#[from] WeightsError),
     /// A stopped training cannot be continued.
     #[error("checkpoint: {what}\n\nhint: remove the file to start again")]
-    Checkpoint {
-        /// File and reason.
-        what: String,
-    },
+    Checkpoint { what: String },
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

@@ -265,7 +265,7 @@ fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
     let recording = walk(folder.path(), 2.0, 4.0, 20);
     let track = folder.path().join("track.txt");
     std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
-    json_lines(radome().arg("labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
     let served = Served::start(watch(&recording, "0").arg("--read-only-labels"));
     let mut socket = page(&served.address);
     assert!(until(&mut socket, |said| said.contains("\"read_only_labels\":true")));
@@ -552,7 +552,7 @@ fn labels_that_another_program_has_changed_are_not_overwritten() {
     assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
     let track = folder.path().join("track.txt");
     std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
-    json_lines(radome().arg("labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
     socket.send(Message::text("{\"do\":\"add\",\"start_s\":1,\"end_s\":1.5,\"occupancy\":\"one\"}")).expect("sent");
     assert!(until(&mut socket, |said| said.contains("another program")));
     drop(socket);

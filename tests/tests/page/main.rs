@@ -4,22 +4,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{fixture, json_lines, radome, subcommand};
 use serde_json::{Value, json};
 
 /// A corridor in which one person walks between two ranges, as a recording.
 fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
-    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-    let head = &corridor[..corridor.find("[people").expect("a people table")];
-    let head = head.replace("../receivers", &fixture("receivers").display().to_string());
-    let scene = folder.join("walk.toml");
-    let people = format!(
-        "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}]\n"
-    );
-    std::fs::write(&scene, format!("{head}{people}")).expect("writable");
+    let scene = radome_tests::walk(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
     let frames = frames.to_string();
-    json_lines(radome().arg("simulate").arg(&scene).args(["--frames", &frames, "--json", "-o"]).arg(&recording));
+    json_lines(subcommand("scene simulate").arg(&scene).args(["--frames", &frames, "--json", "-o"]).arg(&recording));
     recording
 }
 
@@ -36,7 +29,7 @@ fn replay(recording: &Path, speed: &str) -> Served {
 }
 
 fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
-    let spans = json_lines(radome().arg("labels").arg(recording).arg("--json")).remove(0);
+    let spans = json_lines(subcommand("recording labels").arg(recording).arg("--json")).remove(0);
     let span = |s: &Value| {
         let time = |name: &str| s[name].as_f64().expect("a time");
         (time("start_s"), time("end_s"), s["label"].as_str().expect("a label").to_owned())
@@ -83,8 +76,9 @@ fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
 fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 8.0, 60);
-    let before =
-        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")));
+    let before = json_lines(
+        subcommand("recording maps").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")),
+    );
     let served = replay(&recording, "1");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
     browser.wait_until("window.radome?.header && radome.labels");
@@ -159,8 +153,9 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     assert!(served.stop());
     let kept = labels(&recording);
     assert!(kept.len() == 3 && kept[2].2 == "empty" && near(kept[2].0, 3.0) && near(kept[2].1, 3.1), "{kept:?}");
-    let after =
-        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")));
+    let after = json_lines(
+        subcommand("recording maps").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")),
+    );
     assert_eq!(before[0]["frames"], after[0]["frames"]);
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("maps");
     assert!(read("a.npy") == read("b.npy"), "labels leave frames alone");
@@ -215,8 +210,8 @@ fn a_simulated_partner_stands_beside_its_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 6.0, 30);
     let pair = folder.path().join("walk-pair");
-    let mut command = radome();
-    command.args(["dataset", "pair"]).arg(&recording).arg(fixture("scenes/corridor.toml")).arg("-o").arg(&pair);
+    let mut command = subcommand("scene pair");
+    command.arg(&recording).arg(fixture("scenes/corridor.toml")).arg("-o").arg(&pair);
     json_lines(command.args(["--people", "1", "--corrections", "0", "--json"]));
     let served = replay(&recording, "1");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1200) else { return };
@@ -239,8 +234,7 @@ fn pictures() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("evening.mcap");
     json_lines(
-        radome()
-            .arg("simulate")
+        subcommand("scene simulate")
             .arg(fixture("scenes/corridor.toml"))
             .args(["--frames", "300", "--seed", "100001", "--json", "-o"])
             .arg(&recording),

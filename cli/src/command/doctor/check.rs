@@ -19,7 +19,6 @@ pub enum Outcome {
 /// Check and its finding.
 #[derive(Debug, Clone, Serialize)]
 pub struct Check {
-    /// Name of the check.
     pub check: &'static str,
     /// Outcome.
     #[serde(rename = "verdict")]

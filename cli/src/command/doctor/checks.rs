@@ -148,7 +148,6 @@ pub struct Examined {
     pub description: String,
     /// Waveform, board, registers.
     pub header: RecordingHeader,
-    /// The first frames.
     pub frames: Vec<Frame>,
 }
 

@@ -49,7 +49,6 @@ impl Arguments {
 /// Somebody says what would have been right.
 #[derive(Debug, Clone, Copy)]
 pub struct Report {
-    /// True class.
     pub truth: Occupancy,
     /// By which way it came.
     pub by: &'static str,

@@ -34,7 +34,6 @@ pub struct Newest {
     pub said: Option<Said>,
     /// Time at which the last frame with a signal was judged, labelled or not.
     pub judged: Option<Instant>,
-    /// The run so far.
     pub health: Health,
 }
 
@@ -45,7 +44,6 @@ pub struct Counters {
     pub mqtt_connected: AtomicBool,
     /// Connections to the broker that came about.
     pub mqtt_connections: AtomicU64,
-    /// Messages that were sent.
     pub mqtt_published: AtomicU64,
     /// Messages of others that were not understood or not obeyed.
     pub mqtt_refused: AtomicU64,

@@ -29,13 +29,10 @@ const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Options of a connection.
 pub struct Mqtt {
-    /// For messages.
     pub broker: Broker,
     /// Address, login, limits.
     pub options: MqttOptions,
-    /// Device that is announced.
     pub device: Device,
-    /// Newest answer.
     pub latest: Arc<Latest>,
     /// Destination of reports of wrong answers.
     pub reports: Option<Reports>,
@@ -48,7 +45,6 @@ enum Heard {
     Connected,
     /// The broker no longer listens.
     Lost,
-    /// The hub has started.
     HubOnline,
     /// The hub stops; what it knows of us is retained.
     HubOffline,

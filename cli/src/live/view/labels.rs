@@ -33,9 +33,7 @@ const IN_A_ROW: Duration = Duration::from_millis(300);
 /// A label with a name that stays while it is edited.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Span {
-    /// Its name.
     pub id: u64,
-    /// Text of the label.
     #[serde(flatten)]
     pub label: LabelSpan,
 }
@@ -43,9 +41,7 @@ pub struct Span {
 /// A label that still goes on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Open {
-    /// Beginning, s.
     pub start_s: f64,
-    /// Text of the label.
     pub label: Occupancy,
     #[serde(skip)]
     who: Option<String>,

@@ -60,7 +60,6 @@ impl From<access::Refusal> for Refusal {
 
 /// Access policy of the page, limit of pages, and counters of refusals.
 pub struct Policy {
-    /// Access policy.
     pub access: Access,
     /// Permits of pages.
     pub pages: Arc<Semaphore>,

@@ -140,7 +140,7 @@ impl Link {
             let refused = |code, message| DeepcraftError::Refused { command: "configuration", code, message };
             let found = self.wait(ANSWER, |answer| match answer {
                 Answer::Configuration(response) if response.tag == tag => Some(Ok(response)),
-                Answer::Error(error) => Some(Err(refused(ErrorCode::from_code(error.code), error.message))),
+                Answer::Error(error) => Some(Err(refused(ErrorCode(error.code), error.message))),
                 _ => None,
             })?;
             match found {

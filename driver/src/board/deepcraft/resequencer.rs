@@ -120,7 +120,7 @@ impl Resequencer {
         fifo::deinterleave(codes, shape, &mut frame.codes);
         frame.sequence = self.next_sequence;
         // Chunks carry no time: frames come at their interval.
-        frame.time_ns = (self.next_sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
         (frame.truth, frame.temperature_millicelsius) = (None, None);
         self.gone += 1;
         self.next_sequence += 1;

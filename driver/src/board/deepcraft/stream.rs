@@ -176,7 +176,7 @@ impl DeepcraftStream {
                     continue;
                 }
                 Some(ChunkEvent::Error(error)) => {
-                    let (code, message) = (ErrorCode::from_code(error.code), error.message);
+                    let (code, message) = (ErrorCode(error.code), error.message);
                     let source = DeepcraftError::Refused { command: "start", code, message };
                     return Err(BoardError::Deepcraft { path: self.path.clone(), source });
                 }

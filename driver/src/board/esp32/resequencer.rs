@@ -171,7 +171,7 @@ impl Resequencer {
         fifo::deinterleave(codes, shape, &mut frame.codes);
         frame.sequence = self.next_sequence;
         // Lines carry no time: frames are taken to come at their interval.
-        frame.time_ns = (self.next_sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
         frame.host_time_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         frame.truth = None;
         frame.temperature_millicelsius = None;

@@ -134,15 +134,15 @@ impl Requests {
                 }
             };
             let answer = match request {
-                None => Some(Err(ErrorCode::Decode)),
-                Some(Request { command: None }) => Some(Err(ErrorCode::RequestType)),
+                None => Some(Err(ErrorCode::DECODE)),
+                Some(Request { command: None }) => Some(Err(ErrorCode::REQUEST_TYPE)),
                 Some(Request { command: Some(command) }) => self.run(command).transpose(),
             };
             match answer {
                 None => {}
                 Some(Ok(answer)) => Response::from(answer).encode_to(out),
                 Some(Err(code)) => {
-                    let error = ErrorResponse { message: format!("{}.", code.name()), code: code.code() };
+                    let error = ErrorResponse { message: format!("{}.", code.name()), code: code.0 };
                     Response::from(Answer::Error(error)).encode_to(out);
                 }
             }
@@ -153,7 +153,7 @@ impl Requests {
         match command {
             Command::Capabilities(request) => {
                 if request.device > DEVICE {
-                    return Err(ErrorCode::NoSuchDevice);
+                    return Err(ErrorCode::NO_SUCH_DEVICE);
                 }
                 let board = Some(self.board());
                 Ok(Some(Answer::Capabilities(CapabilitiesResponse { board, tag: request.tag })))
@@ -180,8 +180,8 @@ impl Requests {
             Command::Start(request) => {
                 is_ours(request.device)?;
                 match (self.active_until, &self.refusal) {
-                    (Some(_), _) => return Err(ErrorCode::AlreadyActive),
-                    (None, Some(_)) => return Err(ErrorCode::Unspecified),
+                    (Some(_), _) => return Err(ErrorCode::ALREADY_ACTIVE),
+                    (None, Some(_)) => return Err(ErrorCode::UNSPECIFIED),
                     (None, None) => {}
                 }
                 self.start_chip();
@@ -191,7 +191,7 @@ impl Requests {
             }
             Command::Stop(request) => {
                 if request.device > DEVICE {
-                    return Err(ErrorCode::NoSuchDevice);
+                    return Err(ErrorCode::NO_SUCH_DEVICE);
                 }
                 self.stop();
                 Ok(None)
@@ -203,7 +203,7 @@ impl Requests {
             // The radar takes no data.
             Command::Data(chunk) => {
                 is_ours(chunk.device)?;
-                Err(ErrorCode::WrongDirection)
+                Err(ErrorCode::WRONG_DIRECTION)
             }
             Command::Reset(_) => {
                 self.power_up();
@@ -216,7 +216,7 @@ impl Requests {
         match (option.option_id, &option.value) {
             (USE_CASE, Some(Value::OneOf(index))) => {
                 if !(0..ITEMS.len() as i32).contains(index) {
-                    return Err(ErrorCode::OutOfRange);
+                    return Err(ErrorCode::OUT_OF_RANGE);
                 }
                 self.use_case = *index;
                 Ok(())
@@ -225,8 +225,8 @@ impl Requests {
                 self.blob.clone_from(blob);
                 Ok(())
             }
-            (USE_CASE | CUSTOM_DATA, _) => Err(ErrorCode::OptionType),
-            _ => Err(ErrorCode::NoSuchOption),
+            (USE_CASE | CUSTOM_DATA, _) => Err(ErrorCode::OPTION_TYPE),
+            _ => Err(ErrorCode::NO_SUCH_OPTION),
         }
     }
 
@@ -350,5 +350,5 @@ impl Requests {
 }
 
 fn is_ours(device: i32) -> Result<(), ErrorCode> {
-    if device == DEVICE { Ok(()) } else { Err(ErrorCode::NoSuchDevice) }
+    if device == DEVICE { Ok(()) } else { Err(ErrorCode::NO_SUCH_DEVICE) }
 }

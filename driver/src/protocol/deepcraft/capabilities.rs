@@ -1,20 +1,18 @@
 //! Capabilities of a board: devices, their options and streams, as protobuf defines them.
 
+#![allow(missing_docs, reason = "names are the firmware's, and say what most fields are")]
+
 use prost::{Message, Oneof};
 
 /// A version.
 #[derive(Clone, PartialEq, Message)]
 pub struct Version {
-    /// Major.
     #[prost(uint32, tag = "1")]
     pub major: u32,
-    /// Minor.
     #[prost(uint32, tag = "2")]
     pub minor: u32,
-    /// Build.
     #[prost(uint32, tag = "3")]
     pub build: u32,
-    /// Revision.
     #[prost(uint32, tag = "4")]
     pub revision: u32,
 }
@@ -30,23 +28,18 @@ pub struct BoardSerial {
 /// A board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Board {
-    /// Serial number.
     #[prost(message, optional, tag = "1")]
     pub serial: Option<BoardSerial>,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Version of the firmware.
     #[prost(message, optional, tag = "3")]
     pub firmware_version: Option<Version>,
-    /// Version of the protocol.
     #[prost(message, optional, tag = "4")]
     pub protocol_version: Option<Version>,
     /// The board stops after so many milliseconds without [`WatchdogReset`](super::request::Command::WatchdogReset); 0
     /// is never.
     #[prost(int32, tag = "5")]
     pub watchdog_timeout: i32,
-    /// Its devices.
     #[prost(message, repeated, tag = "6")]
     pub devices: Vec<Device>,
 }
@@ -70,28 +63,22 @@ pub mod device_status {
 /// A device of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Device {
-    /// Its number.
     #[prost(int32, tag = "1")]
     pub device_id: i32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Description of the device.
     #[prost(string, tag = "3")]
     pub description: String,
     /// See [`device_type`].
     #[prost(int32, tag = "4")]
     pub device_type: i32,
-    /// Option of a device.
     #[prost(message, repeated, tag = "5")]
     pub options: Vec<DeviceOption>,
-    /// Streams of the device.
     #[prost(message, repeated, tag = "6")]
     pub streams: Vec<StreamConfig>,
     /// See [`device_status`].
     #[prost(int32, tag = "7")]
     pub status: i32,
-    /// Text of its status.
     #[prost(string, tag = "8")]
     pub status_message: String,
 }
@@ -99,13 +86,10 @@ pub struct Device {
 /// Option of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct DeviceOption {
-    /// Its number.
     #[prost(int32, tag = "1")]
     pub option_id: i32,
-    /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Description of the option.
     #[prost(string, tag = "3")]
     pub description: String,
     /// Its kind and value. Kinds that a radar does not have are skipped.
@@ -164,7 +148,6 @@ pub mod data_type {
 /// Stream of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct StreamConfig {
-    /// Its name.
     #[prost(string, tag = "1")]
     pub name: String,
     /// See [`direction`].
@@ -182,13 +165,11 @@ pub struct StreamConfig {
     /// Most frames in a chunk. The radar says 1 and sends more.
     #[prost(int32, tag = "6")]
     pub max_frame_count: i32,
-    /// Unit.
     #[prost(string, tag = "7")]
     pub unit: String,
     /// Number of the next frame.
     #[prost(int32, tag = "8")]
     pub current_frame: i32,
-    /// Frames that the device has dropped.
     #[prost(int32, tag = "9")]
     pub frames_dropped: i32,
     /// Scale of quantised types.
@@ -205,7 +186,6 @@ pub struct StreamConfig {
 /// An axis.
 #[derive(Clone, PartialEq, Message)]
 pub struct Dimension {
-    /// Its name.
     #[prost(string, tag = "1")]
     pub name: String,
     /// Its length.

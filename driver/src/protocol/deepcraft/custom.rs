@@ -21,31 +21,17 @@ pub const FIFO_LEVEL_CODES: usize = 6144;
 
 /// Error of a blob that does not hold a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum CustomError {
     /// The blob is too short.
     #[error("custom data: {words} words, {needed} are needed")]
-    Short {
-        /// Words in the blob.
-        words: usize,
-        /// Words that its head announces.
-        needed: usize,
-    },
+    Short { words: usize, needed: usize },
     /// A word of the register list is not a write.
     #[error("custom data: register word {word:#010x} does not write")]
-    NoWrite {
-        /// The word.
-        word: u32,
-    },
+    NoWrite { word: u32 },
     /// Settings and registers contradict each other.
     #[error("custom data: {what} is {stated} by the settings and {registers} by the registers")]
-    Contradiction {
-        /// Quantity.
-        what: &'static str,
-        /// Value by the settings.
-        stated: u64,
-        /// Value by the registers.
-        registers: u64,
-    },
+    Contradiction { what: &'static str, stated: u64, registers: u64 },
     /// The registers do not hold a waveform.
     #[error(transparent)]
     Chip(#[from] ChipError),

@@ -1,5 +1,7 @@
 //! Requests of a host, as protobuf defines them. Absent fields are zero.
 
+#![allow(missing_docs, reason = "names are the firmware's, and say what most fields are")]
+
 use prost::{Message, Oneof};
 
 use super::delimited;
@@ -12,7 +14,6 @@ pub const ALL_DEVICES: i32 = -1;
 /// Request of the host.
 #[derive(Clone, PartialEq, Message)]
 pub struct Request {
-    /// The request proper.
     #[prost(oneof = "Command", tags = "1, 2, 3, 4, 5, 6, 7")]
     pub command: Option<Command>,
 }
@@ -20,16 +21,13 @@ pub struct Request {
 /// Kinds of request. Start, stop and the resets have no answer unless something is wrong with them.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Command {
-    /// Request for the capabilities.
     #[prost(message, tag = "1")]
     Capabilities(CapabilitiesRequest),
     /// Sets options of a device that is not active.
     #[prost(message, tag = "2")]
     Configure(ConfigureRequest),
-    /// Starts a device.
     #[prost(message, tag = "3")]
     Start(StartRequest),
-    /// Stops a device.
     #[prost(message, tag = "4")]
     Stop(StopRequest),
     /// The host is alive.
@@ -38,7 +36,6 @@ pub enum Command {
     /// Data for a device that takes some.
     #[prost(message, tag = "6")]
     Data(DataChunk),
-    /// Resets the board.
     #[prost(message, tag = "7")]
     Reset(Empty),
 }
@@ -57,7 +54,6 @@ pub struct CapabilitiesRequest {
 /// Sets options of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct ConfigureRequest {
-    /// Device.
     #[prost(int32, tag = "1")]
     pub device: i32,
     /// Options to set; others stay as they are.
@@ -71,7 +67,6 @@ pub struct ConfigureRequest {
 /// Starts a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct StartRequest {
-    /// Device.
     #[prost(int32, tag = "1")]
     pub device: i32,
 }

@@ -1,6 +1,8 @@
 //! Responses of a board, as protobuf defines them. Fields that a newer firmware adds are skipped; absent fields are
 //! zero.
 
+#![allow(missing_docs, reason = "names are the firmware's, and say what most fields are")]
+
 use prost::{Message, Oneof};
 
 use super::capabilities::{Board, StreamConfig};
@@ -10,7 +12,6 @@ use super::option::OptionValue;
 /// Response of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Response {
-    /// Content of the response.
     #[prost(oneof = "Answer", tags = "1, 2, 3, 4, 5")]
     pub answer: Option<Answer>,
 }
@@ -18,16 +19,12 @@ pub struct Response {
 /// Kinds of answer; data and errors also come without a request.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Answer {
-    /// Capabilities of the board.
     #[prost(message, tag = "1")]
     Capabilities(CapabilitiesResponse),
-    /// Configuration of the device.
     #[prost(message, tag = "2")]
     Configuration(ConfigureResponse),
-    /// Error of a request.
     #[prost(message, tag = "3")]
     Error(ErrorResponse),
-    /// Frames.
     #[prost(message, tag = "4")]
     Data(DataChunk),
     /// A device wants data.
@@ -38,10 +35,8 @@ pub enum Answer {
 /// Capabilities of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct CapabilitiesResponse {
-    /// The board.
     #[prost(message, optional, tag = "1")]
     pub board: Option<Board>,
-    /// Tag of the request.
     #[prost(int32, tag = "2")]
     pub tag: i32,
 }
@@ -49,22 +44,17 @@ pub struct CapabilitiesResponse {
 /// Configuration of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct ConfigureResponse {
-    /// Device.
     #[prost(int32, tag = "1")]
     pub device: i32,
-    /// All of its options.
     #[prost(message, repeated, tag = "2")]
     pub options: Vec<OptionValue>,
-    /// Its streams.
     #[prost(message, repeated, tag = "3")]
     pub streams: Vec<StreamConfig>,
     /// One of [`super::device_status`].
     #[prost(int32, tag = "4")]
     pub status: i32,
-    /// Text of its status.
     #[prost(string, tag = "5")]
     pub status_message: String,
-    /// Tag of the request.
     #[prost(int32, tag = "6")]
     pub tag: i32,
 }
@@ -72,7 +62,6 @@ pub struct ConfigureResponse {
 /// Error of a request.
 #[derive(Clone, PartialEq, Message)]
 pub struct ErrorResponse {
-    /// Description.
     #[prost(string, tag = "1")]
     pub message: String,
     /// See [`super::ErrorCode`].
@@ -83,10 +72,8 @@ pub struct ErrorResponse {
 /// Frames of a stream. [`super::ChunkParser`] reads them without this type.
 #[derive(Clone, PartialEq, Message)]
 pub struct DataChunk {
-    /// Device.
     #[prost(int32, tag = "1")]
     pub device: i32,
-    /// Stream of the device.
     #[prost(int32, tag = "2")]
     pub stream: i32,
     /// Frames in the payload.
@@ -106,7 +93,6 @@ pub struct DataChunk {
 /// Time of a frame.
 #[derive(Clone, PartialEq, Message)]
 pub struct Timestamp {
-    /// Time.
     #[prost(int64, tag = "1")]
     pub timestamp: i64,
     /// Duration, 0 where it is not told.
@@ -117,10 +103,8 @@ pub struct Timestamp {
 /// A device wants data.
 #[derive(Clone, PartialEq, Message)]
 pub struct DataInquire {
-    /// Device.
     #[prost(int32, tag = "1")]
     pub device: i32,
-    /// Stream of the device.
     #[prost(int32, tag = "2")]
     pub stream: i32,
     /// Frames wanted.

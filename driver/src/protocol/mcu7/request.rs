@@ -124,23 +124,16 @@ impl Request {
 
 /// Error of bytes that are not a request.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum DecodeError {
     /// Too few or too many bytes.
     #[error("strata request: {got} bytes, its header asks for {need}")]
-    Short {
-        /// Bytes given.
-        got: usize,
-        /// Bytes that the header asks for.
-        need: usize,
-    },
+    Short { got: usize, need: usize },
     /// Unknown direction.
     #[error(
         "strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer), in version 3 0x41, 0xc1 or 0xe1"
     )]
-    Kind {
-        /// First byte.
-        got: u8,
-    },
+    Kind { got: u8 },
     /// The CRC disagrees.
     #[error("strata request: the CRC does not match")]
     Crc,
@@ -166,71 +159,38 @@ impl DataFormat {
 
 /// Meaning of a request: the part of the protocol that this program uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Command {
     /// USB ids and name.
     BoardInfo,
     /// The same, cut or filled up with zeros to a length (version 3 only).
-    BoardInfoFixed {
-        /// Bytes wanted.
-        length: u16,
-    },
+    BoardInfoFixed { length: u16 },
     /// Versions of firmware and protocol.
     FirmwareVersion,
     /// 16 bytes of identity.
     Uuid,
     /// Free text about the firmware.
     ExtendedVersion,
-    /// Number of components of a type that the board has.
-    ComponentCount {
-        /// Type, such as [`COMPONENT_AVIAN`](super::COMPONENT_AVIAN).
-        component: u16,
-    },
-    /// Implementation of a component type that the board has (version 3 only).
-    ComponentImplementation {
-        /// Type, such as [`COMPONENT_RADAR`].
-        component: u16,
-    },
+    /// Number of components of a type, such as [`COMPONENT_AVIAN`](super::COMPONENT_AVIAN), that the board has.
+    ComponentCount { component: u16 },
+    /// Implementation of a component type, such as [`COMPONENT_RADAR`], that the board has (version 3 only).
+    ComponentImplementation { component: u16 },
     /// Index of the radar chip's data channel.
     DataIndex,
-    /// Writes consecutive registers.
-    WriteRegisters {
-        /// First register.
-        address: u8,
-        /// 24-bit contents.
-        values: Vec<u32>,
-    },
-    /// Reads consecutive registers.
-    ReadRegisters {
-        /// First register.
-        address: u8,
-        /// Number of registers.
-        count: u8,
-    },
-    /// Sets bits of a register and leaves its others as they are.
-    SetBits {
-        /// Register.
-        address: u8,
-        /// Bits to set.
-        mask: u32,
-    },
+    /// Writes the 24-bit contents of consecutive registers from an address on.
+    WriteRegisters { address: u8, values: Vec<u32> },
+    /// Reads consecutive registers from an address on.
+    ReadRegisters { address: u8, count: u8 },
+    /// Sets the bits of a mask in a register and leaves its others as they are.
+    SetBits { address: u8, mask: u32 },
     /// Pulls the chip's reset pin.
     HardwareReset,
     /// Level of the chip's interrupt line, one byte.
     InterruptLevel,
-    /// SPI words, verbatim.
-    Execute {
-        /// The words.
-        words: Vec<SpiWord>,
-        /// Whether the response holds the answers of the chip.
-        answer: bool,
-    },
-    /// Configures how the FIFO is read. Stops a running acquisition.
-    ConfigureData {
-        /// Packing of samples.
-        format: DataFormat,
-        /// Codes in a slice, even.
-        slice_samples: u16,
-    },
+    /// SPI words, verbatim; whether the response is to hold the answers of the chip.
+    Execute { words: Vec<SpiWord>, answer: bool },
+    /// Configures how the FIFO is read: an even number of codes in a slice. Stops a running acquisition.
+    ConfigureData { format: DataFormat, slice_samples: u16 },
     /// Flags of the data channel.
     DataStatus,
     /// Starts reading slices.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use radome_dsp::Frame;
 use serde_json::json;
 
-use super::{FIRST_UNIX_NS, SUPPORTED_VERSION, nominal_time_ns};
+use super::{FIRST_UNIX_NS, SUPPORTED_VERSION};
 use crate::recording::mcap::RecordingHeader;
 use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
@@ -146,7 +146,7 @@ impl InfineonWriter {
             omitted.push("times by the board's clock, which go backwards".into());
             return None;
         }
-        let nominal = |(index, time): (usize, &u64)| nominal_time_ns(&self.header.waveform, index as u64) == *time;
+        let nominal = |(index, time): (usize, &u64)| self.header.waveform.frame_time_ns(index as u64) == *time;
         (!self.temperatures.is_empty() || !board.iter().enumerate().all(nominal)).then_some(board)
     }
 

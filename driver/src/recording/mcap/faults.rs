@@ -1,7 +1,7 @@
 //! Every operation on the disk fails in turn, or is forgotten by a power cut, while a recording is made, finished and
 //! labelled.
 
-#[path = "../../../tests/common/mod.rs"]
+#[path = "../../../tests/common/pattern.rs"]
 mod common;
 
 use std::collections::BTreeMap;

@@ -104,17 +104,6 @@ pub fn set_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingErro
     LabelEditor::open(path)?.write(labels)
 }
 
-/// Adds labels to a finished recording: see [`LabelEditor`].
-///
-/// # Errors
-/// Those of [`LabelEditor::open`] and [`LabelEditor::write`], and labels that cannot be read.
-pub fn append_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
-    let editor = LabelEditor::open(path)?;
-    let mut all = editor.labels()?;
-    all.extend_from_slice(labels);
-    editor.write(&all)
-}
-
 /// Replaces all labels of a recording that this process is making: a file beside it holds them until its recorder
 /// finishes. They are on the disk when this returns, and every reader finds them.
 ///

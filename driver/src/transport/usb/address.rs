@@ -9,23 +9,14 @@ use thiserror::Error;
 /// Address of an attached device. As text: empty (the only one), `1-4` (bus and address, as `lsusb` shows them), a
 /// serial number, or the folder of an emulated board, which contains a slash.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum UsbAddress {
     /// The only one.
     Any,
     /// By bus and address. The address is another one each time the device is plugged in.
-    Device {
-        /// Bus.
-        bus: u8,
-        /// Address on it.
-        address: u8,
-    },
-    /// By the socket that it is plugged into.
-    Port {
-        /// Bus.
-        bus: u8,
-        /// Port of each hub on the way.
-        ports: Vec<u8>,
-    },
+    Device { bus: u8, address: u8 },
+    /// By the socket that it is plugged into: the bus, and the port of each hub on the way.
+    Port { bus: u8, ports: Vec<u8> },
     /// By its serial number.
     Serial(String),
     /// An emulated board: the folder in which its endpoints are sockets.

@@ -224,25 +224,16 @@ mod hard_cases {
         for case in cases() {
             let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
             let (x, w, b) = tensors(&case);
-            let run = |threads: usize| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-                pool.install(|| {
-                    let input = var(&x, &[batch, rows, columns, inputs]);
-                    let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
-                    let bias = var(&b, &[outputs]);
-                    let level = KernelLevel::detect();
-                    let out =
-                        conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
-                    let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
-                    [&input, &weight, &bias].map(|v| flat(grads.get(v).expect("gradient")))
-                })
-            };
-            let one = run(1);
-            for threads in [2, 3, 5] {
-                for (a, b) in one.iter().flatten().zip(run(threads).iter().flatten()) {
-                    assert_eq!(a.to_bits(), b.to_bits(), "{case:?}, {threads} threads");
-                }
-            }
+            same_bits(&format!("{case:?}"), || {
+                let input = var(&x, &[batch, rows, columns, inputs]);
+                let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
+                let bias = var(&b, &[outputs]);
+                let level = KernelLevel::detect();
+                let out =
+                    conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
+                let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
+                [&input, &weight, &bias].map(|v| flat(grads.get(v).expect("gradient")))
+            });
         }
     }
 

@@ -249,29 +249,19 @@ mod hard_cases {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        let run = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-            pool.install(|| {
-                let level = KernelLevel::detect();
-                let (x, w) = (var(&random(5 * 30 * 29 * 24, "x"), &[5, 30, 29, 24]), var(&random(24, "w"), &[24]));
-                let (fw, fb) = (var(&random(24 * 70, "fw"), &[70, 24]), var(&random(70, "fb"), &[70]));
-                let statistics = RunningStatistics::new(24, BatchNormConstants::default());
-                let y = batch_norm(&x, &w, &w, &statistics, BatchNormMode::Training, Activation::Silu, level)
-                    .expect("norm");
-                let y = max_pool2d(&y, 3, 2, 1, level).expect("pool");
-                let y = dropout(&y, 0.2, 1, 2).expect("dropout");
-                let y = linear(&adaptive_average_pool(&y, 1, 1).expect("mean"), &fw, &fb, level).expect("linear");
-                let loss = cross_entropy(&y, &[0, 1, 2, 3, 4], &[1.0; 70]).expect("loss");
-                let gradients = backward(&loss).expect("backward");
-                [&x, &w, &fw, &fb].map(|v| flat(gradients.get(v).expect("gradient")))
-            })
-        };
-        let one = run(1);
-        for threads in [2, 3, 5] {
-            for (a, b) in one.iter().flatten().zip(run(threads).iter().flatten()) {
-                assert_eq!(a.to_bits(), b.to_bits());
-            }
-        }
+        same_bits("a network", || {
+            let level = KernelLevel::detect();
+            let (x, w) = (var(&random(5 * 30 * 29 * 24, "x"), &[5, 30, 29, 24]), var(&random(24, "w"), &[24]));
+            let (fw, fb) = (var(&random(24 * 70, "fw"), &[70, 24]), var(&random(70, "fb"), &[70]));
+            let statistics = RunningStatistics::new(24, BatchNormConstants::default());
+            let y = batch_norm(&x, &w, &w, &statistics, BatchNormMode::Training, Activation::Silu, level);
+            let y = max_pool2d(&y.expect("norm"), 3, 2, 1, level).expect("pool");
+            let y = dropout(&y, 0.2, 1, 2).expect("dropout");
+            let y = linear(&adaptive_average_pool(&y, 1, 1).expect("mean"), &fw, &fb, level).expect("linear");
+            let loss = cross_entropy(&y, &[0, 1, 2, 3, 4], &[1.0; 70]).expect("loss");
+            let gradients = backward(&loss).expect("backward");
+            [&x, &w, &fw, &fb].map(|v| flat(gradients.get(v).expect("gradient")))
+        });
     }
 
     #[test]

@@ -72,6 +72,19 @@ fn channel_last(values: &[f32], channels: usize, cells: usize) -> Vec<f32> {
         .collect()
 }
 
+/// Asserts that a computation gives the same bits on any number of threads.
+fn same_bits<const N: usize>(what: &str, run: impl Fn() -> [Vec<f32>; N] + Sync) {
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        let bits = |values: Vec<f32>| -> Vec<u32> { values.into_iter().map(f32::to_bits).collect() };
+        pool.install(&run).map(bits)
+    };
+    let one = on(1);
+    for threads in [2, 3, 5] {
+        assert!(on(threads) == one, "{what}, {threads} threads");
+    }
+}
+
 fn levels() -> [KernelLevel; 3] {
     KernelLevel::ALL
 }
@@ -256,27 +269,16 @@ mod hard_cases {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        let run = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-            pool.install(|| {
-                let input = var(&random(7 * 12 * 10 * 16, "x"), &[7, 12, 10, 16]);
-                let (w, b) = (var(&random(32 * 144, "w"), &[32, 16, 3, 3]), var(&random(32, "b"), &[32]));
-                let out =
-                    conv_relu_pool(&input, &w, &b, InputGradient::Needed, KernelLevel::detect()).expect("forward");
-                let out = adaptive_average_pool(&out, 2, 4).expect("pool");
-                let (fw, fb) = (var(&random(5 * 256, "fw"), &[5, 256]), var(&random(5, "fb"), &[5]));
-                let out = linear(&out, &fw, &fb, KernelLevel::detect()).expect("linear");
-                let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
-                [&input, &w, &b, &fw, &fb].map(|v| flat(grads.get(v).expect("gradient")))
-            })
-        };
-        let one = run(1);
-        for threads in [2, 3, 5] {
-            let many = run(threads);
-            for (a, b) in one.iter().flatten().zip(many.iter().flatten()) {
-                assert_eq!(a.to_bits(), b.to_bits());
-            }
-        }
+        same_bits("a network", || {
+            let input = var(&random(7 * 12 * 10 * 16, "x"), &[7, 12, 10, 16]);
+            let (w, b) = (var(&random(32 * 144, "w"), &[32, 16, 3, 3]), var(&random(32, "b"), &[32]));
+            let out = conv_relu_pool(&input, &w, &b, InputGradient::Needed, KernelLevel::detect()).expect("forward");
+            let out = adaptive_average_pool(&out, 2, 4).expect("pool");
+            let (fw, fb) = (var(&random(5 * 256, "fw"), &[5, 256]), var(&random(5, "fb"), &[5]));
+            let out = linear(&out, &fw, &fb, KernelLevel::detect()).expect("linear");
+            let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
+            [&input, &w, &b, &fw, &fb].map(|v| flat(grads.get(v).expect("gradient")))
+        });
     }
 
     /// In whichever cell of a window it is.

@@ -9,28 +9,19 @@ use crate::quantum::CircuitError;
 
 /// A network that cannot be written as ONNX.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ExportError {
     /// The circuit is too large, noisy or measured with shots.
     #[error(
         "layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits"
     )]
-    Circuit {
-        /// Name of the layer.
-        layer: String,
-        /// Reason.
-        reason: String,
-        /// Qubits at most.
-        most: usize,
-    },
+    Circuit { layer: String, reason: String, most: usize },
     /// The network describes maps instead of reading them.
     #[error(
         "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: use the model file (--model \
          FILE.safetensors), or export a network that reads the cells of maps"
     )]
-    Descriptors {
-        /// Name of the layer.
-        layer: String,
-    },
+    Descriptors { layer: String },
     /// The settings of the circuit are invalid.
     #[error(transparent)]
     Spec(#[from] CircuitError),

@@ -135,9 +135,7 @@ impl Predictions {
 /// A recording that a model refused.
 #[derive(Debug, Clone, Serialize)]
 pub struct Refused {
-    /// Name of the recording.
     pub recording: String,
-    /// Reason of the model.
     pub reason: String,
 }
 

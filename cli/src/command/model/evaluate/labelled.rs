@@ -11,7 +11,6 @@ use crate::labels;
 
 /// A recording with labels.
 pub struct LabelledRecording {
-    /// The recording.
     pub path: PathBuf,
     labels: Labels,
 }

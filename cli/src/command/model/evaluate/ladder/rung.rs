@@ -18,7 +18,6 @@ pub(super) struct Rung {
     pub(super) name: String,
     /// One sentence that says how it differs from training.
     pub(super) about: String,
-    /// Its recordings.
     pub(super) simulations: Vec<Simulation>,
 }
 
@@ -30,11 +29,9 @@ pub(super) struct Simulation {
     stem: String,
     /// The scene before its seed draws from it.
     pub(super) scene: Scene,
-    /// Seed.
     pub(super) seed: u64,
     /// People that the scene is forced to have at most; its own number if absent.
     pub(super) people: Option<usize>,
-    /// Frames.
     pub(super) frames: u64,
 }
 
