@@ -122,6 +122,7 @@ pub fn scatter(theme: &Theme, names: (&str, &str), series: &[Series]) -> Canvas 
     for decade in y_low as i32..=y_high as i32 {
         plot.tick_beside(at(x_low, f64::from(decade)), WIDTH, &power(decade));
     }
+    plot.axes();
     plot.axis_names([WIDTH, HEIGHT], names);
     for (i, (name, points)) in series.iter().enumerate() {
         for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
@@ -141,7 +142,7 @@ fn power(decade: i32) -> String {
 }
 
 /// Draws lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn from the tenth below
-/// the lowest point to 1. `dashed` has further points of each series, through which a dashed line leads; it may be empty.
+/// the lowest point to the tenth above the highest. `dashed` has further points of each series, through which a dashed line leads; it may be empty.
 pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Series]) -> Canvas {
     let mut plot = Plot::of_series(theme, series);
     let points = || series.iter().chain(dashed).flat_map(|s| &s.1);
@@ -150,20 +151,22 @@ pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Se
     let high = across_values().fold(f64::NEG_INFINITY, f64::max);
     let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
     let lowest = points().map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
+    let highest = points().map(|p| p.1).filter(|y| y.is_finite()).fold(0.0, f64::max);
     let floor = ((10.0 * lowest).floor() / 10.0).clamp(0.0, 0.9);
+    let top = ((10.0 * highest).ceil() / 10.0).clamp(floor + 0.1, 1.0);
     let at = |x: f64, y: f64| -> Pixel {
         [
             MARGIN_LEFT + (x - low) / (high - low) * WIDTH,
-            MARGIN_TOP + (1.0 - y.clamp(floor, 1.0)) / (1.0 - floor) * HEIGHT,
+            MARGIN_TOP + (top - y.clamp(floor, top)) / (top - floor) * HEIGHT,
         ]
     };
     for tick in ticks(low, high) {
         plot.tick_below(at(tick, floor), 0.0, &label(tick, high - low));
     }
-    for share in ticks(floor, 1.0) {
+    for share in ticks(floor, top) {
         plot.tick_beside(at(low, share), WIDTH, &format!("{share:.2}"));
     }
-    plot.canvas.line(&[at(low, floor), at(low, 1.0)], &plot.axis());
+    plot.axes();
     plot.axis_names([WIDTH, HEIGHT], names);
     // A point without a value has no place.
     let places = |points: &[(f64, f64)]| -> Vec<Pixel> {
@@ -199,20 +202,32 @@ impl<'a> Plot<'a> {
         Line { ink: self.theme.ink, width: 1.0, is_dashed: false }
     }
 
+    fn grid(&self) -> Line {
+        Line { ink: self.theme.grid, width: 1.0, is_dashed: false }
+    }
+
     fn text(&mut self, corner: Pixel, text: &str) {
         self.canvas.text(corner, text, Letters::Small, self.theme.ink);
     }
 
     /// Tick under an axis, a grid line of `length` above it, and its number.
     fn tick_below(&mut self, [x, y]: Pixel, length: f64, number: &str) {
-        self.canvas.line(&[[x, y - length], [x, y + TICK]], &self.axis());
+        self.canvas.line(&[[x, y - length], [x, y]], &self.grid());
+        self.canvas.line(&[[x, y], [x, y + TICK]], &self.axis());
         self.text([x - 0.5 * Letters::Small.size(number)[0], y + 8.0], number);
     }
 
     /// Tick to the left of an axis, a grid line of `length` to its right, and its number.
     fn tick_beside(&mut self, [x, y]: Pixel, length: f64, number: &str) {
-        self.canvas.line(&[[x - TICK, y], [x + length, y]], &self.axis());
+        self.canvas.line(&[[x, y], [x + length, y]], &self.grid());
+        self.canvas.line(&[[x - TICK, y], [x, y]], &self.axis());
         self.text([x - 8.0 - Letters::Small.size(number)[0], y - 8.0], number);
+    }
+
+    /// Axes to the left of and below series, over the grid.
+    fn axes(&mut self) {
+        let (left, bottom) = (MARGIN_LEFT, MARGIN_TOP + HEIGHT);
+        self.canvas.line(&[[left, MARGIN_TOP], [left, bottom], [left + WIDTH, bottom]], &self.axis());
     }
 
     /// Names of the axes of a plot of this size: below its middle, and above its upper left corner.
@@ -252,9 +267,11 @@ fn ticks(from: f64, to: f64) -> Vec<f64> {
     (first..).map(|i| i as f64 * step).take_while(|t| *t <= to).collect()
 }
 
+/// Text of a tick on an axis of this length: digits as its steps need them.
 fn label(value: f64, scale: f64) -> String {
     let digits = (2.0 - scale.abs().max(1e-9).log10()).clamp(0.0, 4.0) as usize;
-    format!("{value:.digits$}")
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
 /// The viridis map by interpolation of nine of its colours.
