@@ -178,12 +178,13 @@ fn conditions_are_added_without_training_again() {
 
     // Nothing is left to do, and shards do the same.
     assert_eq!(json_lines(&mut judge("whole")).len(), 1);
-    for mut shard in ["0/2", "1/2"].map(|shard| {
+    for shard in ["0/2", "1/2"].map(|shard| {
         let mut command = judge("shards");
-        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::piped());
         command.spawn().expect("starts")
     }) {
-        assert!(shard.wait().expect("ends").success());
+        let ended = shard.wait_with_output().expect("ends");
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
     }
     json_lines(judge("shards").arg("--report-only"));
     assert_eq!(place.report("shards"), place.report("whole"));

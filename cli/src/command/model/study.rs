@@ -143,8 +143,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Makes a dataset by the plan of the spec `source`, unless it is there. Where another process makes it, such as another shard, waits
-/// for that.
-fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
+/// for that. Returns whether this process made it.
+fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<bool> {
     const WAIT: Duration = Duration::from_millis(500);
     let mut is_told = false;
     while !is_dataset(maps) {
@@ -153,14 +153,14 @@ fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Pl
             eprintln!("building {} from {}", maps.display(), source.display());
         }
         match build_plan(&plan, maps, None) {
-            Ok(_) => break,
+            Ok(_) => return Ok(true),
             // Another process has made it since.
             Err(_) if is_dataset(maps) => break,
             Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
             Err(error) => return Err(error),
         }
     }
-    Ok(())
+    Ok(false)
 }
 
 fn is_dataset(folder: &Path) -> bool {

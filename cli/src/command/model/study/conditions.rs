@@ -115,16 +115,14 @@ impl ConditionFile {
         Plan::of_spec(spec, &path, Shard::WHOLE)
     }
 
-    /// Builds its dataset in a folder of `conditions`, unless it is there. The settings lie beside it, so that a change of them is
-    /// noticed.
+    /// Builds its dataset in a folder of `conditions`, unless it is there. Whoever builds it writes the settings beside it, so that a
+    /// change of them is noticed.
     fn make(&self, study: &Path, conditions: &Path, map: RdmSpec) -> anyhow::Result<()> {
         let name = condition_file_name(&self.name)?;
         let (maps, card) = (conditions.join(&name), conditions.join(format!("{name}.json")));
         let settings = json!({ "dataset": self.dataset, "ladder": self.ladder, "raw_snr_db": self.raw_snr_db });
         let settings = format!("{settings:#}\n");
-        if !is_dataset(&maps) {
-            files::write_atomically(&card, |file| Ok(std::io::Write::write_all(file, settings.as_bytes())?))?;
-        } else if read_text(&card, TEXT_LIMIT_BYTES).is_ok_and(|found| found != settings) {
+        if is_dataset(&maps) && read_text(&card, TEXT_LIMIT_BYTES).is_ok_and(|found| found != settings) {
             bail!(
                 "{} was built from other settings, which are in {}\n\nhint: remove the folder to build it anew, or give the \
                  condition another name",
@@ -132,7 +130,10 @@ impl ConditionFile {
                 card.display()
             );
         }
-        make_dataset(&maps, self.named_source(), || self.plan(study, map))
+        if make_dataset(&maps, self.named_source(), || self.plan(study, map))? {
+            files::write_atomically(&card, |file| Ok(std::io::Write::write_all(file, settings.as_bytes())?))?;
+        }
+        Ok(())
     }
 }
 
