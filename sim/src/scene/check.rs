@@ -461,7 +461,6 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     let w = wander;
     within("max_people", w.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
     for (key, p) in [
-        ("come_and_go_probability", w.come_and_go_probability),
         ("pause_probability", w.pause_probability),
         ("stand_probability", w.stand_probability),
         ("pace_probability", w.pace_probability),
@@ -472,12 +471,6 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
         within(key, p, 0.0, 1.0, "(probability)")?;
     }
     within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
-    if w.come_and_go_probability > 0.0 {
-        let expected = "0: people who wander are there all the time; people of [people.visits] come and go";
-        return fault("come_and_go_probability", w.come_and_go_probability, expected);
-    }
-    interval("stay_s", w.stay_s, 1.0, 1800.0, "s")?;
-    interval("absence_s", w.absence_s, 1.0, 1e6, "s")?;
     interval("speed_m_per_s", w.speed_m_per_s, 0.05, 2.0, "m/s")?;
     within("acceleration_m_per_s2", w.acceleration_m_per_s2, 0.2, 5.0, "m/s^2")?;
     interval("height_m", w.height_m, 0.5, 2.5, "m")?;

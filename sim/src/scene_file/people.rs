@@ -241,7 +241,7 @@ impl Default for VisitsFile {
     }
 }
 
-/// Nobody, one or two people who wander about. Pairs are the least and the largest value drawn.
+/// Nobody, one or two people who wander about, all the time. Pairs are the least and the largest value drawn.
 ///
 /// `turn_rate_deg_per_s` (120 if absent) and `keep_off_m` (0.35 if absent) of `[people]` hold for them, too.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -249,12 +249,6 @@ impl Default for VisitsFile {
 pub struct WanderFile {
     /// Most people at a time; how many there are is drawn for each seed. Default 2.
     pub max_people: usize,
-    /// Probability that people come in by a door and leave. Only 0, the default, is taken: people who wander are there all the time.
-    pub come_and_go_probability: f64,
-    /// Time that such people would stay, s; without effect. Default [15, 90].
-    pub stay_s: [f64; 2],
-    /// Time between two of them, s; without effect. Default [3, 30].
-    pub absence_s: [f64; 2],
     /// Mean speed while walking, m/s. Drawn for each person. Default [0.15, 1].
     pub speed_m_per_s: [f64; 2],
     /// Largest acceleration, m/s^2. Default 1.
@@ -303,9 +297,6 @@ impl Default for WanderFile {
     fn default() -> Self {
         WanderFile {
             max_people: 2,
-            come_and_go_probability: 0.0,
-            stay_s: [15.0, 90.0],
-            absence_s: [3.0, 30.0],
             speed_m_per_s: [0.15, 1.0],
             acceleration_m_per_s2: 1.0,
             height_m: [1.55, 1.92],
