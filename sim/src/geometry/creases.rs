@@ -98,20 +98,13 @@ mod tests {
     use super::*;
     use crate::geometry::shape;
 
-    fn cube() -> Mesh {
-        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        Mesh { vertices, triangles }
-    }
-
     #[test]
     fn a_cube_falls_into_six_faces_and_stays_one_surface_when_smoothed() {
-        let sharp = Surface::from_mesh(&cube(), 0.5);
+        let sharp = Surface::from_mesh(&Mesh::cube(), 0.5);
         assert_eq!((sharp.triangles.len(), sharp.vertices.len()), (12, 24));
         assert!(!sharp.two_sided, "a box has an inside");
         assert!(!sharp.is_smooth());
-        let smooth = Surface::from_mesh(&cube(), 2.0);
+        let smooth = Surface::from_mesh(&Mesh::cube(), 2.0);
         assert_eq!(smooth.vertices.len(), 8);
         assert!(smooth.is_smooth());
         assert!(smooth.normals.iter().zip(&smooth.vertices).all(|(n, v)| n.dot(*v - DVec3::splat(0.5)) > 0.8));

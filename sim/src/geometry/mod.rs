@@ -18,7 +18,7 @@ mod weld;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
+pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, lint};
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
 pub use orient::oriented;
