@@ -13,7 +13,6 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use serde::Serialize;
 
 use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
-use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::Motion;
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::field::image::ImageIndex;
@@ -272,15 +271,12 @@ impl Lister<'_> {
         let pairs = audible_pairs(&self.stage, motion, time_s);
         let mut keys: Vec<Key> = Vec::new();
         echoes(&self.stage, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
-        let places = if motion.person.clothing.folds().is_some() { 1 + FOLD_PLACES } else { 1 };
         for (path, keys) in keys.chunks(receivers).enumerate() {
-            let (segment, place) = (path / places % SEGMENTS, path % places);
-            let pair = pairs.get(path / (SEGMENTS * places)).copied();
-            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair));
-            let polyline = polyline.filter(|_| place == 0).unwrap_or_default();
+            let segment = path % SEGMENTS;
+            let pair = pairs.get(path / SEGMENTS).copied();
+            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair)).unwrap_or_default();
             let body = match pair {
-                Some(_) if place == 0 => format!("person {slot} {}", SEGMENT_NAMES[segment]),
-                Some(_) => format!("person {slot} {} fold {place}", SEGMENT_NAMES[segment]),
+                Some(_) => format!("person {slot} {}", SEGMENT_NAMES[segment]),
                 None => format!("person {slot} at desk"),
             };
             for (i, key) in keys.iter().enumerate() {

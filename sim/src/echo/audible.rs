@@ -17,7 +17,6 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
 use crate::actor::body::{CHEST, SEGMENTS};
-use crate::actor::clothing::Cloth;
 use crate::actor::motion::Motion;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
@@ -144,9 +143,7 @@ impl SegmentBound {
         let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
         let mut lit: Vec<Lit> = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
-        let person = &motion.person;
-        let cloth =
-            person.cloth.get(segment).copied().unwrap_or(1.0) * person.clothing.cloth().map_or(1.0, Cloth::most);
+        let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let aperture = stage.wavelength_m / (4.0 * PI);
         let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
         if let Surroundings::Polygons(room) = &stage.room {

@@ -2,8 +2,7 @@
 //!
 //! The same surface, fields and shadows as [`super::skin`] has, but nothing of its short cuts: no window, no key times, no
 //! choice of cuts, no patches; strengths are computed wherever a flat piece has a corner, and every piece has a path and a
-//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once. Folds
-//! are smooth here.
+//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once.
 
 use std::f64::consts::TAU;
 

@@ -298,13 +298,6 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
     interval("stride", people.stride, 0.5, 1.5, "of the average")?;
     interval("arm_swing", people.arm_swing, 0.0, 3.0, "of the average")?;
-    if let Some(c) = &people.clothing {
-        within("level_db", c.level_db, -40.0, 20.0, "dB")?;
-        within("spread_db", c.spread_db, 0.0, 10.0, "dB")?;
-        within("correlation_m", c.correlation_m, 0.01, 2.0, "m")?;
-        within("roughness_m", c.roughness_m, 0.0, 0.01, "m")?;
-        within("fold_slope_deg", c.fold_slope_deg, 10.0, 60.0, "degrees")?;
-    }
     within("actor", people.actor.len() as f64, 0.0, MOST_PEOPLE, "people")?;
     for actor in &people.actor {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;

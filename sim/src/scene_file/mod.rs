@@ -19,7 +19,7 @@ use crate::material::OwnMaterial;
 use crate::receiver::Receiver;
 pub use draw::RandomFile;
 pub use people::{
-    ActorFile, BodyFile, ClothingFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
+    ActorFile, BodyFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
 };
 
 mod plan;
