@@ -14,6 +14,8 @@ mod planes;
 pub mod polygon;
 pub mod shape;
 mod surface;
+#[cfg(test)]
+mod test_meshes;
 mod weld;
 
 pub use edges::{Edge, edges, neighbours};
