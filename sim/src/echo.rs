@@ -35,10 +35,10 @@ use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, Element, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
 use crate::material::SKIN_PERMITTIVITY;
+use crate::math::smooth_step;
 use crate::paths::{EdgesBeside, Surroundings};
 use crate::shadow::Column;
 use crate::slow_time::Key;
-use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.

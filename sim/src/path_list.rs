@@ -4,7 +4,7 @@
 //! ellipsoids by pairs of images. People who are skins are listed by the ellipsoids that they are drawn over. Not listed are the
 //! leakage from antenna to antenna, small reflectors that sway, and ways by diffuse walls.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -16,6 +16,7 @@ use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
 use crate::actor::motion::Motion;
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::field::image::ImageIndex;
+use crate::math::wrapped;
 use crate::program::Program;
 use crate::scene::{Scene, SceneError};
 use crate::scene_file::ShadowFile;
@@ -162,7 +163,7 @@ impl Lister<'_> {
             delay_s,
             doppler_hz: -self.frequency_hz * delay_rate,
             gain_db: 20.0 * field.norm().max(1e-30).log10(),
-            phase_rad: (phase + PI).rem_euclid(TAU) - PI,
+            phase_rad: wrapped(phase),
             points_m: Vec::new(),
         }
     }
@@ -358,6 +359,6 @@ mod tests {
         let list = PathList::new(&corridor(), &options).expect("a list");
         let has = |name: &str| list.paths.iter().any(|path| path.surfaces.iter().any(|s| s == name));
         assert!(has("radiator") && has("x_high") && has("floor") && !has("wall"), "{list:#?}");
-        assert!(list.paths.iter().all(|path| path.doppler_hz == 0.0 && path.phase_rad.abs() <= PI + 1e-9));
+        assert!(list.paths.iter().all(|path| path.doppler_hz == 0.0 && path.phase_rad.abs() <= 0.5 * TAU + 1e-9));
     }
 }

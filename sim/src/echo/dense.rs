@@ -17,7 +17,7 @@ use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex, Wall};
 use crate::field::triangle;
 use crate::material::SKIN_PERMITTIVITY;
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 use crate::stage::Stage;
 
 /// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).

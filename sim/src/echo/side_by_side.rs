@@ -21,10 +21,10 @@ use crate::field::image::{BoxRoom, order};
 use crate::lanes::vector::store;
 use crate::lanes::{WIDE, WideRow, WideRow3, wide_lane};
 use crate::material::SKIN_PERMITTIVITY;
+use crate::math::smooth_step;
 use crate::paths::Surroundings;
 use crate::shadow::weaken_rows;
 use crate::slow_time::Key;
-use crate::smooth::smooth_step;
 use crate::tracks::OTHERS;
 
 /// Most receivers.

@@ -18,7 +18,7 @@ use super::pattern::Pattern;
 pub use super::wall::Wall;
 use super::wall::WallTable;
 use super::{Phasor3, incidence_frame};
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::{Mesh, Surface};
+use crate::math::Sets;
 
 impl Surface {
     /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
@@ -57,14 +58,7 @@ impl Surface {
 /// For each corner of each triangle a number that it shares with the corners it is smooth with; and whether some side has
 /// no triangle behind it.
 fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> (Vec<u32>, bool) {
-    let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
-    fn root(parent: &mut [u32], mut i: u32) -> u32 {
-        while parent[i as usize] != i {
-            parent[i as usize] = parent[parent[i as usize] as usize];
-            i = parent[i as usize];
-        }
-        i
-    }
+    let mut smooth = Sets::new(3 * triangles.len());
     let mut sides: Vec<((u32, u32), usize, usize)> = Vec::with_capacity(3 * triangles.len());
     for (t, (places, ..)) in triangles.iter().enumerate() {
         for i in 0..3 {
@@ -86,11 +80,10 @@ fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) 
             if triangles[t].0[k] != triangles[u].0[l] {
                 continue;
             }
-            let (p, q) = (root(&mut parent, (3 * t + k) as u32), root(&mut parent, (3 * u + l) as u32));
-            parent[p.max(q) as usize] = p.min(q);
+            smooth.join(3 * t + k, 3 * u + l);
         }
     }
-    ((0..parent.len() as u32).map(|i| root(&mut parent, i)).collect(), open)
+    ((0..3 * triangles.len()).map(|i| smooth.lowest(i) as u32).collect(), open)
 }
 
 #[cfg(test)]
