@@ -263,7 +263,7 @@ impl<'a> Paths<'a> {
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
-        let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+        let aperture = stage.aperture_m();
         let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let amplitude = reflected.received_by(back) * (spreading * cloth * weight);
@@ -361,7 +361,7 @@ fn body_point(
     let back = stage.room.illuminate(first_rx, here, point);
     let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
     let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let aperture = stage.aperture_m();
     let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
     let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
     let from_tx = point - stage.tx.position;

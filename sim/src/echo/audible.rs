@@ -8,7 +8,6 @@
 //! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
 
 use std::borrow::Cow;
-use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -144,7 +143,7 @@ impl SegmentBound {
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
         let mut lit: Vec<Lit> = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
         let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let aperture = stage.wavelength_m / (4.0 * PI);
+        let aperture = stage.aperture_m();
         let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
         if let Surroundings::Polygons(room) = &stage.room {
             let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
@@ -232,7 +231,7 @@ fn passed(stage: &Stage, low_m: f64, high_m: f64) -> f64 {
 pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
     let body = motion.body(time_s);
     let centre = body[CHEST].centre;
-    let aperture = stage.wavelength_m / (4.0 * PI);
+    let aperture = stage.aperture_m();
     let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
     let reach = |index: ImageIndex| match &stage.room {
         Surroundings::Box(room) => {

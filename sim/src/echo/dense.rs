@@ -241,7 +241,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
         return;
     }
     let k = TAU / stage.wavelength_m;
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let aperture = stage.aperture_m();
     let factor = Complex64::new(0.0, -k * aperture / TAU);
     let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
     let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);

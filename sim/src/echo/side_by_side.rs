@@ -4,7 +4,6 @@
 //! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
 //! asked only of those that can be heard.
 
-use std::f64::consts::PI;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -210,7 +209,7 @@ impl Paths<'_> {
     fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &HighlightRows) -> WideRow {
         let stage = self.stage;
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let common = 0.5 * stage.wavelength_m / (4.0 * PI) * cloth;
+        let common = 0.5 * stage.aperture_m() * cloth;
         let mut factors = [0.0; WIDE];
         for (l, factor) in factors.iter_mut().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
             // Grazing highlights fade: forward scattering is no highlight.
