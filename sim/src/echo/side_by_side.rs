@@ -4,7 +4,6 @@
 //! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
 //! asked only of those that can be heard.
 
-
 use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
