@@ -1,4 +1,4 @@
-//! Small functions of numbers: smooth steps in closed form, angles, medians, sets that are joined.
+//! Small functions of numbers: smooth steps and curves in closed form, angles, medians, sets that are joined.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,6 +22,13 @@ pub fn smooth_ramp(x: f64) -> f64 {
     } else {
         0.25 * (x + 1.0) * (x + 1.0) - (1.0 + (PI * x).cos()) / (2.0 * PI * PI)
     }
+}
+
+/// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
+pub fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
+    // What the parabola of the first end misses at the second.
+    let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
+    [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
 /// Angle between -pi and pi.

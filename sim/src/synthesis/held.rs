@@ -17,7 +17,7 @@ use super::spread::{CHIRPS, Cell, Grids, Places, Row, window};
 use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
-use crate::slow_time::quintic;
+use crate::math::quintic;
 use crate::tracks::OTHERS;
 
 /// Echoes side by side.
