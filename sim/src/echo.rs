@@ -29,17 +29,16 @@ use obstruction::{SharedWays, Way, past_own, past_people, visibility};
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
-use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
 use crate::field::image::{BoxRoom, Element, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
 use crate::material::SKIN_PERMITTIVITY;
+use crate::math::smooth_step;
 use crate::paths::{EdgesBeside, Surroundings};
 use crate::shadow::Column;
 use crate::slow_time::Key;
-use crate::smooth::smooth_step;
 use crate::stage::Stage;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.
@@ -131,8 +130,8 @@ struct Pair {
 }
 
 /// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
-/// heard, then what a person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from
-/// which they scatter. In rooms of plane faces they are those of one frame: which edges are beside them is found out once.
+/// heard, then what a person at a desk has besides. In rooms of plane faces they are those of one frame: which edges are beside them
+/// is found out once.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
@@ -142,8 +141,6 @@ pub struct Paths<'a> {
     images: usize,
     /// Number of the pair and segment of each highlight, in order.
     highlights: Vec<(usize, usize)>,
-    /// Range of a segment: its highlight (0) and its places with folds (from 1 on).
-    places: std::ops::Range<usize>,
     /// Instructions for paths side by side.
     level: KernelLevel,
     /// In rooms of plane faces, edges beside the ways to each segment, once they are known: `[image][segment]`.
@@ -168,7 +165,6 @@ impl<'a> Paths<'a> {
             let numbers = [p, q].map(|image| images.binary_search(&image).unwrap_or_default());
             Pair { there, back, sinks, signs, images: numbers }
         };
-        let folds = if motion.person.clothing.folds().is_some() { FOLD_PLACES } else { 0 };
         let of_pair = |(number, pair): (usize, &AudiblePair)| {
             let pair = *pair;
             (0..SEGMENTS).filter(move |&segment| pair.has(segment)).map(move |segment| (number, segment))
@@ -181,18 +177,7 @@ impl<'a> Paths<'a> {
             Surroundings::Polygons(_) => images.len() * SEGMENTS,
         };
         let (images, beside) = (images.len(), RefCell::new(vec![EdgesBeside::default(); ways]));
-        Paths { stage, motion, me, pairs, images, highlights, places: 0..1 + folds, level, beside }
-    }
-
-    /// Those of rough folds alone: for a skin, whose highlights are not these.
-    pub fn of_folds<P: Copy + Into<AudiblePair>>(
-        stage: &'a Stage,
-        motion: &'a Motion,
-        me: usize,
-        pairs: &[P],
-    ) -> Option<Self> {
-        let all = Paths::new(stage, motion, me, pairs);
-        (all.places.end > 1).then_some(Paths { places: 1..all.places.end, ..all })
+        Paths { stage, motion, me, pairs, images, highlights, level, beside }
     }
 
     /// Number of paths.
@@ -201,7 +186,7 @@ impl<'a> Paths<'a> {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
             bounces + desk.points.len()
         });
-        self.highlights.len() * self.places.len() + besides
+        self.highlights.len() + besides
     }
 
     /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
@@ -227,17 +212,15 @@ impl<'a> Paths<'a> {
         out: &mut Vec<Key>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
-        let places = self.places.len();
-        if let Some(&(number, segment)) = self.highlights.get(path / places) {
-            let (pair, place) = (self.pairs.get(number)?, self.places.start + path % places);
-            return self.highlight(pair, (segment, place), instant, near, out, report);
+        if let Some(&(number, segment)) = self.highlights.get(path) {
+            return self.highlight(self.pairs.get(number)?, segment, instant, near, out, report);
         }
         let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
-        let besides = path - self.highlights.len() * places;
+        let besides = path - self.highlights.len();
         let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
         let segment = if besides < bounces { besides } else { CHEST };
         let mut once = Vec::with_capacity(direct.sinks.len());
-        let met = self.highlight(direct, (segment, 0), instant, near, &mut once, report);
+        let met = self.highlight(direct, segment, instant, near, &mut once, report);
         match desk.points.get(besides.wrapping_sub(bounces)) {
             Some(place) => body_point(self.stage, desk, place, instant.people, self.me, &once, out),
             None => once.iter().for_each(|key| out.push(double_bounce(self.stage, desk, segment, key))),
@@ -245,11 +228,11 @@ impl<'a> Paths<'a> {
         met
     }
 
-    /// The highlight of a segment by a pair of images (place 0), or what folds at a place scatter of it.
+    /// The highlight of a segment by a pair of images.
     fn highlight(
         &self,
         pair: &Pair,
-        (segment, place): (usize, usize),
+        segment: usize,
         instant: &mut Instant,
         near: Option<DVec3>,
         out: &mut Vec<Key>,
@@ -280,36 +263,17 @@ impl<'a> Paths<'a> {
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
-        let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+        let aperture = stage.aperture_m();
         let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
-        let person = &self.motion.person;
-        let cloth = person.cloth.get(segment).copied().unwrap_or(1.0);
-        let field = person.clothing.cloth().map_or(1.0, |cloth| cloth.factor_on(segment, h.unit));
-        let mut amplitude = reflected.received_by(back) * (spreading * cloth * field * weight);
-        let (mut unit, mut point, mut distance_t, mut towards_t) = (h.unit, h.point, h.distances_m.0, h.towards.0);
-        if let Some(folds) = person.clothing.folds() {
-            let wavenumber_per_m = std::f64::consts::TAU / stage.wavelength_m;
-            let coherent = folds.coherent(wavenumber_per_m, h.cosine);
-            if place == 0 {
-                amplitude *= coherent;
-            } else if let Some((at, part)) = folds.diffuse(segment, place - 1, ellipsoid, h.normal, coherent) {
-                amplitude *= part;
-                if !(h.inside.0 || h.inside.1) {
-                    (unit, point) = (at, ellipsoid.surface(at));
-                    let to_tx = way_there.source - point;
-                    (distance_t, towards_t) = (to_tx.length(), to_tx.normalize_or_zero());
-                }
-            } else {
-                amplitude = Complex64::ZERO;
-            }
-        }
-        let velocity = own.velocity(segment, unit);
+        let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
+        let amplitude = reflected.received_by(back) * (spreading * cloth * weight);
+        let velocity = own.velocity(segment, h.unit);
         for (rx, sink) in sinks.iter().enumerate() {
-            let to_rx = *sink - point;
+            let to_rx = *sink - h.point;
             let distance_r = if h.inside.1 { h.distances_m.1 } else { to_rx.length() };
-            let rate_t = if h.inside.0 { 0.0 } else { -towards_t.dot(velocity) };
+            let rate_t = if h.inside.0 { 0.0 } else { -h.towards.0.dot(velocity) };
             let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
-            let delay_s = (distance_t + distance_r) / SPEED_OF_LIGHT_M_PER_S;
+            let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
             let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
             let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
             out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
@@ -397,7 +361,7 @@ fn body_point(
     let back = stage.room.illuminate(first_rx, here, point);
     let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
     let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let aperture = stage.aperture_m();
     let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
     let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
     let from_tx = point - stage.tx.position;

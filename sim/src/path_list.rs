@@ -4,7 +4,7 @@
 //! ellipsoids by pairs of images. People who are skins are listed by the ellipsoids that they are drawn over. Not listed are the
 //! leakage from antenna to antenna, small reflectors that sway, and ways by diffuse walls.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -13,10 +13,10 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use serde::Serialize;
 
 use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
-use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::Motion;
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::field::image::ImageIndex;
+use crate::math::wrapped;
 use crate::program::Program;
 use crate::scene::{Scene, SceneError};
 use crate::scene_file::ShadowFile;
@@ -163,7 +163,7 @@ impl Lister<'_> {
             delay_s,
             doppler_hz: -self.frequency_hz * delay_rate,
             gain_db: 20.0 * field.norm().max(1e-30).log10(),
-            phase_rad: (phase + PI).rem_euclid(TAU) - PI,
+            phase_rad: wrapped(phase),
             points_m: Vec::new(),
         }
     }
@@ -272,15 +272,12 @@ impl Lister<'_> {
         let pairs = audible_pairs(&self.stage, motion, time_s);
         let mut keys: Vec<Key> = Vec::new();
         echoes(&self.stage, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
-        let places = if motion.person.clothing.folds().is_some() { 1 + FOLD_PLACES } else { 1 };
         for (path, keys) in keys.chunks(receivers).enumerate() {
-            let (segment, place) = (path / places % SEGMENTS, path % places);
-            let pair = pairs.get(path / (SEGMENTS * places)).copied();
-            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair));
-            let polyline = polyline.filter(|_| place == 0).unwrap_or_default();
+            let segment = path % SEGMENTS;
+            let pair = pairs.get(path / SEGMENTS).copied();
+            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair)).unwrap_or_default();
             let body = match pair {
-                Some(_) if place == 0 => format!("person {slot} {}", SEGMENT_NAMES[segment]),
-                Some(_) => format!("person {slot} {} fold {place}", SEGMENT_NAMES[segment]),
+                Some(_) => format!("person {slot} {}", SEGMENT_NAMES[segment]),
                 None => format!("person {slot} at desk"),
             };
             for (i, key) in keys.iter().enumerate() {
@@ -362,6 +359,6 @@ mod tests {
         let list = PathList::new(&corridor(), &options).expect("a list");
         let has = |name: &str| list.paths.iter().any(|path| path.surfaces.iter().any(|s| s == name));
         assert!(has("radiator") && has("x_high") && has("floor") && !has("wall"), "{list:#?}");
-        assert!(list.paths.iter().all(|path| path.doppler_hz == 0.0 && path.phase_rad.abs() <= PI + 1e-9));
+        assert!(list.paths.iter().all(|path| path.doppler_hz == 0.0 && path.phase_rad.abs() <= 0.5 * TAU + 1e-9));
     }
 }

@@ -8,7 +8,7 @@ use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::actor::motion::{Bed, Motion, MotionBuilder};
-use crate::actor::person::{AtDesk, BodyPoint, Person, Steps, dressed};
+use crate::actor::person::{AtDesk, BodyPoint, Person, Steps, with_gait};
 use crate::actor::route::Ground;
 use crate::actor::wander;
 use crate::random::{Purpose, draw, generator};
@@ -134,7 +134,7 @@ fn scripted(
     let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
     let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
     person.steps = steps;
-    person = dressed(person, &file.people, seed);
+    person = with_gait(person, &file.people, seed);
     person.style.stride = actor.stride.unwrap_or(person.style.stride);
     person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
     let size_m = [file.room.size_m[0], file.room.size_m[1]];
@@ -248,7 +248,7 @@ fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion>
     }
     let size_m = file.room.size_m;
     let person = Person::draw(seed, [u64::MAX, 0], draw(&mut rng, visits.height_m));
-    let mut person = dressed(person, &file.people, seed);
+    let mut person = with_gait(person, &file.people, seed);
     let level = 10f64.powf(0.05 * draw(&mut rng, visits.passer_by_level_db));
     person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
     let place = |rng: &mut Xoshiro256PlusPlus| [size_m[0] + draw(rng, BEYOND_M), draw(rng, [0.0, size_m[1]])];
@@ -292,7 +292,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
                 * rng.random_range(if count > 1 { 0.6..1.0 } else { 0.0..1.0 });
         let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
         let person = Person::draw(seed, [slot as u64, 1 << 20], height);
-        let mut person = dressed(person, &scene.file().people, seed);
+        let mut person = with_gait(person, &scene.file().people, seed);
         person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
         person.at_ease();
         let reflectivity = 10f64.powf(0.05 * (level_db + desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0)));
@@ -383,7 +383,7 @@ impl Visits {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
         let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
-        let person = dressed(person, &self.people, self.seed);
+        let person = with_gait(person, &self.people, self.seed);
         let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
         let at_door = |door: &DoorFile, depth: f64, lateral: f64| at_door(self.size_m, door, depth, lateral);
         let go = |path, to| go(path, self.ground.as_ref(), to, speed);

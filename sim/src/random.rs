@@ -28,10 +28,8 @@ pub enum Purpose {
     Scene,
     /// Points of walls that throw in all directions.
     WallPoints,
-    /// Cloth and folds of a person.
-    Clothing,
-    /// Gait of a person.
-    Gait,
+    /// Gait of a person. 11 is free: with another number all later draws would be others.
+    Gait = 12,
     /// Phase noise of a frame.
     PhaseNoise,
     /// Times and heights of the steps of echoes.

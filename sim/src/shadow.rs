@@ -10,7 +10,7 @@ use radome_dsp::KernelLevel;
 
 use crate::lanes::vector::{dot, subtract};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
-use crate::smooth::{smooth_ramp, smooth_step};
+use crate::math::{smooth_ramp, smooth_step};
 
 /// An upright obstacle standing on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]

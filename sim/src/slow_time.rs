@@ -7,6 +7,8 @@
 
 use num_complex::{Complex, Complex64};
 
+use crate::math::quintic;
+
 /// A path at one key time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Key {
@@ -50,13 +52,6 @@ pub struct Stretch {
     delay_s: [f64; 8],
     amplitude: [Complex<f32>; 6],
     stretch_s: f64,
-}
-
-/// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
-pub(crate) fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
-    // What the parabola of the first end misses at the second.
-    let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
-    [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
 /// Septic Hermite over 0..1 by powers, from values and three derivatives at the ends.

@@ -103,6 +103,11 @@ pub fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
 }
 
 impl Stage {
+    /// Wavelength over 4 pi, m: of the field at an isotropic antenna, times its distance, so much is received.
+    pub(crate) fn aperture_m(&self) -> f64 {
+        self.wavelength_m / (4.0 * std::f64::consts::PI)
+    }
+
     /// Traces what is static, once.
     pub fn new(scene: &Scene, seed: u64, margin_db: f64) -> Self {
         let (receiver, waveform) = (scene.receiver(), scene.waveform());
@@ -215,7 +220,7 @@ impl Stage {
             .map(|rx| {
                 let back = self.room.illuminate(rx, q, point);
                 let (r_t, r_r) = (there.distance_m.max(0.1), back.distance_m.max(0.1));
-                let aperture = self.wavelength_m / (4.0 * std::f64::consts::PI);
+                let aperture = self.aperture_m();
                 let scatter = (cross_section_m2 / (4.0 * std::f64::consts::PI)).sqrt();
                 let amplitude = there.field.received_by(back.field)
                     * Complex64::from_polar(aperture * scatter / (r_t * r_r), phase);

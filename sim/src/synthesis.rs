@@ -192,9 +192,7 @@ impl Synthesiser {
     /// Lays a phasor (amplitude with phase at the middle of the chirp) of a frequency on a grid.
     #[inline]
     pub fn add_at(&self, cycles_per_sample: f64, phasor: Complex<f32>, grid: &mut Grid) {
-        let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
-        let folded = if nearest < 0.0 { nearest + 1.0 } else { nearest };
-        let position = folded * self.cells as f64;
+        let position = on_circle(cycles_per_sample) * self.cells as f64;
         // First cell under the kernel, plus half a kernel of margin at the low end.
         let whole = position as usize;
         let first = whole + usize::from(position > whole as f64);
@@ -276,6 +274,13 @@ const SHIFT: f64 = 6_755_399_441_055_744.0;
 #[inline(always)]
 fn nearest_integer(x: f64) -> f64 {
     (x + SHIFT) - SHIFT
+}
+
+/// The part of a number of turns that is left of whole ones, 0..1.
+#[inline(always)]
+fn on_circle(turns: f64) -> f64 {
+    let nearest = turns - nearest_integer(turns);
+    if nearest < 0.0 { nearest + 1.0 } else { nearest }
 }
 
 /// `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its doubling.

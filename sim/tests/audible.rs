@@ -79,7 +79,7 @@ fn compared(stage: &Stage, motion: &Motion, time_s: f64, only_direct: bool) -> (
     let highlights =
         kept.iter().flat_map(|kept| (0..SEGMENTS).filter(move |&s| kept.has(s)).map(move |s| (kept.pair, s)));
     let highlights: Vec<_> = highlights.collect();
-    assert_eq!(of_frame.count(), highlights.len(), "nobody of these wears folds or sits at a desk");
+    assert_eq!(of_frame.count(), highlights.len(), "nobody of these sits at a desk");
     let asked: Vec<_> = (0..highlights.len()).map(|path| (path, None)).collect();
     let met = of_frame.meet(&asked, &people, &mut EchoReport::default());
     let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));

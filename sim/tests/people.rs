@@ -1,5 +1,5 @@
-//! Motion and clothes of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways
-//! around furniture, and rough clothes that keep their power.
+//! Motion of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, and ways around
+//! furniture.
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -11,13 +11,11 @@ use radome_sim::actor::body::{CHEST, PELVIS};
 use radome_sim::actor::motion::{Bed, Motion, MotionBuilder, Person};
 use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
-use radome_sim::echo::{EchoReport, Paths, Snapshot};
 use radome_sim::program::Program;
 use radome_sim::scene_file::{BodyFile, SceneFile};
-use radome_sim::stage::Stage;
-use radome_sim::{Scene, SimulateOptions, Simulator};
+use radome_sim::{Scene, Simulator};
 
-use crate::common::{self, hall, map_db, parse, scene, simulator};
+use crate::common::{hall, map_db, parse, scene, simulator};
 
 const HEIGHT_M: f64 = 1.75;
 const TURN_RAD_PER_S: f64 = 1.8;
@@ -312,88 +310,7 @@ pace_area_m = [[4.0, 6.0], [13.0, 13.0]]
     }
 }
 
-const STANDS: &str = "[people]\nactor = [{ step = [{ walk_to_m = [4.0, 10.0] }, { stand_s = 100.0 }] }]\n";
 const WALKS: &str = "[people]\nactor = [{ step = [{ walk_to_m = [3.0, 10.2] }, { walk_to_m = [9.0, 10.4] }] }]\n";
-
-fn clothed(people: &str, clothing: &str) -> Scene {
-    parse(&hall(&format!("{people}\n[people.clothing]\n{clothing}\n")))
-}
-
-/// Powers of somebody's direct echoes, coherent ones and all, and of those of smooth clothes.
-fn powers(roughness_m: f64, t: f64) -> [f64; 3] {
-    let rough = clothed(STANDS, &format!("spread_db = 0.0\nroughness_m = {roughness_m}"));
-    let smooth = clothed(STANDS, "spread_db = 0.0");
-    let of = |scene: &Scene| {
-        let stage = Stage::new(scene, 1, 20.0);
-        let motion = &Program::new(scene, 1, None).between(t, t)[0].1;
-        let people = [Snapshot::new(motion, t)];
-        let paths = Paths::new(&stage, motion, 0, &[([0; 3], [0; 3])]);
-        let each: Vec<f64> = (0..paths.count())
-            .map(|path| {
-                let mut keys = Vec::new();
-                paths.trace(path, &people, None, &mut keys, &mut EchoReport::default());
-                keys[0].amplitude.norm_sqr()
-            })
-            .collect();
-        let places = each.len() / 13;
-        (each.iter().step_by(places).sum::<f64>(), each.iter().sum::<f64>())
-    };
-    let ((coherent, all), (_, before)) = (of(&rough), of(&smooth));
-    [coherent, all, before]
-}
-
-/// Coherent and diffuse power together are that of smooth clothes; of it, half a millimetre leaves 6.9 dB less to highlights at
-/// normal incidence, which monostatic ones are.
-#[test]
-fn rough_clothes_keep_their_power_and_dim_highlights_as_they_should() {
-    for (roughness_m, expected_db) in [(0.25e-3, -1.72), (0.5e-3, -6.87), (1e-3, -27.5)] {
-        for t in [0.5, 1.7, 3.1] {
-            let [coherent, all, smooth] = powers(roughness_m, t);
-            let kept_db = 10.0 * (all / smooth).log10();
-            assert!(kept_db.abs() < 0.1, "{kept_db} dB at {roughness_m} m");
-            let left_db = 10.0 * (coherent / smooth).log10();
-            assert!((left_db - expected_db).abs() < 0.02 * expected_db.abs() + 0.02, "{left_db} dB at {roughness_m} m");
-        }
-    }
-}
-
-fn echo_power_db(scene: &Scene, body: BodyFile, seed: u64, frames: u64) -> f64 {
-    let scene = scene.clone().with_body(body);
-    let options = SimulateOptions { seed, ..SimulateOptions::default() };
-    let simulator = Simulator::new(&scene, options).expect("valid options");
-    let power = |i: u64| simulator.echo_samples(10 + i).iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
-    10.0 * (0..frames).map(power).sum::<f64>().log10()
-}
-
-/// Over a walk, in samples as they are received, for both kinds of bodies.
-#[test]
-fn echoes_of_rough_clothes_have_the_power_of_smooth_ones_over_a_walk() {
-    let smooth = clothed(WALKS, "spread_db = 0.0");
-    let rough = clothed(WALKS, "spread_db = 0.0\nroughness_m = 0.0005");
-    for (body, frames, most_db) in [(BodyFile::Ellipsoids, 36, 1.0), (BodyFile::Mesh, 8, 2.0)] {
-        let mean_db = |scene: &Scene| (1..=3).map(|seed| echo_power_db(scene, body, seed, frames)).sum::<f64>() / 3.0;
-        let change_db = mean_db(&rough) - mean_db(&smooth);
-        #[allow(clippy::print_stderr)]
-        {
-            eprintln!("{body:?}: rough clothes change the power by {change_db:.2} dB");
-        }
-        assert!(change_db.abs() < most_db, "{body:?}: {change_db} dB");
-    }
-}
-
-/// The factor that cloth puts on every vertex of a skin, over seeds: its mean and deviation are those asked for.
-#[test]
-fn cloth_on_skins_has_the_mean_and_spread_that_were_asked_for() {
-    let scene = clothed(STANDS, "level_db = -1.5\nspread_db = 2.0\ncorrelation_m = 0.08");
-    let mut all = Vec::new();
-    for seed in 0..24 {
-        let motion = Arc::clone(&Program::new(&scene, seed, None).between(1.0, 1.0)[0].1);
-        let skinned = radome_sim::echo::skin::SkinnedPerson::new(WalkingMesh::new(motion, 1.5 * EDGE_M));
-        all.extend(skinned.cloth().iter().map(|c| 20.0 * c.log10()));
-    }
-    let (mean, deviation) = common::statistics(&all);
-    assert!((mean + 1.5).abs() < 0.15 && (deviation - 2.0).abs() < 0.15, "{mean} dB, {deviation} dB");
-}
 
 fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
     let simulator = simulator(scene, seed, None);
@@ -404,18 +321,12 @@ fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
 #[test]
 fn what_is_off_leaves_every_byte_as_it_was() {
     for body in [BodyFile::Ellipsoids, BodyFile::Mesh] {
-        let plain = parse(&hall(WALKS)).with_body(body);
-        let off = format!(
-            "{}\nstride = [1.0, 1.0]\narm_swing = [1.0, 1.0]\n[people.clothing]\nspread_db = 0.0",
-            WALKS.trim()
-        );
-        let off = parse(&hall(&off)).with_body(body);
+        let with = |keys: &str| parse(&hall(&format!("{}\n{keys}", WALKS.trim()))).with_body(body);
+        let (plain, off) = (with(""), with("stride = [1.0, 1.0]\narm_swing = [1.0, 1.0]"));
         assert!(codes(&plain, 5) == codes(&off, 5), "{body:?}: off is not off");
-        for clothing in ["", "roughness_m = 0.0005"] {
-            let on = clothed(WALKS, clothing).with_body(body);
-            assert!(codes(&on, 5) == codes(&on, 5), "{body:?}: the same seed, other bytes");
-            assert!(codes(&on, 5) != codes(&plain, 5), "{body:?}: {clothing:?} does nothing");
-        }
+        let on = with("arm_swing = [0.5, 2.0]");
+        assert!(codes(&on, 5) == codes(&on, 5), "{body:?}: the same seed, other bytes");
+        assert!(codes(&on, 5) != codes(&plain, 5), "{body:?}: arm_swing does nothing");
     }
 }
 
@@ -503,10 +414,6 @@ mod hard_cases {
             ("keep_off_m = -1.0", "keep_off_m"),
             ("stride = [1.2, 0.8]", "stride"),
             ("arm_swing = [0.0, nan]", "arm_swing"),
-            ("clothing = { spread_db = -1.0 }", "spread_db"),
-            ("clothing = { roughness_m = 1.0 }", "roughness_m"),
-            ("clothing = { correlation_m = 0.0 }", "correlation_m"),
-            ("clothing = { colour = 1.0 }", "colour"),
         ] {
             let message = message(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n"));
             assert!(message.contains(expected), "{keys}: {message}");

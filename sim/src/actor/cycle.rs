@@ -6,6 +6,7 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 
 use super::skin::Map;
+use crate::math::median;
 
 /// A foot's places within this of the lowest rest on the floor, as a part of the body's height: 5 mm of 1.75 m.
 const CONTACT: f64 = 0.003;
@@ -105,20 +106,20 @@ impl Stance {
     pub fn of(points: &[Vec<DVec3>], height_m: f64) -> Self {
         let count = points.len();
         let lowest: Vec<f64> = points.iter().map(|p| p.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)).collect();
-        let floor_m = median(lowest.iter().copied());
+        let floor_m = median(lowest.clone());
         // Velocity, m a cycle, of what touches the floor; nothing does in flight.
         let touching = |k: usize| {
             let (before, now, after) = (&points[(k + count - 1) % count], &points[k], &points[(k + 1) % count]);
             let rates = now.iter().enumerate().filter(|(_, p)| p.z < lowest[k] + CONTACT * height_m);
             let rates: Vec<DVec3> = rates.map(|(i, _)| (after[i] - before[i]) * (0.5 * count as f64)).collect();
             let lands = lowest[k] <= floor_m + FLIGHT * height_m;
-            lands.then(|| DVec3::new(median(rates.iter().map(|r| r.x)), median(rates.iter().map(|r| r.y)), 0.0))
+            lands.then(|| middle_of(&rates))
         };
         let touching: Vec<Option<DVec3>> = (0..count).map(touching).collect();
-        let all = || touching.iter().flatten();
-        let middle = DVec3::new(median(all().map(|r| r.x)), median(all().map(|r| r.y)), 0.0);
+        let all: Vec<DVec3> = touching.iter().flatten().copied().collect();
+        let middle = middle_of(&all);
         // A foot that swings low is none that stands.
-        let standing: Vec<DVec3> = all().filter(|r| stands(**r, middle)).copied().collect();
+        let standing: Vec<DVec3> = all.into_iter().filter(|&r| stands(r, middle)).collect();
         let mean = standing.iter().sum::<DVec3>() / standing.len().max(1) as f64;
         let slips_m = touching.iter().map(|t| t.map(|rate| rate - mean)).collect();
         Stance { travel_m: -mean, floor_m, slips_m, heights_m: lowest.iter().map(|z| z - floor_m).collect() }
@@ -184,10 +185,10 @@ fn stands(rate: DVec3, most: DVec3) -> bool {
     rate.dot(most) > 0.0 && rate.length() < 2.0 * most.length()
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut all: Vec<f64> = values.collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().unwrap_or(0.0)
+/// Medians of velocities on the ground plan.
+fn middle_of(rates: &[DVec3]) -> DVec3 {
+    let of = |axis: usize| median(rates.iter().map(|rate| rate[axis]).collect());
+    DVec3::new(of(0), of(1), 0.0)
 }
 
 /// The part of a sequence of poses that is the best cycle: first and last number. `places` are joints, `[pose][joint]`, at even

@@ -4,7 +4,6 @@
 pub mod body;
 pub mod bvh;
 pub mod clip;
-pub mod clothing;
 mod collada;
 mod cycle;
 pub mod gait;

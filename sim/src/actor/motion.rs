@@ -12,7 +12,7 @@ pub use super::person::{AtDesk, BodyPoint, Person, Steps};
 use super::track::Track;
 use super::wander::Wanderer;
 use crate::field::highlight::Ellipsoid;
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 pub use builder::{Bed, MotionBuilder};
 
 /// A person's motion over time.

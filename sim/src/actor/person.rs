@@ -8,7 +8,6 @@ use rand::Rng;
 
 use super::body::{Build, SEGMENTS};
 use super::clip::BodyClip;
-use super::clothing::Clothing;
 use super::gait::Style;
 use super::imported::Actor;
 use crate::random::{Purpose, draw, generator};
@@ -36,7 +35,7 @@ pub struct Person {
     pub build: Build,
     /// Identity for later draws.
     pub identity: [u64; 2],
-    /// Amplitude factor of each segment: clothes and folds (-4..+2 dB over skin).
+    /// Amplitude factor of each segment: clothes (-4..+2 dB over skin).
     pub cloth: [f64; SEGMENTS],
     seed: u64,
     breath_m: f64,
@@ -53,8 +52,6 @@ pub struct Person {
     pub steps: Steps,
     /// Style of walking by the built-in gait.
     pub style: Style,
-    /// Clothes, as fields over the body.
-    pub clothing: Clothing,
 }
 
 /// Draws of a person close before the radar.
@@ -107,7 +104,6 @@ impl Person {
             at_desk: None,
             steps: Steps::Gait,
             style: Style::AVERAGE,
-            clothing: Clothing::default(),
         }
     }
 
@@ -154,15 +150,9 @@ impl Person {
     }
 }
 
-/// Applies the scene's gait and clothes to a person.
-pub(crate) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
+/// Applies the scene's gait to a person.
+pub(crate) fn with_gait(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
     let mut rng = generator(seed, Purpose::Gait, person.identity);
     person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
-    if let Some(file) = &people.clothing {
-        person.clothing = Clothing::draw(file, seed, person.identity, &person.build);
-        if person.clothing.cloth().is_some() {
-            person.cloth = [1.0; SEGMENTS];
-        }
-    }
     person
 }

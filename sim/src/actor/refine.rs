@@ -198,15 +198,14 @@ mod tests {
     use glam::DMat3;
 
     use super::*;
-    use crate::geometry::{lint, shape};
+    use crate::geometry::shape;
 
     fn still() -> Vec<Map> {
         vec![Map { centre: DVec3::ZERO, stretch: DMat3::IDENTITY }]
     }
 
     fn ball() -> Mesh {
-        let ball = shape::icosphere(DVec3::splat(0.3), 2);
-        Mesh { vertices: ball.vertices, triangles: ball.triangles }
+        shape::icosphere(DVec3::splat(0.3), 2).mesh()
     }
 
     /// A ball of 80 triangles of 16 cm becomes one of 2 cm, rounder than it was, still closed, every edge short.
@@ -216,7 +215,7 @@ mod tests {
         let before = ball.volume_m3();
         let weights = vec![vec![(0, 1.0)]; ball.vertices.len()];
         let fine = refine(&ball, &weights, &still()).expect("a good mesh");
-        assert!(lint(&fine.mesh).is_solid() && fine.open_edges == 0);
+        assert!(fine.mesh.is_solid() && fine.open_edges == 0);
         let longest = edges(&fine.mesh)
             .into_iter()
             .map(|e| fine.mesh.vertices[e.vertices[0] as usize].distance(fine.mesh.vertices[e.vertices[1] as usize]));

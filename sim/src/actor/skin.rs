@@ -473,7 +473,7 @@ impl std::ops::Mul<f64> for Map {
 }
 
 /// The segments standing over the origin with limbs apart.
-pub(super) fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
+fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
     let mut all = build.segments(&build.standing());
     for side in 0..2 {
         let sign = if side == 0 { 1.0 } else { -1.0 };

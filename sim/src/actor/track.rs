@@ -1,7 +1,7 @@
 //! Smooth functions of time made of corners: every change of slope or level is spread over a window with a raised cosine, in
 //! closed form, so that position, velocity and acceleration are continuous and any time can be asked for directly.
 
-use crate::smooth::{smooth_ramp, smooth_step};
+use crate::math::{smooth_ramp, smooth_step};
 
 /// `start + sum level_k step((t - t_k)/w_k) + sum slope_k w_k ramp((t - t_k)/w_k)`.
 #[derive(Debug, Clone, PartialEq)]

@@ -24,11 +24,11 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::actor::low::Crouch;
 use crate::actor::moment::{Moment, Small};
-use crate::actor::person::{Person, dressed};
+use crate::actor::person::{Person, with_gait};
 use crate::actor::route::{Block, Ground};
+use crate::math::smooth_step;
 use crate::random::{Purpose, draw, generator};
 use crate::scene_file::{SceneFile, SeatFile, WanderFile};
-use crate::smooth::smooth_step;
 use node::Place;
 use setting::{Seat, Setting, View};
 use small::Sway;
@@ -63,7 +63,7 @@ fn heavy_tailed(rng: &mut Xoshiro256PlusPlus, [least_s, longest_s]: [f64; 2]) ->
 fn person(setting: &Setting, identity: [u64; 2]) -> Person {
     let mut rng = generator(setting.seed, Purpose::Wander, [identity[0] | 1 << 40, identity[1]]);
     let person = Person::draw(setting.seed, identity, draw(&mut rng, setting.file.height_m));
-    dressed(person, &setting.people, setting.seed)
+    with_gait(person, &setting.people, setting.seed)
 }
 
 /// Everybody who wanders in a scene among blocks, somebody beyond the far wall last; `people` says how many are in the room instead

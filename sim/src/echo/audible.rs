@@ -8,7 +8,6 @@
 //! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
 
 use std::borrow::Cow;
-use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -17,7 +16,6 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
 use crate::actor::body::{CHEST, SEGMENTS};
-use crate::actor::clothing::Cloth;
 use crate::actor::motion::Motion;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
@@ -144,10 +142,8 @@ impl SegmentBound {
         let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
         let mut lit: Vec<Lit> = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
-        let person = &motion.person;
-        let cloth =
-            person.cloth.get(segment).copied().unwrap_or(1.0) * person.clothing.cloth().map_or(1.0, Cloth::most);
-        let aperture = stage.wavelength_m / (4.0 * PI);
+        let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
+        let aperture = stage.aperture_m();
         let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
         if let Surroundings::Polygons(room) = &stage.room {
             let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
@@ -235,7 +231,7 @@ fn passed(stage: &Stage, low_m: f64, high_m: f64) -> f64 {
 pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
     let body = motion.body(time_s);
     let centre = body[CHEST].centre;
-    let aperture = stage.wavelength_m / (4.0 * PI);
+    let aperture = stage.aperture_m();
     let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
     let reach = |index: ImageIndex| match &stage.room {
         Surroundings::Box(room) => {

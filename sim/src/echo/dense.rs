@@ -2,8 +2,7 @@
 //!
 //! The same surface, fields and shadows as [`super::skin`] has, but nothing of its short cuts: no window, no key times, no
 //! choice of cuts, no patches; strengths are computed wherever a flat piece has a corner, and every piece has a path and a
-//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once. Folds
-//! are smooth here.
+//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +17,7 @@ use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex, Wall};
 use crate::field::triangle;
 use crate::material::SKIN_PERMITTIVITY;
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 use crate::stage::Stage;
 
 /// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
@@ -242,7 +241,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
         return;
     }
     let k = TAU / stage.wavelength_m;
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let aperture = stage.aperture_m();
     let factor = Complex64::new(0.0, -k * aperture / TAU);
     let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
     let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);

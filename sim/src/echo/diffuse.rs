@@ -251,7 +251,7 @@ impl Segment {
     /// A segment of somebody whose echoes are this much stronger each, since fewer stand for all.
     fn new(stage: &Stage, own: &[&Snapshot], segment: usize, share: f64) -> Self {
         let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
-        let aperture = stage.wavelength_m / (4.0 * PI);
+        let aperture = stage.aperture_m();
         let lit = |now: &&Snapshot| {
             let (centre, velocity, acceleration) = now.centre(segment);
             Scatterer { centre, velocity, acceleration }

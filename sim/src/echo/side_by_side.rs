@@ -4,8 +4,6 @@
 //! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
 //! asked only of those that can be heard.
 
-use std::f64::consts::PI;
-
 use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
@@ -21,10 +19,10 @@ use crate::field::image::{BoxRoom, order};
 use crate::lanes::vector::store;
 use crate::lanes::{WIDE, WideRow, WideRow3, wide_lane};
 use crate::material::SKIN_PERMITTIVITY;
+use crate::math::smooth_step;
 use crate::paths::Surroundings;
 use crate::shadow::weaken_rows;
 use crate::slow_time::Key;
-use crate::smooth::smooth_step;
 use crate::tracks::OTHERS;
 
 /// Most receivers.
@@ -83,7 +81,7 @@ impl Paths<'_> {
     /// where on its segment each was met a little earlier or later.
     pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
         let mut met = vec![Met::new(&[], None); asked.len()];
-        if let (true, Surroundings::Box(room)) = (self.places == (0..1), &self.stage.room) {
+        if let Surroundings::Box(room) = &self.stage.room {
             let mut of_segments: [Vec<usize>; SEGMENTS] = Default::default();
             for (at, &(path, _)) in asked.iter().enumerate() {
                 if let Some(&(_, segment)) = self.highlights.get(path) {
@@ -102,7 +100,7 @@ impl Paths<'_> {
             Surroundings::Polygons(room) => Some(SharedWays::new(self.stage, room, people, self.me, &self.beside)),
         };
         let mut instant = Instant { people, own, ways };
-        // What lanes leave, folds, and what a person at a desk has besides.
+        // What lanes leave, and what a person at a desk has besides.
         let mut keys = Vec::with_capacity(RECEIVERS);
         for (met, &(path, near)) in met.iter_mut().zip(asked).filter(|(met, _)| met.receivers == 0) {
             keys.clear();
@@ -208,15 +206,14 @@ impl Paths<'_> {
     /// Factors of amplitudes beside fields and spreading: aperture, clothes, walls about the room, grazing incidence, and the own
     /// limbs and trunk. Zero where nothing was found.
     fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &HighlightRows) -> WideRow {
-        let (stage, person) = (self.stage, &self.motion.person);
-        let cloth = person.cloth.get(segment).copied().unwrap_or(1.0);
-        let common = 0.5 * stage.wavelength_m / (4.0 * PI) * cloth;
+        let stage = self.stage;
+        let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
+        let common = 0.5 * stage.aperture_m() * cloth;
         let mut factors = [0.0; WIDE];
         for (l, factor) in factors.iter_mut().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
             // Grazing highlights fade: forward scattering is no highlight.
             let faded = smooth_step((seen.cosine[l] - 0.2) / 0.1);
-            let field = person.clothing.cloth().map_or(1.0, |cloth| cloth.factor_on(segment, vector(&seen.unit, l)));
-            *factor = common * field * faded * inside_room(stage, vector(&seen.point, l));
+            *factor = common * faded * inside_room(stage, vector(&seen.point, l));
         }
         if segment >= 3 {
             let other = opposite(segment).and_then(|other| own.body.get(other)).map(limb_column);

@@ -12,9 +12,6 @@
 //!
 //! A way and its reverse differ by the few millimetres between transmitter and receivers: they are integrated once.
 //!
-//! Rough folds take their part of every vertex's strength here; what they scatter of it comes from the segments' ellipsoids
-//! ([`super::Paths::of_folds`]).
-//!
 //! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
@@ -46,14 +43,7 @@ pub struct SkinnedPerson {
 impl SkinnedPerson {
     /// Somebody who moves as a mesh.
     pub fn new(mesh: WalkingMesh) -> Self {
-        let person = &mesh.motion().person;
-        let mut cloth = mesh.skin().blend(&person.cloth);
-        if let Some(field) = person.clothing.cloth() {
-            cloth
-                .iter_mut()
-                .zip(&mesh.skin().rest().vertices)
-                .for_each(|(cloth, &place)| *cloth *= field.factor(place));
-        }
+        let cloth = mesh.skin().blend(&mesh.motion().person.cloth);
         SkinnedPerson { mesh, cloth }
     }
 
@@ -133,7 +123,6 @@ impl SkinnedPerson {
             indices,
             posed,
             weights: Vec::new(),
-            folds: self.mesh.motion().person.clothing.folds(),
             missed_between_keys: demand.missed_between_keys(),
         };
         let shining = self.shining(&work);

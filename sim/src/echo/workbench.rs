@@ -10,7 +10,6 @@ use super::key_rows::{KeyRows, Parts, StrengthRows, key_rows};
 use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
 use super::posed_patch::{PosedPatch, Rules};
 use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
-use crate::actor::clothing::Folds;
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
 use crate::field::curved_triangle::{HALVES, Integrator, MomentRows, moments, spans_rad};
 use crate::field::image::{Element, ImageIndex};
@@ -51,8 +50,6 @@ pub(super) struct Work<'a> {
     pub(super) posed: Vec<PosedSkin>,
     /// Factors of people and limbs on light, `[image][key][vertex]`, at some of the finer keys by their numbers.
     pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
-    /// Roughness of what somebody wears.
-    pub(super) folds: Option<&'a Folds>,
     /// Part of a patch's own field that may be missed between keys.
     pub(super) missed_between_keys: f64,
 }
@@ -294,17 +291,7 @@ impl Pose {
             fineness,
             factor: common_factor(work.stage.wavelength_m),
         };
-        let mut strengths = strengths(work.integrator.level, &between);
-        if let Some(folds) = work.folds {
-            let wavenumber_per_m = std::f64::consts::TAU / work.stage.wavelength_m;
-            for l in 0..LANES {
-                let towards = |axis: usize| between.lights[0].towards[axis][l] + between.lights[1].towards[axis][l];
-                let cosine: f32 = (0..3).map(|axis| 0.5 * towards(axis) * between.vertices.normals[axis][l]).sum();
-                let left = folds.coherent(wavenumber_per_m, f64::from(cosine)) as f32;
-                (strengths.0[l], strengths.1[l]) = (strengths.0[l] * left, strengths.1[l] * left);
-            }
-        }
-        strengths
+        strengths(work.integrator.level, &between)
     }
 
     fn keys(&self, work: &Work, patch: &SkinPatch, pair: &Pair, strengths: &StrengthRows) -> KeyRows {

@@ -24,14 +24,6 @@ pub struct Listener {
     pub polarisation: DVec3,
 }
 
-fn cross(a: DVec3, b: Phasor3) -> Phasor3 {
-    Phasor3 { re: a.cross(b.re), im: a.cross(b.im) }
-}
-
-fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {
-    Phasor3 { re: a.re + b.re, im: a.im + b.im }
-}
-
 /// Physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and
 /// `M = -n x (E_i + E_r)`, so that the received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
 /// phase). For a conductor seen by the antenna that lights it, the cosine of the angle of incidence.
@@ -57,15 +49,15 @@ pub fn heard_by(
     let s = towards;
     let p =
         Phasor3 { re: polarisation.re - s * s.dot(polarisation.re), im: polarisation.im - s * s.dot(polarisation.im) };
-    let magnetic = cross(arrival.direction, arrival.field);
+    let magnetic = arrival.field.crossed_by(arrival.direction);
     if *boundary == Wall::Conductor {
-        return cross(normal, magnetic).received_by(p);
+        return magnetic.crossed_by(normal).received_by(p);
     }
     let (reflected, outgoing) = boundary.reflect(arrival.field, arrival.direction, normal, wavenumber_per_m);
-    let electric_current = cross(normal, sum(magnetic, cross(outgoing, reflected)));
-    let magnetic_current = cross(normal, sum(arrival.field, reflected));
+    let electric_current = (magnetic + reflected.crossed_by(outgoing)).crossed_by(normal);
+    let magnetic_current = (arrival.field + reflected).crossed_by(normal);
     // p . (M x s) = M . (s x p), and M has the minus.
-    0.5 * (electric_current.received_by(p) - magnetic_current.received_by(cross(s, p)))
+    0.5 * (electric_current.received_by(p) - magnetic_current.received_by(p.crossed_by(s)))
 }
 
 #[cfg(test)]

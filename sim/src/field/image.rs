@@ -18,7 +18,7 @@ use super::pattern::Pattern;
 pub use super::wall::Wall;
 use super::wall::WallTable;
 use super::{Phasor3, incidence_frame};
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
@@ -78,6 +78,16 @@ pub struct Illumination {
     pub direction: DVec3,
     /// Polarisation times pattern times reflection coefficients.
     pub field: Phasor3,
+}
+
+impl Illumination {
+    /// Amplitude at a receiver at the point, relative to the transmitted field and with isotropic antennas' aperture
+    /// `lambda / 4 pi`, but for the propagation phase.
+    pub fn received(&self, rx: &Element, wavenumber_per_m: f64) -> Complex64 {
+        let gain = rx.pattern.field(rx.radar_from_world * -self.direction);
+        let aperture = 0.5 / (wavenumber_per_m * self.distance_m);
+        self.field.along(rx.polarisation) * (gain * aperture)
+    }
 }
 
 /// A coordinate of a cell of the lattice as a coordinate of the room.
@@ -365,16 +375,6 @@ impl BoxRoom {
             }
         }
         visit(leg, from, point);
-    }
-
-    /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
-    /// isotropic antennas' aperture `lambda / 4 pi`, but for the propagation phase; and its length, m.
-    pub fn direct(&self, tx: &Element, index: ImageIndex, rx: &Element) -> (Complex64, f64) {
-        let arrival = self.illuminate(tx, index, rx.position);
-        let towards_source = rx.radar_from_world * -arrival.direction;
-        let gain = rx.pattern.field(towards_source);
-        let aperture = 0.5 / (self.wavenumber_per_m * arrival.distance_m);
-        (arrival.field.along(rx.polarisation) * (gain * aperture), arrival.distance_m)
     }
 }
 

@@ -57,9 +57,22 @@ impl Phasor3 {
         Phasor3 { re: self.re * factor.re - self.im * factor.im, im: self.re * factor.im + self.im * factor.re }
     }
 
+    /// Vector product of a real vector and this one, in this order.
+    pub fn crossed_by(self, a: DVec3) -> Self {
+        Phasor3 { re: a.cross(self.re), im: a.cross(self.im) }
+    }
+
     /// Euclidean length over both parts.
     pub fn magnitude(self) -> f64 {
         (self.re.length_squared() + self.im.length_squared()).sqrt()
+    }
+}
+
+impl std::ops::Add for Phasor3 {
+    type Output = Phasor3;
+
+    fn add(self, other: Phasor3) -> Phasor3 {
+        Phasor3 { re: self.re + other.re, im: self.im + other.im }
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::{Mesh, Surface};
+use crate::math::Sets;
 
 impl Surface {
     /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
@@ -57,14 +58,7 @@ impl Surface {
 /// For each corner of each triangle a number that it shares with the corners it is smooth with; and whether some side has
 /// no triangle behind it.
 fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> (Vec<u32>, bool) {
-    let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
-    fn root(parent: &mut [u32], mut i: u32) -> u32 {
-        while parent[i as usize] != i {
-            parent[i as usize] = parent[parent[i as usize] as usize];
-            i = parent[i as usize];
-        }
-        i
-    }
+    let mut smooth = Sets::new(3 * triangles.len());
     let mut sides: Vec<((u32, u32), usize, usize)> = Vec::with_capacity(3 * triangles.len());
     for (t, (places, ..)) in triangles.iter().enumerate() {
         for i in 0..3 {
@@ -86,11 +80,10 @@ fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) 
             if triangles[t].0[k] != triangles[u].0[l] {
                 continue;
             }
-            let (p, q) = (root(&mut parent, (3 * t + k) as u32), root(&mut parent, (3 * u + l) as u32));
-            parent[p.max(q) as usize] = p.min(q);
+            smooth.join(3 * t + k, 3 * u + l);
         }
     }
-    ((0..parent.len() as u32).map(|i| root(&mut parent, i)).collect(), open)
+    ((0..3 * triangles.len()).map(|i| smooth.lowest(i) as u32).collect(), open)
 }
 
 #[cfg(test)]
@@ -98,20 +91,13 @@ mod tests {
     use super::*;
     use crate::geometry::shape;
 
-    fn cube() -> Mesh {
-        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        Mesh { vertices, triangles }
-    }
-
     #[test]
     fn a_cube_falls_into_six_faces_and_stays_one_surface_when_smoothed() {
-        let sharp = Surface::from_mesh(&cube(), 0.5);
+        let sharp = Surface::from_mesh(&Mesh::cube(), 0.5);
         assert_eq!((sharp.triangles.len(), sharp.vertices.len()), (12, 24));
         assert!(!sharp.two_sided, "a box has an inside");
         assert!(!sharp.is_smooth());
-        let smooth = Surface::from_mesh(&cube(), 2.0);
+        let smooth = Surface::from_mesh(&Mesh::cube(), 2.0);
         assert_eq!(smooth.vertices.len(), 8);
         assert!(smooth.is_smooth());
         assert!(smooth.normals.iter().zip(&smooth.vertices).all(|(n, v)| n.dot(*v - DVec3::splat(0.5)) > 0.8));

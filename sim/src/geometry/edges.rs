@@ -19,11 +19,6 @@ pub struct Edge {
 }
 
 impl Edge {
-    /// Whether the surface ends here.
-    pub fn is_boundary(&self) -> bool {
-        self.right.is_none() && !self.tangled
-    }
-
     /// Whether the surface turns here by more than an angle, or ends.
     pub fn is_crease(&self, least_turn_rad: f64) -> bool {
         self.right.is_none() || self.turn_rad.abs() > least_turn_rad
@@ -86,45 +81,35 @@ pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
 mod tests {
     use std::f64::consts::FRAC_PI_2;
 
-    use glam::DVec3;
-
     use super::*;
-
-    fn cube(inwards: bool) -> Mesh {
-        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let mut triangles: Vec<[u32; 3]> = quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        if inwards {
-            triangles.iter_mut().for_each(|t| t.swap(1, 2));
-        }
-        Mesh { vertices, triangles }
-    }
 
     #[test]
     fn a_cube_turns_outwards_and_a_room_inwards() {
-        for (inwards, turn) in [(false, FRAC_PI_2), (true, -FRAC_PI_2)] {
-            let edges = edges(&cube(inwards));
+        let mut room = Mesh::cube();
+        room.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        for (mesh, turn) in [(Mesh::cube(), FRAC_PI_2), (room, -FRAC_PI_2)] {
+            let edges = edges(&mesh);
             assert_eq!(edges.len(), 18, "Euler: 12 edges and 6 diagonals");
             let creases: Vec<_> = edges.iter().filter(|e| e.is_crease(0.1)).collect();
             assert_eq!(creases.len(), 12);
             assert!(creases.iter().all(|e| (e.turn_rad - turn).abs() < 1e-12));
-            assert!(edges.iter().all(|e| !e.is_boundary() && !e.tangled));
+            assert!(edges.iter().all(|e| e.right.is_some()));
         }
     }
 
     #[test]
     fn a_hole_has_a_boundary_and_a_flipped_triangle_a_tangle() {
-        let mut open = cube(false);
+        let mut open = Mesh::cube();
         open.triangles.pop();
-        assert_eq!(edges(&open).iter().filter(|e| e.is_boundary()).count(), 3);
-        let mut flipped = cube(false);
+        assert_eq!(edges(&open).iter().filter(|e| e.right.is_none() && !e.tangled).count(), 3);
+        let mut flipped = Mesh::cube();
         flipped.triangles[0].swap(0, 1);
         assert_eq!(edges(&flipped).iter().filter(|e| e.tangled).count(), 3);
     }
 
     #[test]
     fn neighbours_are_mutual() {
-        let mesh = cube(false);
+        let mesh = Mesh::cube();
         let all = neighbours(&mesh);
         for (t, next) in all.iter().enumerate() {
             assert!(next.iter().all(|&n| all[n as usize].contains(&(t as u32))));

@@ -14,11 +14,13 @@ mod planes;
 pub mod polygon;
 pub mod shape;
 mod surface;
+#[cfg(test)]
+mod test_meshes;
 mod weld;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
+pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, lint};
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
 pub use orient::oriented;

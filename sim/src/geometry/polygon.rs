@@ -1,6 +1,6 @@
-//! Convex plane polygons, cut by planes.
+//! Plane polygons: convex ones cut by planes, and what outlines enclose.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 /// The part of a convex polygon on the side of a plane to which its normal points (Sutherland and Hodgman).
 pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> {
@@ -19,6 +19,17 @@ pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> 
         (from, from_height) = (to, to_height);
     }
     if kept.len() < 3 { Vec::new() } else { kept }
+}
+
+/// Whether a point lies within a closed outline, by the number of sides that it has on one hand.
+pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
+    let mut inside = false;
+    for (a, b) in outline.iter().zip(outline.iter().cycle().skip(1)) {
+        if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
+            inside = !inside;
+        }
+    }
+    inside
 }
 
 /// Unit normal, by the right hand along the corners; zero for no area.

@@ -14,13 +14,7 @@ const LEAST_HEIGHT: f64 = 1e-12;
 pub struct Welded {
     /// The mesh.
     pub mesh: Mesh,
-    /// Vertices that became one with an earlier one.
-    pub merged_vertices: usize,
-    /// Vertices that no triangle uses any more, or ever did.
-    pub unused_vertices: usize,
-    /// Triangles without area: two corners welded into one, or all three on a line.
-    pub degenerate_triangles: usize,
-    /// Index before welding of every triangle that is left.
+    /// Index before welding of every triangle that is left: those without area are not.
     pub triangle_of: Vec<u32>,
 }
 
@@ -40,7 +34,6 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     let mut firsts: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
     let key = |cell: DVec3| (cell + 0.0).to_array().map(f64::to_bits);
     let mut became: Vec<u32> = Vec::with_capacity(mesh.vertices.len());
-    let mut merged_vertices = 0;
     for (index, &vertex) in mesh.vertices.iter().enumerate() {
         let home = cell(vertex);
         let near = (0..27).filter_map(|n| {
@@ -52,10 +45,7 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
             .filter(|&&f| mesh.vertices.get(f as usize).is_some_and(|p| p.distance(vertex) <= tolerance_m))
             .min();
         match same {
-            Some(&first) => {
-                merged_vertices += 1;
-                became.push(first);
-            }
+            Some(&first) => became.push(first),
             None => {
                 firsts.entry(key(home)).or_default().push(index as u32);
                 became.push(index as u32);
@@ -63,14 +53,13 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
         }
     }
 
-    let mut welded = Welded { merged_vertices, ..Welded::default() };
+    let mut welded = Welded::default();
     let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
     for (index, corners) in mesh.triangles.iter().enumerate() {
         let corners = corners.map(|c| became.get(c as usize).copied().unwrap_or(c));
         let [a, b, c] = corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default());
         let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
         if (b - a).cross(c - a).length() <= LEAST_HEIGHT * longest {
-            welded.degenerate_triangles += 1;
             continue;
         }
         let mut place = |c: u32| {
@@ -86,7 +75,6 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
             welded.triangle_of.push(index as u32);
         }
     }
-    welded.unused_vertices = mesh.vertices.len() - welded.merged_vertices - welded.mesh.vertices.len();
     Ok(welded)
 }
 
@@ -97,15 +85,13 @@ mod tests {
 
     /// A cube as STL holds it: 36 corners of their own, a little beside each other.
     fn soup() -> Mesh {
-        let corner = |i: u32| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2));
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let cube = Mesh::cube();
         let mut mesh = Mesh::default();
-        for [a, b, c, d] in quads {
-            for triangle in [[a, b, c], [a, c, d]] {
-                let first = mesh.vertices.len() as u32;
-                mesh.vertices.extend(triangle.map(|i| corner(i) + f64::from(first) * 1e-9));
-                mesh.triangles.push([first, first + 1, first + 2]);
-            }
+        for triangle in 0..cube.triangles.len() {
+            let first = mesh.vertices.len() as u32;
+            let corners = cube.corners(triangle).expect("in range");
+            mesh.vertices.extend(corners.map(|corner| corner + f64::from(first) * 1e-9));
+            mesh.triangles.push([first, first + 1, first + 2]);
         }
         mesh
     }
@@ -113,7 +99,7 @@ mod tests {
     #[test]
     fn a_soup_of_triangles_becomes_a_closed_cube() {
         let welded = weld(&soup(), 1e-6).expect("a good mesh");
-        assert_eq!((welded.mesh.vertices.len(), welded.merged_vertices, welded.degenerate_triangles), (8, 28, 0));
+        assert_eq!(welded.mesh.vertices.len(), 8);
         assert!((welded.mesh.volume_m3() - 1.0).abs() < 1e-6);
         assert!(edges(&welded.mesh).iter().all(|e| e.right.is_some()));
         assert_eq!(welded.triangle_of, (0..12).collect::<Vec<_>>());
@@ -130,13 +116,12 @@ mod tests {
 mod hard_cases {
     use super::*;
 
-    /// A triangle whose normal is 0/0 is dropped with a count; a needle is thin, not degenerate.
+    /// A triangle whose normal is 0/0 is dropped; a needle is thin, not degenerate.
     #[test]
     fn triangles_without_area_are_dropped_and_needles_are_kept() {
         let vertices = vec![DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::new(0.5, 1e-7, 0.0), DVec3::X + 1e-9];
         let triangles = vec![[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 0, 3]];
         let welded = weld(&Mesh { vertices, triangles }, 1e-8).expect("a good mesh");
-        assert_eq!(welded.degenerate_triangles, 3);
         assert_eq!(welded.triangle_of, [1]);
     }
 

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::triangulate::{doubled_area, triangulate};
 use crate::field::image::{BoxRoom, Wall};
 use crate::field::wall::WallTable;
-use crate::geometry::polygon;
+use crate::geometry::polygon::{self, encloses};
 use crate::trace::WorldError;
 
 /// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
@@ -218,17 +218,6 @@ impl WallTables {
         self.known.push((wall, Arc::clone(&table)));
         table
     }
-}
-
-/// Whether a point lies within a closed outline, by the number of sides that it has on one hand.
-fn encloses(outline: &[DVec2], p: DVec2) -> bool {
-    let mut inside = false;
-    for (a, b) in outline.iter().zip(outline.iter().cycle().skip(1)) {
-        if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
-            inside = !inside;
-        }
-    }
-    inside
 }
 
 /// Distance of a point from the sides of a closed outline, m.

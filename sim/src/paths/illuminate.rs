@@ -297,20 +297,10 @@ impl ImagePaths {
             let launched = Phasor3::real(transverse).scaled(element.pattern.field(departure));
             for arrival in &obstruction.arrivals {
                 let arrived = self.environment.reflected(arrival.sequence, &arrival.crossed, direction, launched);
-                field = sum(field, arrived.times(arrival.part));
+                field = field + arrived.times(arrival.part);
             }
         }
         Illumination { source: position, distance_m, direction, field }
-    }
-
-    /// Amplitude of the way from a transmitter's image straight to a receiver, and its length, m, as
-    /// [`crate::field::image::BoxRoom::direct`] gives them.
-    pub fn direct(&self, tx: &Element, image: usize, rx: &Element) -> (Complex64, f64) {
-        let arrival = self.illuminate(tx, image, rx.position);
-        let towards_source = rx.radar_from_world * -arrival.direction;
-        let gain = rx.pattern.field(towards_source);
-        let aperture = 0.5 / (self.environment.wavenumber_per_m() * arrival.distance_m);
-        (arrival.field.along(rx.polarisation) * (gain * aperture), arrival.distance_m)
     }
 
     /// The way from an antenna to a point by an image: antenna, points of reflection, point. Of several the strongest; empty
@@ -626,8 +616,4 @@ struct Screen {
 fn strongest_of<'a>(arrivals: &[Arrival<'a>]) -> Option<&'a [FacetId]> {
     let strongest = arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
     strongest.map(|arrival| arrival.sequence)
-}
-
-fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {
-    Phasor3 { re: a.re + b.re, im: a.im + b.im }
 }

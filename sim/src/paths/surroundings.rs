@@ -274,10 +274,12 @@ impl Surroundings {
     /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
     /// isotropic antennas' aperture `lambda / 4 pi`, but for the propagation phase; and its length, m.
     pub fn direct(&self, tx: &Element, index: ImageIndex, rx: &Element) -> (Complex64, f64) {
-        match self {
-            Surroundings::Box(room) => room.direct(tx, index, rx),
-            Surroundings::Polygons(room) => room.paths.direct(tx, number(index), rx),
-        }
+        let wavenumber_per_m = match self {
+            Surroundings::Box(room) => room.wavenumber_per_m,
+            Surroundings::Polygons(room) => room.paths.environment().wavenumber_per_m(),
+        };
+        let arrival = self.illuminate(tx, index, rx.position);
+        (arrival.received(rx, wavenumber_per_m), arrival.distance_m)
     }
 
     /// Part of a field that walls and furniture leave on the straight way between two points: all of it in a box, whose walls

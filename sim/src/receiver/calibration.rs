@@ -26,6 +26,7 @@ use realfft::RealToComplex;
 use thiserror::Error;
 
 use super::{Receiver, RxChannel};
+use crate::math::median;
 use leakage::{Shape, fit_shape};
 
 /// Frames without which nothing is fitted.
@@ -326,15 +327,6 @@ fn exponential_mean(mut values: Vec<f64>) -> f64 {
     values.select_nth_unstable_by(kept, f64::total_cmp);
     let mean_of_one = 1.0 + (1.0 - KEPT).ln() * (1.0 - KEPT) / KEPT;
     values[..kept].iter().sum::<f64>() / kept as f64 / mean_of_one
-}
-
-/// The value in the middle; zero of nothing.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{FrameReport, Renderer};
 use crate::actor::motion::Motion;
-use crate::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
+use crate::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
 use crate::scene_file::BodyFile;
 use crate::shadow::Column;
@@ -89,8 +89,7 @@ impl Renderer {
 
     /// Highlights of people who are ellipsoids.
     fn traced_highlights(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
-        let (paths, echo_report) =
-            self.keyed_paths(instants, halvings, |me, motion, pairs| Some(Paths::new(&self.stage, motion, me, pairs)));
+        let (paths, echo_report) = self.keyed_paths(instants, halvings);
         let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
             traced_paths: paths.traced,
@@ -105,13 +104,8 @@ impl Renderer {
         Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
     }
 
-    /// Some of everybody's paths, each at as many keys as it takes.
-    pub(super) fn keyed_paths<'a>(
-        &'a self,
-        instants: &Instants<'a>,
-        halvings: Option<u32>,
-        of: impl Fn(usize, &'a Motion, &[AudiblePair]) -> Option<Paths<'a>>,
-    ) -> (KeyedPaths, EchoReport) {
+    /// Everybody's paths, each at as many keys as it takes.
+    fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
         let demand = KeyDemand {
             // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
             heard_lsb: HEARD * self.stage.threshold_lsb,
@@ -126,9 +120,7 @@ impl Renderer {
         let asked_s = [0.0, 0.5, 1.0].map(|part| instants.start_s() + part * self.active_s());
         for (me, motion) in instants.motions().iter().enumerate() {
             let pairs = audible_paths(&self.stage, motion, &asked_s);
-            if let Some(some) = of(me, motion, &pairs) {
-                paths.add(instants, &some, &demand, &mut report);
-            }
+            paths.add(instants, &Paths::new(&self.stage, motion, me, &pairs), &demand, &mut report);
         }
         (paths, report)
     }

@@ -12,11 +12,12 @@ use crate::actor::walking_mesh::WalkingMesh;
 use crate::echo::demand::{Demand, Missed};
 use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
-use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
+use crate::echo::{EchoReport, FrameTimes, Snapshot, audible_pairs, loud_pairs};
 use crate::keys::Instants;
 use crate::scene_file::BodyFile;
 use crate::stage::threshold_lsb;
 use crate::synthesis::ChirpGrids;
+use crate::tracks::Tracks;
 
 /// Error that is allowed between keys of all of a skin's echoes, relative to them, for half a decibel.
 const SKIN_KEY_TOLERANCE: f64 = 0.03;
@@ -80,7 +81,7 @@ impl Renderer {
         (grids, most)
     }
 
-    /// Echoes of people who have skins, at keys that are close enough together or as asked, and highlights of their folds.
+    /// Echoes of people who have skins, at keys that are close enough together or as asked.
     pub(super) fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
         let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
         loop {
@@ -92,20 +93,17 @@ impl Renderer {
                 halvings += 1;
                 continue;
             }
-            let (folds, of_folds) =
-                self.keyed_paths(instants, None, |me, motion, pairs| Paths::of_folds(&self.stage, motion, me, pairs));
-            echo_report.clamped += of_folds.clamped;
             let report = FrameReport {
                 static_paths: self.stage.static_paths.len(),
-                traced_paths: echo_report.paths / keys + folds.traced,
-                moving_paths: echo_report.synthesised + folds.heard,
+                traced_paths: echo_report.paths / keys,
+                moving_paths: echo_report.synthesised,
                 keys,
                 between_keys: missed.between_keys,
                 estimate_db: (!instants.motions().is_empty()).then(|| missed.db()),
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            let (tracks, skins) = (folds.tracks, Some(grids));
+            let (tracks, skins) = (Tracks::default(), Some(grids));
             return Traced { snapshots, halvings, tracks, diffuse: Vec::new(), skins, report };
         }
     }

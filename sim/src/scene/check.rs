@@ -298,13 +298,6 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
     interval("stride", people.stride, 0.5, 1.5, "of the average")?;
     interval("arm_swing", people.arm_swing, 0.0, 3.0, "of the average")?;
-    if let Some(c) = &people.clothing {
-        within("level_db", c.level_db, -40.0, 20.0, "dB")?;
-        within("spread_db", c.spread_db, 0.0, 10.0, "dB")?;
-        within("correlation_m", c.correlation_m, 0.01, 2.0, "m")?;
-        within("roughness_m", c.roughness_m, 0.0, 0.01, "m")?;
-        within("fold_slope_deg", c.fold_slope_deg, 10.0, 60.0, "degrees")?;
-    }
     within("actor", people.actor.len() as f64, 0.0, MOST_PEOPLE, "people")?;
     for actor in &people.actor {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
@@ -461,7 +454,6 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     let w = wander;
     within("max_people", w.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
     for (key, p) in [
-        ("come_and_go_probability", w.come_and_go_probability),
         ("pause_probability", w.pause_probability),
         ("stand_probability", w.stand_probability),
         ("pace_probability", w.pace_probability),
@@ -472,12 +464,6 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
         within(key, p, 0.0, 1.0, "(probability)")?;
     }
     within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
-    if w.come_and_go_probability > 0.0 {
-        let expected = "0: people who wander are there all the time; people of [people.visits] come and go";
-        return fault("come_and_go_probability", w.come_and_go_probability, expected);
-    }
-    interval("stay_s", w.stay_s, 1.0, 1800.0, "s")?;
-    interval("absence_s", w.absence_s, 1.0, 1e6, "s")?;
     interval("speed_m_per_s", w.speed_m_per_s, 0.05, 2.0, "m/s")?;
     within("acceleration_m_per_s2", w.acceleration_m_per_s2, 0.2, 5.0, "m/s^2")?;
     interval("height_m", w.height_m, 0.5, 2.5, "m")?;

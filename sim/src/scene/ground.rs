@@ -7,6 +7,7 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::Scene;
+use crate::geometry::polygon::encloses;
 use crate::scene_file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
 
@@ -170,14 +171,6 @@ fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
         boxes.extend(open);
     }
     boxes
-}
-
-/// Whether a point lies within a polygon.
-fn encloses(corners: &[DVec2], p: DVec2) -> bool {
-    let sides = corners.iter().zip(corners.iter().cycle().skip(1));
-    let crossed =
-        sides.filter(|(a, b)| (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x));
-    crossed.count() % 2 == 1
 }
 
 /// Whether people go through an opening.

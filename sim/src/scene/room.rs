@@ -22,6 +22,7 @@ use crate::field::image::Wall;
 use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
+use crate::math::Sets;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
@@ -409,25 +410,16 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
 
 /// Those triangles that count and hang together by vertices.
 fn shells(mesh: &Mesh, counts: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
-    let mut root: Vec<usize> = (0..mesh.vertices.len()).collect();
-    fn find(root: &mut [usize], mut of: usize) -> usize {
-        while root[of] != of {
-            root[of] = root[root[of]];
-            of = root[of];
-        }
-        of
-    }
+    let mut sets = Sets::new(mesh.vertices.len());
     let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| counts(*t));
     for (_, triangle) in counted() {
         let [a, b, c] = triangle.map(|v| v as usize);
-        for (a, b) in [(a, b), (b, c)] {
-            let (a, b) = (find(&mut root, a), find(&mut root, b));
-            root[a.max(b)] = a.min(b);
-        }
+        sets.join(a, b);
+        sets.join(b, c);
     }
     let mut shells: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
     for (t, triangle) in counted() {
-        shells.entry(find(&mut root, triangle[0] as usize)).or_default().push(t);
+        shells.entry(sets.lowest(triangle[0] as usize)).or_default().push(t);
     }
     shells.into_values().collect()
 }

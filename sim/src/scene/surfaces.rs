@@ -87,22 +87,6 @@ impl FaceEdge {
     pub fn diffracts(&self) -> bool {
         matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. })
     }
-
-    /// Angle of a point about the edge, from the face through the air of a wedge, rad: 0 to two pi.
-    pub fn angle_rad(&self, point: DVec3) -> f64 {
-        let from_edge = point - self.ends[0];
-        self.air.dot(from_edge).atan2(self.inwards.dot(from_edge)).rem_euclid(TAU)
-    }
-
-    /// Whether it diffracts what comes from a point: of a wedge, whether the point lies in its air. A corner of two sheets is a
-    /// wedge for who is outside, and none for who is inside.
-    pub fn diffracts_from(&self, point: DVec3) -> bool {
-        match self.kind {
-            EdgeKind::Free => true,
-            EdgeKind::Wedge { air_rad, .. } => self.angle_rad(point) < air_rad,
-            EdgeKind::Inner | EdgeKind::Flat => false,
-        }
-    }
 }
 
 /// Triangles of one material that are no faces: curved, or too small.
@@ -215,14 +199,6 @@ impl Surfaces {
         Some(FaceEdge { face: index, edge, ends, inwards: touch.inwards, air, kind })
     }
 
-    /// Edges that diffract, each once: of a wedge, the one that its lower face lists.
-    pub fn diffracting(&self) -> impl Iterator<Item = &FaceEdge> {
-        self.edges.iter().filter(|edge| match edge.kind {
-            EdgeKind::Wedge { other: Some(other), .. } => edge.face < other,
-            _ => edge.diffracts(),
-        })
-    }
-
     /// Whether a piece of furniture of a material has sides among the faces.
     pub fn has_faces_of(&self, furniture: &FurnitureFile) -> bool {
         let low = DVec3::from_array(furniture.position_m) - TOUCH_M;
@@ -232,11 +208,6 @@ impl Surfaces {
             face_low.cmpge(low).all() && face_high.cmple(high).all()
         };
         furniture.material.is_some() && self.faces.iter().any(is_within)
-    }
-
-    /// Number of triangles that are no faces.
-    pub fn small_triangles(&self) -> usize {
-        self.small.iter().map(|part| part.mesh.triangles.len()).sum()
     }
 
     /// All surfaces as triangles, m, and what each of them is of: what visibility is tested against.

@@ -18,9 +18,7 @@ use crate::geometry::import::{LengthUnit, UpAxis};
 use crate::material::OwnMaterial;
 use crate::receiver::Receiver;
 pub use draw::RandomFile;
-pub use people::{
-    ActorFile, BodyFile, ClothingFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
-};
+pub use people::{ActorFile, BodyFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile};
 
 mod plan;
 

@@ -61,34 +61,9 @@ pub struct PeopleFile {
     /// Swing of the arms over the average one. Drawn for each person. Default [1, 1].
     #[serde(default = "ones")]
     pub arm_swing: [f64; 2],
-    /// Clothes of people, as fields over the body. If absent, each segment has one factor (-4 to 2 dB) and is smooth.
-    #[serde(default)]
-    pub clothing: Option<ClothingFile>,
     /// Model of the shadows on static echoes: "edge" or "strip". Default "edge".
     #[serde(default)]
     pub shadow: ShadowFile,
-}
-
-/// Cloth and folds ([`crate::actor::clothing`]), drawn for each person.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ClothingFile {
-    /// Mean over the body of what cloth leaves of the skin's echo, dB. Default -1.
-    pub level_db: f64,
-    /// Standard deviation of that, dB; 0 for one factor for each segment. Default 1.7.
-    pub spread_db: f64,
-    /// Distance on the body at which that has a correlation of 1/e, m. Default 0.07; 0.05 to 0.10 is usual.
-    pub correlation_m: f64,
-    /// Height of folds, rms, m; 0 for smooth. Default 0; 0.0005 takes 6.9 dB of a highlight at 60 GHz, 0.001 all of it.
-    pub roughness_m: f64,
-    /// Slope of folds, rms, degrees: from how far around come the echoes that highlights lose. Default 20.
-    pub fold_slope_deg: f64,
-}
-
-impl Default for ClothingFile {
-    fn default() -> Self {
-        ClothingFile { level_db: -1.0, spread_db: 1.7, correlation_m: 0.07, roughness_m: 0.0, fold_slope_deg: 20.0 }
-    }
 }
 
 /// A person with a script.
@@ -241,7 +216,7 @@ impl Default for VisitsFile {
     }
 }
 
-/// Nobody, one or two people who wander about. Pairs are the least and the largest value drawn.
+/// Nobody, one or two people who wander about, all the time. Pairs are the least and the largest value drawn.
 ///
 /// `turn_rate_deg_per_s` (120 if absent) and `keep_off_m` (0.35 if absent) of `[people]` hold for them, too.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -249,12 +224,6 @@ impl Default for VisitsFile {
 pub struct WanderFile {
     /// Most people at a time; how many there are is drawn for each seed. Default 2.
     pub max_people: usize,
-    /// Probability that people come in by a door and leave. Only 0, the default, is taken: people who wander are there all the time.
-    pub come_and_go_probability: f64,
-    /// Time that such people would stay, s; without effect. Default [15, 90].
-    pub stay_s: [f64; 2],
-    /// Time between two of them, s; without effect. Default [3, 30].
-    pub absence_s: [f64; 2],
     /// Mean speed while walking, m/s. Drawn for each person. Default [0.15, 1].
     pub speed_m_per_s: [f64; 2],
     /// Largest acceleration, m/s^2. Default 1.
@@ -303,9 +272,6 @@ impl Default for WanderFile {
     fn default() -> Self {
         WanderFile {
             max_people: 2,
-            come_and_go_probability: 0.0,
-            stay_s: [15.0, 90.0],
-            absence_s: [3.0, 30.0],
             speed_m_per_s: [0.15, 1.0],
             acceleration_m_per_s2: 1.0,
             height_m: [1.55, 1.92],

@@ -16,7 +16,7 @@ use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::held::{PLACES, taps_by_place};
 use super::spread::{CHIRPS, Cell, Grids, Row, window};
-use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer};
+use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
@@ -241,8 +241,7 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
     for (run, begin) in runs.iter_mut().zip((0..CHIRPS).step_by(width)) {
         let middle = 0.5 * (apart[begin] + apart[begin + width - 1]);
         let turns = (turned.middle + f64::from(middle)) / kernel.cells;
-        let nearest = turns - nearest_integer(turns);
-        let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
+        let position = on_circle(turns) * kernel.cells;
         let place = (position * f64::from(PLACES) + 0.5) as u32;
         run.first = place.div_ceil(PLACES);
         run.place = (run.first * PLACES - place) as usize;

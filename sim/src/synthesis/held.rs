@@ -14,10 +14,10 @@
 use num_complex::Complex64;
 
 use super::spread::{CHIRPS, Cell, Grids, Places, Row, window};
-use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer};
+use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
-use crate::slow_time::quintic;
+use crate::math::quintic;
 use crate::tracks::OTHERS;
 
 /// Echoes side by side.
@@ -293,9 +293,7 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
         rate[e] = (carrier * slope[e] * kernel.step) as f32;
         bend[e] = (carrier * curve[e] * kernel.step * kernel.step) as f32;
         let turns_a_sample = kernel.chirp.beat_hz(value[e], slope[e] * per_s) / sample_rate_hz;
-        let nearest = turns_a_sample - nearest_integer(turns_a_sample);
-        let folded = if nearest < 0.0 { nearest + 1.0 } else { nearest };
-        position[e] = (folded * kernel.cells) as f32;
+        position[e] = (on_circle(turns_a_sample) * kernel.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * kernel.step * cells_per_hz) as f32;
         carrier_hz[e] = carrier as f32;
     }
@@ -370,12 +368,19 @@ fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, 
     }
 }
 
+/// First cell under the taps of a place of a grid, and which of the places between cells that are kept it is.
+#[inline(always)]
+pub(super) fn under(position: f32) -> (u32, usize) {
+    let place = (position * PLACES as f32 + 0.5) as u32;
+    let first = place.div_ceil(PLACES);
+    (first, (first * PLACES - place) as usize)
+}
+
 /// Lays phasors down around one place of the grid, cells.
 #[inline(always)]
 fn lay(kernel: &Kernel, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
-    let place = (position * PLACES as f32 + 0.5) as u32;
-    let first = place.div_ceil(PLACES);
-    let Some(taps) = kernel.taps.get((first * PLACES - place) as usize) else { return };
+    let (first, place) = under(position);
+    let Some(taps) = kernel.taps.get(place) else { return };
     let Some([c0, c1, c2, c3]) = window::<TAPS>(cells, first + FIRST_TAP as u32) else { return };
     // Written out, as all loops over taps are.
     c0.add(re, im, &[taps[0]; CHIRPS]);

@@ -21,9 +21,9 @@ use radome_dsp::spectrum::complex_fft_f32;
 use rustfft::Fft;
 
 use super::fitted_taps::{Point, fitted_taps};
-use super::held::{ECHOES, FIRST_TAP, HeldEchoes, PLACES, Pack, RECEIVERS, TAPS};
+use super::held::{ECHOES, FIRST_TAP, HeldEchoes, PLACES, Pack, RECEIVERS, TAPS, under};
 use super::spread::{CHIRPS, Grids};
-use super::{Synthesiser, nearest_integer};
+use super::{Synthesiser, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
@@ -295,13 +295,6 @@ fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
     Middle { position, rate, moved, bend, re, im, changes }
 }
 
-/// The part of a number of turns that is left of whole ones, 0..1.
-#[inline(always)]
-fn on_circle(turns: f64) -> f64 {
-    let nearest = turns - nearest_integer(turns);
-    if nearest < 0.0 { nearest + 1.0 } else { nearest }
-}
-
 /// Real and imaginary part of each factor at each receiver: `[receiver][factor][echo]`.
 struct Factors {
     re: [[Lane; FACTORS]; RECEIVERS],
@@ -348,7 +341,7 @@ fn lay_echo(
     let [(first, place), (first_rate, rate_place)] = [under(position), under(rate)];
     let (Some(taps), Some(slopes)) = (kernel.taps.by_delay.get(place), kernel.taps.slopes.get(place)) else { return };
     let Some([constant, second, fourth, moving]) = kernel.taps.by_rate.get(rate_place) else { return };
-    let first = first + FIRST_TAP;
+    let (first, first_rate) = (first as usize + FIRST_TAP, first_rate as usize);
     let Some(touched) = touched.get_mut(first..first + TAPS) else { return };
     touched.fill(true);
     for ((rows, re), im) in rows.iter_mut().zip(&factors.re).zip(&factors.im) {
@@ -366,14 +359,6 @@ fn lay_echo(
         add(r2, first_rate, [&field, &moved], [taps[2], slopes[2]]);
         add(r3, first_rate, [&field, &moved], [taps[3], slopes[3]]);
     }
-}
-
-/// First cell under the taps of a place of a grid, and which of the places between cells that are kept it is.
-#[inline(always)]
-fn under(position: f32) -> (usize, usize) {
-    let place = (position * PLACES as f32 + 0.5) as u32;
-    let first = place.div_ceil(PLACES);
-    (first as usize, (first * PLACES - place) as usize)
 }
 
 /// A complex number over and over.

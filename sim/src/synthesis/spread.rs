@@ -12,7 +12,7 @@ use std::ops::Range;
 
 use num_complex::Complex;
 
-use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, phasor};
+use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, on_circle, phasor};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::slow_time::Stretch;
@@ -234,8 +234,7 @@ fn tones(kernel: &Kernel, path: &Stretch) -> Tones {
         let cycles_per_sample = kernel.chirp.beat_hz(delay_s, rate) / kernel.chirp.sample_rate_hz;
         let a = path.amplitude(kernel.places.at[i]) * phasor(kernel.chirp.phase_cycles(delay_s));
         (re[i], im[i]) = (a.re * kernel.places.within[i], a.im * kernel.places.within[i]);
-        let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
-        position[i] = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
+        position[i] = on_circle(cycles_per_sample) * kernel.cells;
         (u[i], first[i]) = under(position[i]);
         carrier_hz[i] = (start_hz + slope_hz_per_s * (middle_s - delay_s)) as f32;
     }

@@ -57,16 +57,6 @@ fn world(mesh: &Mesh) -> World {
     World::new(mesh.clone(), &groups).expect("a good mesh")
 }
 
-/// Both meshes, the triangles of the first before those of the second.
-fn joined(first: &Mesh, second: &Mesh) -> Mesh {
-    let offset = first.vertices.len() as u32;
-    let moved = second.triangles.iter().map(|corners| corners.map(|c| c + offset));
-    Mesh {
-        vertices: first.vertices.iter().chain(&second.vertices).copied().collect(),
-        triangles: first.triangles.iter().copied().chain(moved).collect(),
-    }
-}
-
 /// Number of times that a ray goes into a closed mesh and out of it.
 fn crossings(world: &World, ray: &Ray) -> (usize, usize) {
     let all = world.all(ray);
@@ -154,7 +144,7 @@ fn no_ray_leaves_a_closed_room() {
 #[test]
 fn what_is_met_is_what_trying_everything_meets() {
     let man = walker().mesh_at(2.0);
-    let mesh = joined(&corridor(2), &man);
+    let mesh = corridor(2).joined(&man);
     let world = world(&mesh);
     let mut rng = generator(4, Purpose::Build, [0, 0]);
     for _ in 0..1600 {
@@ -204,7 +194,7 @@ fn structure_and_order_do_not_matter() {
 #[test]
 fn the_processor_does_not_matter() {
     let room = corridor(2);
-    let world = world(&joined(&room, &walker().mesh_at(2.0)));
+    let world = world(&room.joined(&walker().mesh_at(2.0)));
     let mut on_man = 0;
     for i in 0..20_000 {
         let (y, z) = (f64::from(i % 200) / 100.0 - 1.0, f64::from(i / 200) / 50.0 - 1.0);
@@ -225,7 +215,7 @@ fn of_two_faces_at_one_place_the_first_is_met() {
         vertices: vec![DVec3::ZERO, DVec3::Y, DVec3::new(0.0, 1.0, 1.0), DVec3::Z],
         triangles: vec![[0, 1, 2], [0, 2, 3]],
     };
-    let world = world(&joined(&joined(&sheet, &sheet), &sheet));
+    let world = world(&sheet.joined(&sheet).joined(&sheet));
     let mut rng = generator(5, Purpose::Build, [0, 0]);
     for _ in 0..10_000 {
         let origin = DVec3::new(rng.random_range(0.5..4.0), rng.random_range(-1.0..2.0), rng.random_range(-1.0..2.0));
@@ -262,7 +252,7 @@ fn a_ray_does_not_meet_the_surface_that_it_leaves() {
 /// the plane of the triangle that was met ends on it to 1e-13 m.
 #[test]
 fn the_triangle_that_was_met_gives_the_point_in_f64() {
-    let mesh = joined(&corridor(3), &walker().mesh_at(2.0));
+    let mesh = corridor(3).joined(&walker().mesh_at(2.0));
     let world = world(&mesh);
     let mut rng = generator(10, Purpose::Build, [0, 0]);
     for _ in 0..20_000 {
@@ -284,7 +274,7 @@ fn neither_end_blocks_a_way() {
         vertices: vec![DVec3::new(6.0, 0.5, 0.5), DVec3::new(6.0, 1.5, 0.5), DVec3::new(6.0, 1.0, 1.5)],
         triangles: vec![[0, 1, 2]],
     };
-    let mesh = joined(&corridor(1), &plate);
+    let mesh = corridor(1).joined(&plate);
     let groups = planes(&mesh, 1e-6).of_triangle;
     let world = World::new(mesh.clone(), &groups).expect("a good mesh");
     let mut rng = generator(7, Purpose::Build, [0, 0]);
@@ -320,14 +310,7 @@ fn neither_end_blocks_a_way() {
 /// Rays along axes, in the planes of edges, and with directions of zero and of denormal components.
 #[test]
 fn rays_along_axes_and_in_planes_are_met() {
-    let mesh = Mesh {
-        vertices: (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect(),
-        triangles: [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-            .into_iter()
-            .flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]])
-            .collect(),
-    };
-    let world = world(&mesh);
+    let world = world(&Mesh::cube());
     for tiny in [0.0, 1e-40, -1e-40, 1e-9, -1e-9] {
         for aim in [DVec3::splat(0.5), DVec3::new(0.5, 0.25, 0.25), DVec3::new(0.5, 0.0, 0.0), DVec3::splat(0.0)] {
             for axis in DVec3::AXES {

@@ -1,12 +1,13 @@
 //! Scripts of motions: corners of a way, turns, seats, beds and squats, laid down one after another.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use super::super::body::Build;
 use super::super::gait;
 use super::super::low::{Crouch, Lying};
 use super::super::track::Track;
 use super::{Low, Motion, Person, Steps};
+use crate::math::wrapped;
 
 /// Corners of the path are rounded over this time either way, s.
 const CORNER_S: f64 = 0.35;
@@ -128,7 +129,7 @@ impl MotionBuilder {
     }
 
     fn change_to(&self, facing: f64) -> f64 {
-        (facing - self.facing + PI).rem_euclid(TAU) - PI
+        wrapped(facing - self.facing)
     }
 
     fn turn_to(&mut self, facing: f64) {
@@ -276,7 +277,7 @@ impl MotionBuilder {
         this.motion.low.step(begin_s + SIT_S, 1.0);
         let lie_s = begin_s + 2.0 * SIT_S + ON_EDGE_S + LIE_S;
         this.motion.lie.step(lie_s, 1.0);
-        let turn = (bed.heading_rad - this.facing + PI).rem_euclid(TAU) - PI;
+        let turn = this.change_to(bed.heading_rad);
         this.motion.heading.step_over(lie_s, turn, LIE_S);
         this.facing += turn;
         this.time_s = lie_s;
@@ -303,7 +304,7 @@ impl MotionBuilder {
     fn rise(mut self, bed: &Bed, rise_s: f64) -> Self {
         let m = &mut self.motion;
         m.lie.step(rise_s, -1.0);
-        let turn = (bed.outward_rad() - self.facing + PI).rem_euclid(TAU) - PI;
+        let turn = wrapped(bed.outward_rad() - self.facing);
         m.heading.step_over(rise_s, turn, LIE_S);
         self.facing += turn;
         let up_s = rise_s + LIE_S + ON_EDGE_S + SIT_S;

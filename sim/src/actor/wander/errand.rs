@@ -7,9 +7,10 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::node::Node;
 use super::setting::Setting;
 use super::small::{Arm, Stroke, shift_weight};
-use super::walker::{Command, Limits, Pose, STEP_S, wrapped};
+use super::walker::{Command, Limits, Pose, STEP_S};
 use super::{chance, draw, heavy_tailed};
 use crate::actor::body::Build;
+use crate::math::wrapped;
 use crate::random::{Purpose, generator};
 
 /// A corner of a way, or a goal at which nobody stops, is passed at this distance, m.

@@ -1,6 +1,7 @@
 //! Motion at the end of a step, and between two steps.
 
 use super::walker::{Limits, Pose, STEP_S};
+use crate::math::quintic;
 
 /// A value and its rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -56,15 +57,11 @@ impl Place {
         let (first, last) = (a.velocity_m_per_s(), b.velocity_m_per_s());
         let (bend, next_bend) = (a.ground_acceleration_m_per_s2(), b.ground_acceleration_m_per_s2());
         let position_m = [0, 1].map(|i| {
-            // Quintic through place, velocity and acceleration at both ends.
-            let (velocity, half) = (first[i] * STEP_S, 0.5 * bend[i] * STEP_S * STEP_S);
-            let d = b.position_m[i] - a.position_m[i] - velocity - half;
-            let e = last[i] * STEP_S - velocity - 2.0 * half;
-            let f = next_bend[i] * STEP_S * STEP_S - 2.0 * half;
-            let third = 10.0 * d - 4.0 * e + 0.5 * f;
-            let fourth = -15.0 * d + 7.0 * e - f;
-            let fifth = 6.0 * d - 3.0 * e + 0.5 * f;
-            a.position_m[i] + part * (velocity + part * (half + part * (third + part * (fourth + part * fifth))))
+            let end = |pose: &Pose, velocity: [f64; 2], bend: [f64; 2]| {
+                [pose.position_m[i], velocity[i] * STEP_S, bend[i] * STEP_S * STEP_S]
+            };
+            let by_power = quintic(end(a, first, bend), end(b, last, next_bend));
+            by_power.into_iter().rev().fold(0.0, |sum, coefficient| sum * part + coefficient)
         });
         let knot = |value: f64, rate: f64| Knot { value, rate };
         let speed = |p: &Pose| knot(p.speed_m_per_s, p.acceleration_m_per_s2);

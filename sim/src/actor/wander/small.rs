@@ -11,7 +11,7 @@ use super::walker::STEP_S;
 use super::{chance, draw};
 use crate::actor::body::Build;
 use crate::actor::moment::Small;
-use crate::smooth::smooth_step;
+use crate::math::smooth_step;
 
 /// Waves of each part's sway, each with a frequency in a band of its own.
 const WAVES: usize = 4;

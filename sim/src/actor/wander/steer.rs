@@ -3,7 +3,8 @@
 
 use super::errand::{Facing, Walker};
 use super::setting::Setting;
-use super::walker::{Command, Pose, wrapped};
+use super::walker::{Command, Pose};
+use crate::math::wrapped;
 
 /// People are avoided from this distance on, m.
 const AVOID_M: f64 = 1.6;

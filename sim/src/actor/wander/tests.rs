@@ -374,7 +374,6 @@ mod hard_cases {
             ("[people.wander.modes]\nmeet = -1.0\n", "meet"),
             ("[people.wander.modes]\ndance = 1.0\n", "dance"),
             ("[people.wander]\nnearness = nan\n", "nearness"),
-            ("[people.wander]\ncome_and_go_probability = 0.5\n", "[people.visits]"),
         ];
         for (people, expected) in cases {
             let message = parsed(people).map(|_| ()).expect_err(people);

@@ -4,9 +4,8 @@
 //! The acceleration along the way is linear in time within a step, and so is the rate of turning: between two steps speed and
 //! heading are cubics that their values and rates at both ends determine exactly.
 
-use std::f64::consts::{PI, TAU};
-
 use crate::actor::gait;
+use crate::math::wrapped;
 
 /// Duration of a step, s.
 pub(super) const STEP_S: f64 = 0.05;
@@ -29,11 +28,6 @@ const GOING_M_PER_S: f64 = 0.04;
 const MARCHING_RAD_PER_S: f64 = 0.5;
 /// Speed of a walk of vigour 1, m/s.
 const BRISK_M_PER_S: f64 = 1.3;
-
-/// Angle between -pi and pi.
-pub(super) fn wrapped(angle_rad: f64) -> f64 {
-    (angle_rad + PI).rem_euclid(TAU) - PI
-}
 
 /// Place and motion at the end of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]

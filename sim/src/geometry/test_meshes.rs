@@ -1,0 +1,30 @@
+//! Meshes for tests, and what tests ask of meshes.
+
+use glam::DVec3;
+
+use super::{Mesh, edges, lint};
+
+impl Mesh {
+    /// The unit cube `0..1`, facing outwards.
+    pub(crate) fn cube() -> Self {
+        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        Mesh { vertices, triangles: quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect() }
+    }
+
+    /// Both meshes, the triangles of this one before those of the other.
+    pub(crate) fn joined(&self, other: &Mesh) -> Self {
+        let first = self.vertices.len() as u32;
+        let moved = other.triangles.iter().map(|corners| corners.map(|corner| corner + first));
+        Mesh {
+            vertices: [self.vertices.as_slice(), &other.vertices].concat(),
+            triangles: self.triangles.iter().copied().chain(moved).collect(),
+        }
+    }
+
+    /// Whether it is one closed surface that faces outwards and covers no place twice.
+    pub(crate) fn is_solid(&self) -> bool {
+        let is_closed = edges(self).iter().all(|edge| edge.right.is_some());
+        is_closed && self.volume_m3() > 0.0 && lint(self).overlaps.is_empty()
+    }
+}
