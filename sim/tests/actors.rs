@@ -50,7 +50,7 @@ fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
     let mut standing = Vec::new();
     for i in 0..60 {
         let time_s = 1.5 + 0.03 * f64::from(i);
-        let now = walker.at(time_s);
+        let now = walker.posed(time_s);
         let z = |v: &DVec3| v.z;
         let low = now.vertices.iter().map(z).fold(f64::INFINITY, f64::min);
         let high = now.vertices.iter().map(z).fold(f64::NEG_INFINITY, f64::max);
@@ -69,7 +69,7 @@ fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
         rates.sort_by(f64::total_cmp);
         standing.push(rates[rates.len() / 2]);
         let h = 1e-4;
-        let (before, after) = (walker.at(time_s - h).vertices, walker.at(time_s + h).vertices);
+        let (before, after) = (walker.mesh_at(time_s - h).vertices, walker.mesh_at(time_s + h).vertices);
         for ((u, a), b) in now.velocities_m_per_s.iter().zip(&before).zip(&after) {
             assert!((*u - (*b - *a) / (2.0 * h)).length() < 2e-3, "{u}");
         }

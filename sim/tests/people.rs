@@ -218,8 +218,8 @@ fn skins_squat_and_lie_without_losing_flesh() {
         let ratio = walker.mesh_at(t).volume_m3() / standing;
         least = least.min(ratio);
         assert!((0.80..1.10).contains(&ratio), "{ratio} of the volume at {t} s");
-        let (moving, h) = (walker.at(t), 1e-4);
-        let (before, after) = (walker.at(t - h).vertices, walker.at(t + h).vertices);
+        let (moving, h) = (walker.posed(t), 1e-4);
+        let (before, after) = (walker.mesh_at(t - h).vertices, walker.mesh_at(t + h).vertices);
         for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
             assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-3);
         }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::rig::MOST_TRIANGLES;
 use super::skin::{EDGE_M, Map};
 use crate::fault::FileFault;
-use crate::geometry::{Mesh, edges, one_ring_normals, weld};
+use crate::geometry::{Mesh, bulge, edges, one_ring_normals, weld};
 
 /// Edges longer than this are halved, m: a little over the target, so that those about it are left alone.
 const LONGEST_M: f64 = 1.4 * EDGE_M;
@@ -148,12 +148,13 @@ fn halve(bound: &mut BoundMesh, pose: &[Map]) -> bool {
         if posed[p].distance(posed[q]) <= LONGEST_M {
             continue;
         }
-        let d = bound.mesh.vertices[q] - bound.mesh.vertices[p];
-        // The cubic that is tangential to the surface at both ends; where the surface ends, straight.
-        let bulge = 0.125 * (normals[q] * d.dot(normals[q]) - normals[p] * d.dot(normals[p]));
-        let bulge = if edge.right.is_none() { DVec3::ZERO } else { bulge.clamp_length_max(MOST_BULGE * d.length()) };
+        let ends = [bound.mesh.vertices[p], bound.mesh.vertices[q]];
+        let d = ends[1] - ends[0];
+        // Where the surface ends, straight.
+        let bulge = if edge.right.is_none() { DVec3::ZERO } else { bulge(ends, [normals[p], normals[q]]) };
+        let bulge = bulge.clamp_length_max(MOST_BULGE * d.length());
         middles.insert((a.min(b), a.max(b)), bound.mesh.vertices.len() as u32);
-        bound.mesh.vertices.push(bound.mesh.vertices[p] + 0.5 * d + bulge);
+        bound.mesh.vertices.push(ends[0] + 0.5 * d + bulge);
         let mut weights: BTreeMap<usize, f64> = BTreeMap::new();
         for &(bone, weight) in bound.weights[p].iter().chain(&bound.weights[q]) {
             *weights.entry(bone).or_insert(0.0) += 0.5 * weight;

@@ -174,22 +174,6 @@ pub struct PosedSkin {
     pub normals: Vec<DVec3>,
 }
 
-/// Distance of the surface from the middle of an edge, m, from the edge's ends and the unit normals there: the cubic over the
-/// edge that is tangential to the surface at both ends.
-pub fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
-    let d = b - a;
-    0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
-}
-
-/// Vertices of a skin at one time.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct MovingVertices {
-    /// Positions, m.
-    pub vertices: Vec<DVec3>,
-    /// Velocities, m/s.
-    pub velocities_m_per_s: Vec<DVec3>,
-}
-
 impl Skin {
     /// The skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
     pub fn new(build: &Build, edge_m: f64) -> Self {
@@ -202,13 +186,7 @@ impl Skin {
             around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
-
-        let (rest, patches, _) = in_patch_order(&rest);
-        let edges = skin_edges(&rest);
-        let narrowing = narrowing(&rest, &edges);
-        let segment_of = (0..SEGMENTS).collect();
-        let (bindings, influences) = Default::default();
-        let mut skin = Skin { rest, segment_of, edges, bindings, influences, patches, narrowing };
+        let (mut skin, _) = Skin::unbound(&rest, (0..SEGMENTS).collect());
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -229,29 +207,32 @@ impl Skin {
     /// A skin of a mesh in a rest pose, every edge with one triangle or two. Of each vertex, what moves it: bone, weight, and
     /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
     pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
-        let (rest, patches, from) = in_patch_order(rest);
+        let (mut skin, from) = Skin::unbound(rest, segment_of);
+        for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
+            skin.bindings.push(Binding { first: skin.influences.len() as u32, count: of.len() as u32 });
+            skin.influences.extend_from_slice(of);
+        }
+        skin
+    }
+
+    /// A skin of a mesh that follows no bone yet, and of each of its vertices, which it was.
+    fn unbound(mesh: &Mesh, segment_of: Vec<usize>) -> (Self, Vec<u32>) {
+        let (rest, patches, from) = in_patch_order(mesh);
         let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
-        let (mut bindings, mut influences) = (Vec::new(), Vec::new());
-        for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
-            bindings.push(Binding { first: influences.len() as u32, count: of.len() as u32 });
-            influences.extend_from_slice(of);
-        }
-        Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }
+        let (bindings, influences) = (Vec::new(), Vec::new());
+        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, from)
     }
 
     /// A body that keeps its shape and its place, and its pose.
     pub(crate) fn still(surface: &Surface) -> (Self, PosedSkin) {
-        let (rest, patches, from) = in_patch_order(&surface.mesh());
-        let edges = skin_edges(&rest);
-        let narrowing = narrowing(&rest, &edges);
+        let (skin, from) = Skin::unbound(&surface.mesh(), Vec::new());
         let posed = PosedSkin {
-            vertices: rest.vertices.clone(),
-            velocities_m_per_s: vec![DVec3::ZERO; rest.vertices.len()],
+            vertices: skin.rest.vertices.clone(),
+            velocities_m_per_s: vec![DVec3::ZERO; from.len()],
             normals: from.iter().map(|&v| surface.normals.get(v as usize).copied().unwrap_or(DVec3::Z)).collect(),
         };
-        let (segment_of, bindings, influences) = (Vec::new(), Vec::new(), Vec::new());
-        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, posed)
+        (skin, posed)
     }
 
     /// The mesh in its rest pose, over the origin, facing +x.
@@ -286,16 +267,9 @@ impl Skin {
         self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
     }
 
-    /// Vertices for a pose of the bones.
+    /// Vertices for a pose of the bones; their velocities for its rate.
     pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
         self.bindings.iter().map(|b| self.follow(b, maps)).collect()
-    }
-
-    /// Vertices for a pose of the bones, and their velocities for its rate.
-    pub(super) fn pose_moving(&self, maps: &[Map], rates: &[Map]) -> MovingVertices {
-        let both = self.bindings.iter().map(|b| (self.follow(b, maps), self.follow(b, rates)));
-        let (vertices, velocities_m_per_s) = both.unzip();
-        MovingVertices { vertices, velocities_m_per_s }
     }
 
     fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
@@ -591,8 +565,8 @@ mod tests {
     fn velocities_are_the_rates_of_the_vertices() {
         let walker = walker(1.75);
         let (t, h) = (3.1, 1e-4);
-        let moving = walker.at(t);
-        let (before, after) = (walker.at(t - h).vertices, walker.at(t + h).vertices);
+        let moving = walker.posed(t);
+        let (before, after) = (walker.mesh_at(t - h).vertices, walker.mesh_at(t + h).vertices);
         let mut fastest = 0.0f64;
         for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
             assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-4, "{velocity}");

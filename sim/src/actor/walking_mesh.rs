@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::motion::{Motion, Steps};
-use super::skin::{Map, MovingVertices, PosedSkin, Skin};
+use super::skin::{Map, PosedSkin, Skin};
 use crate::geometry::{Mesh, one_ring_normals};
 
 /// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
@@ -44,8 +44,8 @@ impl WalkingMesh {
         }
     }
 
-    /// Vertices and their velocities at a time, in the room.
-    pub fn at(&self, time_s: f64) -> MovingVertices {
+    /// The skin at a time, in the room, with what a surface integral needs.
+    pub fn posed(&self, time_s: f64) -> PosedSkin {
         let h = RATE_STEP_S;
         let [far_before, before, after, far_after] =
             [-2.0 * h, -h, h, 2.0 * h].map(|offset| self.maps(time_s + offset));
@@ -60,14 +60,9 @@ impl WalkingMesh {
                 stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
             })
             .collect();
-        self.skin.pose_moving(&self.maps(time_s), &rates)
-    }
-
-    /// The skin at a time, in the room, with what a surface integral needs.
-    pub fn posed(&self, time_s: f64) -> PosedSkin {
-        let MovingVertices { vertices, velocities_m_per_s } = self.at(time_s);
+        let vertices = self.skin.pose(&self.maps(time_s));
         let normals = one_ring_normals(&vertices, &self.skin.rest().triangles);
-        PosedSkin { vertices, velocities_m_per_s, normals }
+        PosedSkin { vertices, velocities_m_per_s: self.skin.pose(&rates), normals }
     }
 
     /// The mesh at a time, in the room.

@@ -12,10 +12,11 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
-use crate::actor::skin::{PosedSkin, bulge};
+use crate::actor::skin::PosedSkin;
 use crate::field::current::{Arrival, heard_by};
 use crate::field::image::{Illumination, ImageIndex, Wall};
 use crate::field::triangle;
+use crate::geometry::bulge;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
 use crate::stage::Stage;

@@ -82,16 +82,22 @@ impl Surface {
     }
 }
 
+/// Distance of the surface from the middle of an edge, m, from the edge's ends and the unit normals there: the cubic over the
+/// edge that is tangential to the surface at both ends.
+pub(crate) fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
+    let d = b - a;
+    0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
+}
+
 /// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
 /// tangential to the surface at its ends. No bit depends on which end comes first.
 pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
     let d = b - a;
-    let bulge = normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a);
     let chord = d.length_squared();
     let mean = normal_a + normal_b;
     // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
     let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
-    (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
+    (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - lean).normalize_or(normal_a))
 }
 
 #[cfg(test)]
