@@ -6,7 +6,7 @@ use std::io::Write;
 use super::mark::{DASH, Ink, Letters, Mark, Pixel};
 
 /// Height of the letters' baseline below the upper edge of a line of text, and size of the font, as shares of the line's height:
-/// those of the font that PNGs are written in.
+/// those of the font of PNG pictures.
 const BASELINE: f64 = 0.785;
 const FONT_SIZE: f64 = 0.734;
 
