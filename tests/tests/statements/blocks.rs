@@ -18,8 +18,14 @@ use radome_tests::root;
 
 use super::{figure, file, report};
 
-/// Networks under one recipe: each with a circuit, and with a linear layer in its place.
-const PAIRS: [(&str, &str); 2] = [("hqnn", "estimator_matched"), ("descriptor_hqnn", "descriptor_linear")];
+/// Networks under one recipe: with a circuit, or with what it does to its inputs, and with a linear layer in its place.
+const PAIRS: [(&str, &str); 5] = [
+    ("hqnn", "estimator_matched"),
+    ("descriptor_hqnn", "descriptor_linear"),
+    ("descriptor_hqnn", "two_linear"),
+    ("descriptor_hqnn", "two_squashed_linear"),
+    ("two_squashed_linear", "two_linear"),
+];
 
 /// Mean and sigma of the paper's training maps, dB, by scene and class: synthetic, then real.
 const PAPER_CELLS: [(&str, Occupancy, [f64; 2], [f64; 2]); 6] = [
@@ -205,8 +211,8 @@ fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
     table(&["set"].into_iter().chain(names).collect::<Vec<_>>(), rows)
 }
 
-/// Differences within those of [`PAIRS`] that a study has, under the same seed: on the test split, under each condition, of the mean over conditions, and of how much
-/// that mean is above the test split.
+/// Differences within those of [`PAIRS`] that a study has, under the same seed: on the test split, under each condition, of the mean
+/// over conditions, and of how much that mean is above the test split.
 fn pairs(of: &Report, found: &[&ConditionReport]) -> String {
     let has = |variant: &str| whole(of).any(|cell| cell.variant == variant);
     let pairs: Vec<(&str, &str)> = PAIRS.into_iter().filter(|&(circuit, linear)| has(circuit) && has(linear)).collect();
