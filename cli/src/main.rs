@@ -1,4 +1,4 @@
-//! `radome`: occupancy from a 60 GHz radar. Data goes to stdout, talk to stderr.
+//! The program `radome`: occupancy from a 60 GHz radar. Answers go to stdout, messages to stderr.
 
 // A program talks; the libraries below it only report.
 #![allow(clippy::print_stdout, clippy::print_stderr)]

@@ -1,17 +1,45 @@
 //! Chirp frames from physics: scenes, people, fields, receiver.
 //!
-//! [`Scene::load`] reads a room, a radar, a receiver and what people do in it; a [`Simulator`] makes frames of it, as a
-//! [`radome_dsp::FrameSource`] or one by one. One frame goes: [`actor`] (where are the people's thirteen ellipsoids at the key
-//! times) -> [`echo`] (what each of them reflects by every audible pair of image antennas) -> [`keys`] (how many key times each path
-//! takes) -> [`slow_time`] (every chirp between them) and [`tracks`] (every receiver), beside them [`diffuse`] (what walls throw about)
-//! -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding). People who are meshes go by [`echo::skin`]
-//! instead, to an error that is asked for.
+//! [`Scene::load`] reads a room, a radar, a receiver and the people in it. A [`Simulator`] makes frames of it, as a
+//! [`radome_dsp::FrameSource`] or one by one:
 //!
-//! Beside it, [`rcs`] puts canonical targets before the integrators of scenes, one by one, against what is known of them.
+//! ```
+//! use std::path::Path;
 //!
-//! Conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up; the radar's own axes are
-//! x boresight, y left, z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in whatever
-//! order and on however many threads they are made.
+//! use radome_dsp::{Frame, FrameSource, SourceEvent};
+//! use radome_sim::{Scene, SimulateOptions, Simulator};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+//! let scene = Scene::load(Path::new("../fixtures/scenes/corridor.toml"))?;
+//! let options = SimulateOptions { seed: 7, frames: Some(2), ..SimulateOptions::default() };
+//! let mut simulator = Simulator::new(&scene, options)?;
+//!
+//! let mut frame = Frame::zeroed(scene.waveform().shape());
+//! let mut frames = 0;
+//! while simulator.next_frame(&mut frame)? == SourceEvent::Frame {
+//!     // The same frame by its index, whichever came before.
+//!     assert_eq!(simulator.render(frames).codes, frame.codes);
+//!     frames += 1;
+//! }
+//! assert_eq!(frames, 2);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Stages of a frame
+//! 1. [`actor`]: people's bodies at the key times, thirteen ellipsoids or a skin.
+//! 2. [`echo`]: the echo of each ellipsoid by every audible pair of image antennas; of skins ([`echo::skin`]), to an error that is
+//!    asked for. [`diffuse`]: echoes that walls scatter in all directions.
+//! 3. [`keys`]: the key times of each path. [`slow_time`]: every chirp between them. [`tracks`]: every receiver.
+//! 4. [`synthesis`]: paths to samples.
+//! 5. [`receiver`]: leakage, noise, rounding to codes.
+//!
+//! [`rcs`] applies the same integrators to canonical targets whose answer is known.
+//!
+//! # Conventions
+//! Those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up. The radar's own axes are x boresight, y left,
+//! z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in any order and on any number of
+//! threads.
 
 pub mod actor;
 pub mod bounded_file;

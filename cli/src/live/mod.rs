@@ -1,4 +1,4 @@
-//! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
+//! Live pipeline: frames to labels as they arrive, `FrameSource -> Frame -> Rdm -> Occupancy`.
 
 pub mod access;
 pub mod answer;

@@ -1,4 +1,4 @@
-//! What tests of boards and recordings share. Each test binary uses a part.
+//! Helpers of tests of boards and recordings. Each test binary uses a part.
 
 #![allow(dead_code, unused_imports)]
 

@@ -1,5 +1,5 @@
-//! People: thirteen ellipsoids or a skin around them, a gait, small motions, and what they do; or actors and captured steps from
-//! files.
+//! People: bodies of thirteen ellipsoids or a skin around them, gait, small motions and scripts; also actors and captured steps
+//! from files.
 
 pub mod body;
 pub mod bvh;

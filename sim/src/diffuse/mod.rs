@@ -1,22 +1,21 @@
-//! Diffuse echoes: what walls throw in all directions, by their roughness and by what hangs and stands on them, on its way to
-//! somebody or back.
+//! Diffuse echoes: power that walls scatter in all directions, by their roughness and by what hangs and stands on them, on the way
+//! to a person or back.
 //!
-//! A wall gives a share of the power that falls on it back by Lambert's law (Degli-Esposti, Fuschini, Vitucci and Falciasecca,
+//! A wall returns a share of the power that falls on it by Lambert's law (Degli-Esposti, Fuschini, Vitucci and Falciasecca,
 //! IEEE Transactions on Antennas and Propagation 55(1), 2007, section II: the square of their scattering coefficient S, for which
-//! they and others measured 0.2 to 0.4 and more), besides what it mirrors. Here it is made of points with random phases, which
-//! stay where they are; the ways antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that
-//! their delays and rates are those of the geometry. A segment scatters in all directions what falls on it, as a convex body does
-//! on average over its directions: `|Gamma|^2 S / 4` for the surface S (Cauchy). For the ways by a point both there and back as
-//! many pairs of points stand as there are points.
+//! they and others measured 0.2 to 0.4 and more), besides what it mirrors. Here fixed points with random phases stand for it. The ways
+//! antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that their delays and rates are those
+//! of the geometry. A segment scatters in all directions, as a convex body does on average over its directions: `|Gamma|^2 S / 4`
+//! for the surface S (Cauchy). Ways by a point both there and back are represented by as many pairs of points as there are points.
 //!
-//! Between antenna and point may lie more walls: what a room returns after many of them dies away exponentially with delay
+//! More walls may lie between antenna and point: the power that a room returns after many of them decays exponentially with delay
 //! (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation Magazine 49(2), 2007).
-//! Of all ways by n walls, image antennas stand for those that are mirrored at each of few; the points stand for the others. A
-//! point is the end of a random walk from wall to wall by Lambert's law, which carries what the walls leave of it.
+//! Of all ways by n walls, image antennas represent those that are mirrored at each of a few walls; the points represent the others.
+//! A point is the end of a random walk from wall to wall by Lambert's law, and carries the power that the walls leave.
 //!
 //! `points.rs` makes the points of a room, of any shape with `facets.rs`; [`crate::echo::diffuse`] adds a person's echoes by way of
-//! them. There are thousands: each is weak, and together they are a field of random phases, of which the mean power at each delay
-//! and rate is what counts. At a tolerance that allows it, each segment of a body takes a part of the points
+//! them. There are thousands: each is weak, and together they are a field of random phases, of which only the mean power at each
+//! delay and rate matters. At a tolerance that allows it, each segment of a body takes a part of the points
 //! ([`crate::echo::diffuse::points_a_segment`]), and echoes are laid down for many chirps at once
 //! ([`crate::synthesis::RateGrids`]).
 

@@ -1,5 +1,5 @@
-//! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
-//! ([`planes`], [`edges`]), and read from files ([`import`]).
+//! Surfaces as triangle meshes: vertices merged ([`weld`]), faults found ([`lint`]), planes and edges extracted ([`planes`],
+//! [`edges`]), files read ([`import`]).
 
 mod creases;
 mod edges;

@@ -1,9 +1,9 @@
-//! Radar cross-sections of canonical targets: the integrators of scenes one by one, beside what is known without them.
+//! Radar cross-sections of canonical targets, by the integrators of scenes, beside values that are known without them.
 //!
-//! Round bodies go by the highlights of people's ellipsoids ([`crate::field::highlight`]), closed smooth meshes by the patches of
-//! skins ([`crate::echo::still`]), plane faces by the facets, sequences and reflections of rooms ([`images`]). Scenes have no
-//! radar infinitely far ([`terminal`]) and no physical optics on flat or open surfaces ([`facet`], the last surface of a
-//! sequence): these are here alone.
+//! Round bodies are solved by the highlights of people's ellipsoids ([`crate::field::highlight`]), closed smooth meshes by the patches
+//! of skins ([`crate::echo::still`]), plane faces by the facets, sequences and reflections of rooms ([`images`]). Two things are here
+//! alone, because scenes lack them: radars infinitely far ([`terminal`]), and physical optics on flat or open surfaces ([`facet`], the
+//! last surface of a sequence).
 //!
 //! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
 //! solved to a tolerance. Far from the target the cross-section is the textbook's; near it, it is the one that a radar at that

@@ -1,4 +1,4 @@
-//! From the field at the antennas to 12-bit codes.
+//! Receiver: converts the field at the antennas to 12-bit codes.
 
 pub mod adc;
 pub mod budget;

@@ -1,4 +1,4 @@
-//! Scenes: what a file says, checked and resolved.
+//! Scenes: the content of a scene file, checked and resolved.
 
 pub(crate) mod ground;
 pub mod surfaces;

@@ -1,7 +1,7 @@
 //! Meshes from files: STL, OBJ and glTF.
 //!
-//! STL and OBJ do not say in which unit their numbers are, nor which way is up; whoever imports has to. (glTF does: metres, y
-//! up.) What comes out is in metres with z up, not yet welded ([`super::weld`]): an STL file has three vertices a triangle.
+//! STL and OBJ state neither the unit of their numbers nor the axis that points up, so the caller names both. glTF is in metres with
+//! y up. The result is in metres with z up, not yet welded ([`super::weld`]): an STL file has three vertices a triangle.
 
 pub(crate) mod gltf;
 mod lines;
