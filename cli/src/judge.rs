@@ -44,7 +44,8 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
     })
 }
 
-fn is_built_in(name: &Path) -> bool {
+/// Whether a name is that of the built-in model, and of no file.
+pub fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
 

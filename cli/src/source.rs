@@ -25,6 +25,7 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use crate::judge::{self, BUILT_IN};
 use crate::panics::Guarded;
 
 /// Seed of a simulation where none is named.
@@ -36,7 +37,7 @@ pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     pub source: String,
-    /// Waveform to program a board with: `paper`, a .toml file, a model file, or a recording
+    /// Waveform to program a board with: `paper`, a .toml file, a model file, room-hqnn, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
     /// Stop after so many frames
@@ -64,6 +65,7 @@ impl SourceArgs {
     pub fn options(&self) -> anyhow::Result<SourceOptions> {
         Ok(SourceOptions {
             waveform: self.waveform.as_deref().map(waveform).transpose()?,
+            model_waveform: None,
             seed: self.seed.unwrap_or(DEFAULT_SEED),
             people: self.people,
             frames: self.frames,
@@ -77,8 +79,11 @@ impl SourceArgs {
 /// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
-    /// Waveform to program a board with, if not the one that it has; recordings and scenes bring their own.
+    /// Waveform that is named to program a board with, or that a board measures which takes no requests; recordings and scenes bring
+    /// their own.
     pub waveform: Option<Waveform>,
+    /// Waveform to program a board with where none is named: that of the model which judges its frames.
+    pub model_waveform: Option<Waveform>,
     pub seed: u64,
     /// People that a simulation is forced to have.
     pub people: Option<usize>,
@@ -93,6 +98,11 @@ pub struct SourceOptions {
 }
 
 impl SourceOptions {
+    /// Waveform to program a board with.
+    fn to_program(&self) -> Option<&Waveform> {
+        self.waveform.as_ref().or(self.model_waveform.as_ref())
+    }
+
     fn reconnect(&self) -> Reconnect {
         let default = Reconnect::default();
         Reconnect { give_up_after: self.give_up_after.unwrap_or(default.give_up_after), ..default }
@@ -186,6 +196,12 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
+    if !path.exists() {
+        bail!(
+            "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, usb:, auto, or \
+             emulated:SOURCE; radome board list lists the boards"
+        );
+    }
     if options.as_playback && !is_scene(path) {
         return playback(path, options.speed.unwrap_or(1.0));
     }
@@ -264,7 +280,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
     };
     match detected {
         Detected::Mcu7(board, left) => {
-            let Some(waveform) = options.waveform.as_ref().or(left.as_ref()) else {
+            let Some(waveform) = options.to_program().or(left.as_ref()) else {
                 bail!(
                     "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml"
                 );
@@ -285,7 +301,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
 }
 
 fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Result<Source> {
-    let Some(waveform) = options.waveform.clone().or_else(|| board.configured_waveform()) else {
+    let Some(waveform) = options.to_program().cloned().or_else(|| board.configured_waveform()) else {
         bail!(
             "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
         );
@@ -336,7 +352,8 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
-/// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file, or of a recording.
+/// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file or a built-in model, or
+/// of a recording.
 ///
 /// # Errors
 /// The file cannot be read or holds no waveform, or the chip cannot produce the waveform.
@@ -345,6 +362,9 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
     }
     let path = Path::new(spec);
+    if judge::is_built_in(path) {
+        return Ok(judge::network(path)?.card.waveform);
+    }
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(radome_models::ModelCard::load(path)?.waveform);
     }
@@ -357,8 +377,8 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     }
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| {
         format!(
-            "cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, a model file or a \
-             recording"
+            "cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, a model file, \
+             {BUILT_IN} or a recording"
         )
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;

@@ -209,6 +209,26 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
     }
 }
 
+#[test]
+fn ports_of_unknown_devices_are_asked_in_every_protocol_if_that_is_wanted() {
+    let machine = Machine::new();
+    machine.plug("1-1", (0x1A86, 0x7523), 5, "USB Serial", "9");
+    machine.give("1-1", "tty", "ttyUSB0", "");
+    let waveform = common::waveform(&[1], 8, 64, 0.1);
+    for kind in [Kind::Mcu7V4, Kind::Deepcraft, Kind::Esp32] {
+        let board = common::board(&waveform, 1000, kind, &[]);
+        let candidate = candidate_at(&machine, &board);
+        assert_eq!(ask(&candidate, false), State::NotAsked);
+        match ask(&candidate, true) {
+            State::Ready { identity: Identity::Board(identity) } if kind != Kind::Esp32 => {
+                assert_eq!(identity.chip, "BGT60TR13C", "{kind:?}");
+            }
+            State::Prints if kind == Kind::Esp32 => {}
+            other => panic!("{kind:?}: {other:?}"),
+        }
+    }
+}
+
 /// State of the chip for the next client.
 fn left(board: &EmulatedBoard) -> Option<Waveform> {
     let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {

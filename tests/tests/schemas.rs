@@ -6,7 +6,7 @@ use std::fs;
 use radome_tests::{fixture, radome, root};
 use serde_json::Value;
 
-const KINDS: [&str; 5] = ["dataset", "receiver", "scene", "study", "training"];
+const KINDS: [&str; 6] = ["dataset", "receiver", "scene", "study", "training", "waveform"];
 
 /// Folders of fixtures, each with the kind of its files. Files of settings of trainings lie beside datasets.
 const FOLDERS: [(&str, &str); 5] = [

@@ -49,10 +49,10 @@ pub struct Arguments {
     /// Measurement of the empty room by `radome model background`: fans and curtains then count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
-    /// Seconds of agreement before `occupied` is said
+    /// Seconds of agreement before `occupied`, or a greater number of people, is said
     #[arg(long, default_value_t = Delays::default().on_s)]
     on_delay_s: f64,
-    /// Seconds of agreement before it is taken back
+    /// Seconds of agreement before `empty`, or a smaller number of people, is said
     #[arg(long, default_value_t = Delays::default().off_s)]
     off_delay_s: f64,
     /// One object a frame and one at the end
@@ -136,7 +136,8 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let named = model.named(watch.model, watch.delays)?;
     let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
     let options = SourceOptions {
-        waveform: waveform(watch, &model)?,
+        waveform: named_waveform(watch, &model)?,
+        model_waveform: model.waveform().cloned(),
         seed: watch.seed,
         people: watch.people,
         frames: watch.frames,
@@ -196,9 +197,9 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(is_lost))
 }
 
-/// Waveform to program a board with: the named one if the model can judge it, else the model's own.
-fn waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
-    let Some(named) = watch.waveform else { return Ok(model.waveform().cloned()) };
+/// The waveform that is named, if one is and the model can judge it.
+fn named_waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
+    let Some(named) = watch.waveform else { return Ok(None) };
     let waveform = source::waveform(named)?;
     model.check_waveform(&waveform).with_context(|| {
         format!(

@@ -1,5 +1,6 @@
 //! `radome schema`: JSON schemas of the TOML files that people write, by which editors complete and check keys.
 
+use radome_dsp::WaveformRequest;
 use radome_models::TrainSpec;
 use radome_sim::Receiver;
 use radome_sim::scene_file::SceneFile;
@@ -31,6 +32,8 @@ enum Kind {
     Training,
     /// Study
     Study,
+    /// Waveform of a board
+    Waveform,
 }
 
 /// Prints the schema of a kind of file.
@@ -44,6 +47,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Kind::Dataset => schema::<BuildSpec>(),
         Kind::Training => schema::<TrainSpec>(),
         Kind::Study => schema::<StudyFile>(),
+        Kind::Waveform => schema::<WaveformRequest>(),
     };
     output::text_line(&serde_json::to_string_pretty(&schema)?)
 }

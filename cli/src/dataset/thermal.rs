@@ -101,7 +101,7 @@ mod tests {
         samples
     }
 
-    /// What noise adds to the samples of a frame, codes.
+    /// Noise that is added to the samples of a frame, codes.
     fn added(frame: &Frame, snr_db: f64) -> Vec<f64> {
         let clean = samples(frame, f64::INFINITY);
         let difference = |(noisy, clean): (&f32, &f32)| 2048.0 * f64::from(noisy - clean);

@@ -5,8 +5,9 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
+use serialport::TTYPort;
 
-use super::{BoardError, DeepcraftBoard, Esp32Stream, Mcu7Board};
+use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board};
 use crate::transport::serial::{open_port, read_more};
 use crate::transport::{Address, trace};
 
@@ -49,30 +50,59 @@ impl Detected {
     /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
     /// The requests sent do not harm a board of another protocol.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
-        let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
-        let mut heard = Vec::new();
-        let began = Instant::now();
-        while began.elapsed() < LISTEN && heard.len() < ENOUGH {
-            let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
-            read_more(&mut port, &mut heard).map_err(lost)?;
-        }
-        if is_text(&heard) {
-            trace::received(&heard);
+        if let Some((port, heard)) = printing(path)? {
             return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
-        trace::measured(heard.len());
-        drop(port);
-        // To a DEEPCRAFT board the MCU7 request is the head of a longer one, whose rest it waits for; the DEEPCRAFT
-        // client completes it.
-        match Mcu7Board::open_with_waveform(&Address::Serial(path.into())) {
-            Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
-            Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
-                Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),
-                Err(BoardError::NoAnswer { .. }) => Err(silent),
-                Err(error) => Err(error),
-            },
+        let mcu7 = |address: &Address| {
+            let (board, left) = Mcu7Board::open_with_waveform(address)?;
+            Ok(Detected::Mcu7(Box::new(board), left))
+        };
+        asked_in_turn(path, mcu7, |board| Detected::Deepcraft(Box::new(board)))
+    }
+}
+
+/// Identity of the board on a serial port, whose chip stays as it was programmed; `None` if it only prints.
+///
+/// # Errors
+/// Those of [`Detected::open`].
+pub(crate) fn identity_on(path: &Path) -> Result<Option<BoardIdentity>, BoardError> {
+    if printing(path)?.is_some() {
+        return Ok(None);
+    }
+    asked_in_turn(path, Mcu7Board::identity_at, |board| board.identity().clone()).map(Some)
+}
+
+/// Opens a port and listens: the port and what was heard, if that is text.
+fn printing(path: &Path) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
+    let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
+    let mut heard = Vec::new();
+    let began = Instant::now();
+    while began.elapsed() < LISTEN && heard.len() < ENOUGH {
+        let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
+        read_more(&mut port, &mut heard).map_err(lost)?;
+    }
+    if is_text(&heard) {
+        trace::received(&heard);
+        return Ok(Some((port, heard)));
+    }
+    trace::measured(heard.len());
+    Ok(None)
+}
+
+/// Asks the board on a port in one protocol after the other. To a DEEPCRAFT board the MCU7 request is the head of a longer one,
+/// whose rest it waits for; the DEEPCRAFT client completes it.
+fn asked_in_turn<T>(
+    path: &Path,
+    mcu7: impl FnOnce(&Address) -> Result<T, BoardError>,
+    deepcraft: impl FnOnce(DeepcraftBoard) -> T,
+) -> Result<T, BoardError> {
+    match mcu7(&Address::Serial(path.into())) {
+        Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
+            Ok(board) => Ok(deepcraft(board)),
+            Err(BoardError::NoAnswer { .. }) => Err(silent),
             Err(error) => Err(error),
-        }
+        },
+        answer => answer,
     }
 }
 

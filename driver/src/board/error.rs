@@ -19,7 +19,7 @@ use crate::transport::usb::OpenError;
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum BoardError {
     /// The port cannot be opened.
-    #[error("{path}: cannot be opened")]
+    #[error("{path}: cannot be opened\n\nhint: radome board list lists the ports of boards")]
     Open { path: PathBuf, source: std::io::Error },
     /// No board of this address is attached.
     #[error(

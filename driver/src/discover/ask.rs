@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::board::{BoardError, BoardIdentity, DeepcraftBoard, Mcu7Board};
+use crate::board::{BoardError, BoardIdentity, DeepcraftBoard, Mcu7Board, identity_on};
 use crate::candidate::{Access, Belief, Candidate, Transport};
 use crate::error_text::with_causes;
 use crate::probe::{Probe, ProbeError, ProbeIdentity};
@@ -15,6 +15,8 @@ use crate::transport::{Address, PERMISSION_REMEDY};
 pub enum State {
     /// The device has answered with its identity and can be used.
     Ready { identity: Identity },
+    /// The device prints lines by itself, as a board does that takes no requests.
+    Prints,
     /// The device has not been asked.
     NotAsked,
     /// Another program holds the device.
@@ -92,7 +94,11 @@ pub fn ask(candidate: &Candidate, any_port: bool) -> State {
             Err(error) => error.into(),
         },
         (None, Belief::Mcu7Serial | Belief::Deepcraft, _) => State::NoDriver,
-        (None, _, Transport::Serial) if any_port => board(&Address::Serial(candidate.path.clone())),
+        (None, _, Transport::Serial) if any_port => match identity_on(&candidate.path) {
+            Ok(Some(identity)) => State::Ready { identity: Identity::Board(identity) },
+            Ok(None) => State::Prints,
+            Err(error) => error.into(),
+        },
         _ => State::NotAsked,
     }
 }

@@ -12,8 +12,8 @@ pub enum RecordingError {
     /// A file cannot be read or written.
     #[error("{path}: {what}")]
     Io { path: PathBuf, what: &'static str, source: std::io::Error },
-    /// A file that belongs to the recording is absent.
-    #[error("{path}: no such file, though the recording needs it")]
+    /// The recording, or a file that belongs to it, is absent.
+    #[error("{path}: there is no such file or folder")]
     Missing { path: PathBuf },
     /// An output exists and must not be replaced.
     #[error(

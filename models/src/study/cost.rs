@@ -1,10 +1,10 @@
-//! What work costs: processor time of this process, and energy of the machine's processors where it counts that.
+//! Cost of work: processor time of this process, and energy of the machine's processors where it counts that.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-/// What a piece of work cost.
+/// Cost of a piece of work.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Processor time of all threads of the process, s; absent where the system does not tell it.
@@ -32,7 +32,7 @@ impl Meter {
         Meter { cpu_seconds: cpu_seconds(), energies: energy_counters(Path::new("/sys/class/powercap")) }
     }
 
-    /// What was used since the start.
+    /// Cost since the start.
     pub fn read(&self) -> Cost {
         let cpu_seconds = cpu_seconds().zip(self.cpu_seconds).map(|(now, then)| now - then);
         let used: Option<Vec<f64>> = self.energies.iter().map(EnergyCounter::used_joules).collect();

@@ -49,10 +49,10 @@ pub struct Outcome {
     pub curve: Vec<EpochReport>,
     /// Time of the epochs, s.
     pub training_seconds: f64,
-    /// What the training cost this process: less than all of it if it carried on with a checkpoint.
+    /// Cost of the training to this process: less than all of it if it carried on with a checkpoint.
     #[serde(default)]
     pub training_cost: Cost,
-    /// What one map through the classifier cost.
+    /// Cost of one map through the classifier.
     #[serde(default)]
     pub label_cost: Cost,
     /// Median time of one map through the classifier, ms.

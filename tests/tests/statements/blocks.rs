@@ -281,7 +281,7 @@ fn studies(way: &str) -> String {
     table(&["study", "title", "trainings", "failed", "hours", "CPU-hours", "report"], names.iter().map(row))
 }
 
-/// What `radome bench trainability` found, by qubits and depth.
+/// Results of `radome bench trainability`, by qubits and depth.
 fn gradients(study: &str) -> String {
     let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else { return not_run(study) };
     let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");

@@ -113,6 +113,12 @@ fn describe(report: &Report) -> String {
                 probe.product, probe.firmware_version, probe.serial_number
             );
         }
+        Some(State::Prints) => {
+            line += &format!(
+                ": prints lines\n    hint: if these are frames of an ESP32: radome live serial:{}",
+                candidate.path.display()
+            );
+        }
         Some(State::NotAsked) => line += ": not asked",
         Some(State::Busy) => line += ": busy: another program has it",
         Some(State::PermissionDenied { remedy }) => line += &format!(": permission denied\n    hint: {remedy}"),

@@ -117,7 +117,7 @@ pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
 pub fn devices() -> Vec<Check> {
     let candidates = discover::candidates();
     if candidates.is_empty() {
-        let hint = "plug one in, or name a SOURCE that needs none: emulated:SCENE.toml";
+        let hint = "plug one in; boards without USB ids are named serial:PORT; emulated:SCENE.toml needs none";
         return vec![Check::warn("devices", "no board is attached", hint)];
     }
     let check = |candidate: &radome_driver::Candidate| {
@@ -127,6 +127,7 @@ pub fn devices() -> Vec<Check> {
                 Check::ok("device", format!("{name}, firmware {}, {}", board.firmware_version, board.chip))
             }
             State::Ready { identity: Identity::Probe(_) } => Check::ok("device", format!("{name}, answers")),
+            State::Prints => Check::ok("device", format!("{name}, prints lines")),
             State::NotAsked => Check::ok("device", format!("{name}, not asked")),
             State::Busy => Check::warn("device", format!("{name}, in use"), "another program has it: stop that first"),
             State::PermissionDenied { remedy } => Check::fail("device", format!("{name}, permission denied"), remedy),
@@ -158,7 +159,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// Checks whether a source opens, gives frames, and can be judged.
 pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
     let options = SourceOptions {
-        waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
+        model_waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
         seed: source::DEFAULT_SEED,
         frames: Some(FRAMES as u64),
         ..SourceOptions::default()
@@ -257,7 +258,9 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
             let found = format!("{named}: {:.1} GiB free, {hours:.1} h of frames", free_bytes / f64::from(1 << 30));
             checks.push(match hours {
                 h if h < 0.1 => Check::fail("room", found, "make room, or --record-to another disk"),
-                h if h < 10.0 => Check::warn("room", found, "not enough for a night"),
+                h if h < 10.0 => {
+                    Check::warn("room", found, "not enough for a night: --record-to FOLDER on a larger disk")
+                }
                 _ => Check::ok("room", found),
             });
         }

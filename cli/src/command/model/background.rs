@@ -4,7 +4,7 @@ use anyhow::Context;
 use radome_dsp::{Frame, SourceEvent};
 use serde_json::json;
 
-use crate::judge::{Model, Prediction};
+use crate::judge::{BUILT_IN, Model, Prediction};
 use crate::live::background::{Background, Capture};
 use crate::output;
 use crate::output_file::Overwrite;
@@ -16,7 +16,7 @@ pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
     /// Model that will judge the room
-    #[arg(long)]
+    #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
     /// File to write, for `live --background`
     #[arg(short, long, value_name = "FILE.json")]
@@ -41,7 +41,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let model = Model::open(&arguments.model)?;
     let judge = model.named(&arguments.model, Default::default())?;
     let mut options = arguments.source.options()?;
-    options.waveform = options.waveform.or_else(|| model.waveform().cloned());
+    options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
     let mut source = source::open(&arguments.source.source, &options)?;
     eprintln!("{}; nobody should be in the room", source.description);

@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Angle offsets between this board's receivers, from a file that --reflector wrote
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
-    /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: tell what the receivers are unlike in
+    /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: measure the receivers' angle offsets
     #[arg(
         long,
         value_name = "RANGE_M,AZIMUTH_DEG,ELEVATION_DEG",
@@ -40,7 +40,7 @@ pub struct Arguments {
         num_args = 1
     )]
     reflector: Option<Vec<f64>>,
-    /// File for it
+    /// File for the angle offsets
     #[arg(short, long, requires = "reflector")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -72,7 +72,7 @@ struct Said {
     is_still: bool,
 }
 
-/// Ranges, speeds and directions of what moves, frame by frame; or what receivers are unlike in.
+/// Ranges, speeds and directions of what moves, frame by frame; or angle offsets of the receivers.
 ///
 /// # Errors
 /// The source or the angles cannot be read, or no reflector is found.

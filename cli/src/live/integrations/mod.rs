@@ -34,10 +34,10 @@ use super::sink::Sink;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in the house; where no board has an identity of its own, what it is known by
+    /// Name of the radar in Home Assistant; also its identity, where no board has one
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
-    /// Topic prefix where the hub looks for devices
+    /// Topic prefix under which Home Assistant looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant")]
     mqtt_discovery_prefix: String,
     /// Certificates to trust the broker by, instead of the system's
