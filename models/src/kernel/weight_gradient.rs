@@ -73,10 +73,7 @@ pub(crate) fn weight_gradient(
     };
     (0..groups * splits).into_par_iter().for_each_init(Scratch::default, task);
     add_groups(&mut sums, size);
-    match all_offsets {
-        1 => sums,
-        _ => by_channel(gemm, &sums, outputs, gathered),
-    }
+    if all_offsets == 1 { sums } else { by_channel(gemm, &sums, outputs, gathered) }
 }
 
 /// Adds the sums of all groups, each of `size` values, in their order, and keeps the totals.

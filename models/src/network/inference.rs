@@ -407,7 +407,6 @@ impl Step {
             output.values_mut().copy_from_slice(first.values());
         }
         let [batch, rows, columns, channels] = if in_place { output.dims() } else { input(0)?.dims() };
-        let width = rows * columns * channels;
         match &self.kernel {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
@@ -433,15 +432,7 @@ impl Step {
                     cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activate(*activation, *x * a + b));
                 }
             }
-            Kernel::Standardise { mean, factor } => {
-                if mean.len() != width {
-                    bail!("expected {} values, got {width}", mean.len());
-                }
-                for row in output.values_mut().chunks_exact_mut(width) {
-                    let constants = mean.iter().zip(factor);
-                    row.iter_mut().zip(constants).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
-                }
-            }
+            Kernel::Standardise { mean, factor } => standardise(mean, factor, output)?,
             Kernel::ScaledSigmoid => output.values_mut().iter_mut().for_each(|x| *x = scaled_sigmoid_of(*x)),
             Kernel::ClosedForm(trained) => {
                 let input = input(0)?;
@@ -449,13 +440,7 @@ impl Step {
                 expectations_of_rows(trained, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
             }
             Kernel::Circuit { circuit, theta } => run_circuit(circuit, theta, input(0)?, output)?,
-            Kernel::Trigonometric => {
-                output.reshape([batch, 1, 1, 5]);
-                let rows = input(0)?.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0);
-                for (&x, result) in rows {
-                    *result = trigonometric_features(x.map(f64::from)).map(|[value, ..]| value as f32);
-                }
-            }
+            Kernel::Trigonometric => trigonometric(input(0)?, output),
             Kernel::Concatenate => concatenate(input(0)?, input(1)?, output),
         }
         Ok(())
@@ -475,6 +460,18 @@ fn add(other: &Feature, rectified: bool, output: &mut Feature) -> Result<()> {
     Ok(())
 }
 
+fn standardise(mean: &[f32], factor: &[f32], output: &mut Feature) -> Result<()> {
+    let width: usize = output.dims()[1..].iter().product();
+    if mean.len() != width {
+        bail!("expected {} values, got {width}", mean.len());
+    }
+    for row in output.values_mut().chunks_exact_mut(width) {
+        let constants = mean.iter().zip(factor);
+        row.iter_mut().zip(constants).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
+    }
+    Ok(())
+}
+
 /// Runs a circuit on each row.
 fn run_circuit(circuit: &Circuit, theta: &[f64], input: &Feature, output: &mut Feature) -> Result<()> {
     output.reshape(input.dims());
@@ -488,6 +485,13 @@ fn run_circuit(circuit: &Circuit, theta: &[f64], input: &Feature, output: &mut F
             Ok(())
         })
         .map_err(|error: CircuitError| candle_core::Error::wrap(error))
+}
+
+fn trigonometric(input: &Feature, output: &mut Feature) {
+    output.reshape([input.dims()[0], 1, 1, 5]);
+    for (&x, result) in input.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0) {
+        *result = trigonometric_features(x.map(f64::from)).map(|[value, ..]| value as f32);
+    }
 }
 
 /// Puts the rows of two inputs one behind the other.

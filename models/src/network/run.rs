@@ -136,10 +136,7 @@ impl Network {
             }
             Layer::BatchNorm { activation, .. } => {
                 let statistics = self.parameters().statistics(&node.name)?;
-                let of = match mode {
-                    Mode::Training { .. } => BatchNormMode::Training,
-                    Mode::Evaluation => BatchNormMode::Evaluation,
-                };
+                let of = if mode == Mode::Evaluation { BatchNormMode::Evaluation } else { BatchNormMode::Training };
                 batch_norm(first, &parameter("weight")?, &parameter("bias")?, statistics, of, *activation, level)
             }
             Layer::Activate(function) => activation(first, *function, level),

@@ -124,12 +124,7 @@ impl Writer<'_> {
                 let [weight, bias] = self.weight_and_bias(name)?;
                 self.op("Gemm", &[first, &weight, &bias], output, vec![int("transB", 1)])
             }
-            Layer::ScaleChannels => {
-                // ONNX takes axes as integers here, so they are written as a shape.
-                let shape = self.whole_numbers(&named("axes"), &[0, -1, 1, 1]);
-                let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
-                self.op("Mul", &[first, &factors], output, Vec::new())
-            }
+            Layer::ScaleChannels => self.scale_channels(name, first, second, output),
             Layer::Add { rectified } => {
                 let function = if *rectified { Activation::Relu } else { Activation::None };
                 self.activated("Add", &[first, second], output, Vec::new(), function)
@@ -151,6 +146,13 @@ impl Writer<'_> {
             Layer::Trigonometric => circuit::write_features(self, name, first, output),
             Layer::Concatenate => self.op("Concat", &[first, second], output, vec![int("axis", 1)]),
         })
+    }
+
+    fn scale_channels(&mut self, name: &str, maps: &str, factors: &str, output: &str) -> String {
+        // ONNX takes axes as integers here, so they are written as a shape.
+        let shape = self.whole_numbers(&format!("{name}.axes"), &[0, -1, 1, 1]);
+        let factors = self.op("Reshape", &[factors, &shape], &format!("{name}.factors"), Vec::new());
+        self.op("Mul", &[maps, &factors], output, Vec::new())
     }
 
     fn standardise(
