@@ -1,6 +1,6 @@
 //! Activations, alone or behind a sum of two maps.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -178,7 +178,7 @@ impl Operation for Activate {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        let [input] = inputs else { bail!("activation: expected one input") };
         let mut output = unwritten(input.values.len());
         output
             .par_chunks_mut(CHUNK)
@@ -188,7 +188,7 @@ impl Operation for Activate {
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
-        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        let [input] = inputs else { bail!("activation: expected one input") };
         gradient
             .par_chunks_mut(CHUNK)
             .zip(input.values.par_chunks(CHUNK))
@@ -212,9 +212,9 @@ pub(super) fn each_pair(
     inputs: &[Argument<'_>],
     function: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
 ) -> Result<(Vec<f32>, Shape)> {
-    let [a, b] = inputs else { candle_core::bail!("{name}: expected two inputs") };
+    let [a, b] = inputs else { bail!("{name}: expected two inputs") };
     if a.dims != b.dims {
-        return Err(Error::Msg(format!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
+        bail!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims);
     }
     let mut output = unwritten(a.values.len());
     let parts = output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK));

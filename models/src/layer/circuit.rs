@@ -3,7 +3,7 @@
 //! Expectations are computed in f64 and rounded once, within 6e-8. Gradients by inputs are within 6e-8 of their magnitude.
 //! Gradients by angles are summed over rows in f64.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -60,10 +60,7 @@ impl CircuitLayer {
         let (qubits, angles) = (self.circuit.qubits(), self.circuit.angle_count());
         match (input, theta) {
             (&[batch, width], &[count]) if width == qubits && count == angles => Ok(batch),
-            _ => Err(Error::Msg(format!(
-                "{NAME}: expected input [batch, {qubits}] and {angles} angles, got {input:?} and {theta:?}"
-            ))
-            .bt()),
+            _ => bail!("{NAME}: expected input [batch, {qubits}] and {angles} angles, got {input:?} and {theta:?}"),
         }
     }
 
@@ -136,13 +133,13 @@ impl Operation for CircuitLayer {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let [input, theta] = inputs else { bail!("{NAME}: expected inputs and angles") };
         let batch = self.check(input.dims, theta.dims)?;
         Ok((self.expectations(input.values, theta.values)?, Shape::from((batch, self.circuit.qubits()))))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let [input, theta] = inputs else { bail!("{NAME}: expected inputs and angles") };
         let (by_input, by_theta) = self.gradients(input.values, theta.values, &gradient)?;
         Ok(vec![Some(by_input), Some(by_theta)])
     }

@@ -1,6 +1,6 @@
 //! Two-dimensional convolution, dense or depthwise.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
 use crate::kernel::KernelLevel;
@@ -227,7 +227,7 @@ impl Conv2d {
         match inputs {
             [input, weight] => ConvSizes::new(NAME, input.dims, weight.dims, None, self.geometry),
             [input, weight, bias] => ConvSizes::new(NAME, input.dims, weight.dims, Some(bias.dims), self.geometry),
-            _ => candle_core::bail!("{NAME}: expected input, weight and perhaps bias"),
+            _ => bail!("{NAME}: expected input, weight and perhaps bias"),
         }
     }
 }
@@ -239,7 +239,7 @@ impl Operation for Conv2d {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let sizes = self.sizes(inputs)?;
-        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
         let mut output = unwritten(sizes.output_count());
         let gemm = sizes.forward_gemm();
@@ -256,7 +256,7 @@ impl Operation for Conv2d {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
         let sizes = self.sizes(inputs)?;
-        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
             depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)

@@ -1,6 +1,6 @@
 //! Feature maps of inference, without a graph of gradients.
 
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 /// Maps `[batch][row][column][channel]` in a buffer that keeps its memory between uses.
 #[derive(Debug, Clone, Default)]
@@ -16,12 +16,7 @@ impl Feature {
     /// The number of values is not the product of `dims`.
     pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
         if dims.iter().product::<usize>() != values.len() {
-            return Err(Error::Msg(format!(
-                "feature: {dims:?} needs {} values, got {}",
-                dims.iter().product::<usize>(),
-                values.len()
-            ))
-            .bt());
+            bail!("feature: {dims:?} needs {} values, got {}", dims.iter().product::<usize>(), values.len());
         }
         Ok(Feature { dims, values })
     }

@@ -4,7 +4,7 @@
 
 use std::cell::RefCell;
 
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 use super::feature::{Affine, Feature};
 use crate::kernel::KernelLevel;
@@ -51,12 +51,11 @@ impl PreparedBlock {
         let lengths = [bias.map(<[f32]>::len), affine.map(|a| a.scale.len()), affine.map(|a| a.shift.len())];
         if weight.is_empty() || weight.len() != outputs * inputs * 9 || lengths.iter().flatten().any(|&l| l != outputs)
         {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared block: expected weight [o, i, 3, 3] and o values of bias, scale and shift; got {} values for \
                  {shape:?}, {lengths:?}",
                 weight.len()
-            ))
-            .bt());
+            );
         }
         let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
         let folded: Vec<f32> = weight.iter().enumerate().map(|(k, w)| w * scale(k / (9 * inputs))).collect();
@@ -78,12 +77,11 @@ impl PreparedBlock {
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, inputs] = input.dims();
         if inputs != self.inputs || rows < 2 || columns < 2 {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared block: expected input [batch, rows >= 2, columns >= 2, {}], got {:?}",
                 self.inputs,
                 input.dims()
-            ))
-            .bt());
+            );
         }
         let [pooled_rows, pooled_columns] = [rows / 2, columns / 2];
         output.reshape([batch, pooled_rows, pooled_columns, self.outputs]);

@@ -8,7 +8,7 @@ use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
 use crate::kernel::winograd::{Finish, Winograd};
 use crate::kernel::{KernelLevel, depthwise};
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 /// Least number of input channels for which Winograd's transforms are worth their cost.
 const FEW_CHANNELS: usize = 8;
@@ -57,12 +57,11 @@ impl PreparedConv {
             || !groups
             || lengths.iter().flatten().any(|&l| l != outputs)
         {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared convolution: expected weight [o, i / groups, kernel rows, kernel columns], groups 1 or o, and o \
                  values of bias, scale and shift; got {} values for {weight_dims:?}, {lengths:?} with {geometry:?}",
                 weight.len()
-            ))
-            .bt());
+            );
         }
         let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
         let mut folded = weight.to_vec();
@@ -95,12 +94,7 @@ impl PreparedConv {
         if let Some(residual) = residual
             && residual.dims != sizes.output_shape()
         {
-            return Err(Error::Msg(format!(
-                "prepared convolution: expected a residual {:?}, got {:?}",
-                sizes.output_shape(),
-                residual.dims
-            ))
-            .bt());
+            bail!("prepared convolution: expected a residual {:?}, got {:?}", sizes.output_shape(), residual.dims);
         }
         output.reshape(sizes.output_shape());
         let gemm = sizes.forward_gemm();

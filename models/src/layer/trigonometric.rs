@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, Operation, apply};
 
@@ -37,7 +37,7 @@ fn rows<'a>(inputs: &[Argument<'a>]) -> Result<impl Iterator<Item = [f64; 2]> + 
         &[Argument { values, dims: &[_, 2] }] => Ok(values.as_chunks::<2>().0.iter().map(|row| row.map(f64::from))),
         _ => {
             let dims: Vec<_> = inputs.iter().map(|input| input.dims).collect();
-            Err(Error::Msg(format!("{NAME}: expected input [batch, 2], got {dims:?}")).bt())
+            bail!("{NAME}: expected input [batch, 2], got {dims:?}")
         }
     }
 }
