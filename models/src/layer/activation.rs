@@ -71,13 +71,7 @@ fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
     match A {
-        RELU => {
-            if x < 0.0 {
-                0.0
-            } else {
-                x
-            }
-        }
+        RELU if x < 0.0 => 0.0,
         SILU => x * sigmoid::<FUSED>(x),
         SIGMOID => sigmoid::<FUSED>(x),
         _ => x,
@@ -88,13 +82,7 @@ pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> f32 {
     match A {
-        RELU => {
-            if x <= 0.0 {
-                0.0
-            } else {
-                gradient
-            }
-        }
+        RELU if x <= 0.0 => 0.0,
         SILU => {
             let s = sigmoid::<FUSED>(x);
             gradient * s * multiply_add::<FUSED>(x, 1.0 - s, 1.0)
