@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_dsp::{MapFlags, Occupancy, Rdm};
+use radome_dsp::{Occupancy, Rdm};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
@@ -60,16 +60,7 @@ fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
 }
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
-    let header = set.header();
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
-    Rdm {
-        shape: header.shape,
-        db: set.map(index).expect("map"),
-        range_step_m,
-        velocity_step_m_per_s,
-        sequence: index as u64,
-        flags: MapFlags::default(),
-    }
+    set.header().rdm(set.map(index).expect("map"), index as u64)
 }
 
 #[test]
@@ -412,15 +403,7 @@ mod hard_cases {
                 let mut row = ManifestRow::new(Domain::Sim, "flat", "run", &format!("s{index}"), 0, label);
                 row.split = Some(split);
                 let db = (0..header.shape.cells()).map(|cell| level(index * 1000 + cell)).collect();
-                let map = Rdm {
-                    shape: header.shape,
-                    db,
-                    range_step_m: 0.1,
-                    velocity_step_m_per_s: 0.1,
-                    sequence: 0,
-                    flags: MapFlags::default(),
-                };
-                (map, row)
+                (header.rdm(db, 0), row)
             })
             .collect();
         Dataset::from_maps(header, maps).expect("dataset")

@@ -12,14 +12,14 @@ use super::condition::{self, Condition, ConditionReport, Judgement};
 use super::cost::{Cost, Meter};
 use super::error::StudyError;
 use super::jobs::{name, of_shard};
-use super::noise::with_noise;
+use super::noise::add_noise;
 use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
 use super::times::{Times, times};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
-use crate::evaluate::evaluate;
+use crate::evaluate::{evaluate, evaluate_changed};
 use crate::interval::median;
 use crate::model::{Classifier, Model, input_shape};
 use crate::train::{EpochReport, Indices, Maps, TrainError, TrainOutcome, TrainSpec, check_memory, train_on};
@@ -412,8 +412,9 @@ impl<'a> Study<'a> {
         let mut classifier = Classifier::new(trained.model);
         if job.label_fraction == 1.0 {
             for &snr_db in &self.spec.snr_db {
-                let noisy = with_noise(self.dataset, &test, snr_db)?;
-                outcome.noisy.push(Noisy { snr_db, metrics: noisy.evaluate(&mut classifier)? });
+                let add_noise = |index, map: &mut [f32]| add_noise(map, index, snr_db);
+                let metrics = evaluate_changed(&mut classifier, self.dataset, &test, add_noise)?;
+                outcome.noisy.push(Noisy { snr_db, metrics });
             }
         }
         (outcome.latency_ms, outcome.label_cost) = self.time_labels(&mut classifier, &test)?;

@@ -272,7 +272,7 @@ fn fraction_by_class(
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{MapFlags, Rdm, RdmSpec, Waveform, WaveformRequest};
+    use radome_dsp::{RdmSpec, Waveform, WaveformRequest};
     use rand::Rng;
     use rand_distr::{Distribution, Normal};
 
@@ -295,9 +295,7 @@ mod tests {
             let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
             row.split = Some(if index < 24 { Split::Train } else { Split::Validation });
             let db = (0..header.shape.cells()).map(|_| -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10()).collect();
-            let shape = header.shape;
-            let (range_step_m, velocity_step_m_per_s) = (0.1, 0.1);
-            (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: 0, flags: MapFlags::default() }, row)
+            (header.rdm(db, 0), row)
         });
         let maps = maps.collect();
         Dataset::from_maps(header, maps).expect("dataset")
