@@ -79,5 +79,4 @@ pub(crate) use scaled_sigmoid::scaled_sigmoid_of;
 pub use standardise::standardise;
 pub use sum::{add, concatenate};
 pub(crate) use tensor::with_values;
-pub(crate) use trigonometric::features as trigonometric_features;
 pub use trigonometric::trigonometric;

@@ -14,9 +14,9 @@ use super::parameters::Normalisation;
 use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
     Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
-    scaled_sigmoid_of, trigonometric_features, with_values,
+    scaled_sigmoid_of, with_values,
 };
-use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows};
+use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, features};
 
 /// Values that one task of a step without sums passes over.
 const CHUNK: usize = 1 << 14;
@@ -490,7 +490,7 @@ fn run_circuit(circuit: &Circuit, theta: &[f64], input: &Feature, output: &mut F
 fn trigonometric(input: &Feature, output: &mut Feature) {
     output.reshape([input.dims()[0], 1, 1, 5]);
     for (&x, result) in input.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0) {
-        *result = trigonometric_features(x.map(f64::from)).map(|[value, ..]| value as f32);
+        *result = features(x.map(f64::from)).0.map(|value| value as f32);
     }
 }
 

@@ -10,7 +10,7 @@ use super::score::Score;
 use super::spec::StudySpec;
 use crate::dataset::{Dataset, Split};
 use crate::interval::{Interval, t_interval};
-use crate::metrics::Metrics;
+use crate::metrics::{Confusion, Metrics, add_confusion};
 
 /// Longest name of a condition or of its group, in characters: names are headings of tables, and parts of file names.
 const LONGEST_NAME: usize = 100;
@@ -157,7 +157,7 @@ pub struct ConditionCell {
     /// Accuracy; chance where a training broke off.
     pub accuracy: Option<Interval>,
     /// `confusion[truth][prediction]`, summed over models.
-    pub confusion: [[u64; 3]; 3],
+    pub confusion: Confusion,
 }
 
 impl ConditionReport {
@@ -182,12 +182,10 @@ impl ConditionReport {
                 let of = judgement.metrics.as_ref().map_or(CHANCE, |metrics| metrics.balanced_accuracy);
                 Score::new(&judgement.job, of)
             };
-            let mut confusion = [[0u64; 3]; 3];
+            let mut confusion = Confusion::default();
             for metrics in scores().flatten() {
                 maps = maps.max(metrics.samples);
-                for (sum, counts) in confusion.iter_mut().flatten().zip(metrics.confusion.iter().flatten()) {
-                    *sum += counts;
-                }
+                add_confusion(&mut confusion, &metrics.confusion);
             }
             cells.push(ConditionCell {
                 variant: variant.name.clone(),
