@@ -67,11 +67,6 @@ impl RunningStatistics {
         self.constants
     }
 
-    /// Number of channels.
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
     fn moments(&self) -> Moments {
         self.shared.read().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
     }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use candle_core::{Device, Tensor};
 use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use thiserror::Error;
 
@@ -175,22 +174,6 @@ impl Classifier {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
         self.run(&map.db, map.shape, None)
-    }
-
-    /// Latent of the HQNN for a map, before its standardisation; empty for other networks and for ONNX files.
-    ///
-    /// # Errors
-    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails.
-    pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
-        self.check_unlabelled()?;
-        self.check_sequence(&map.db, map.shape, map.sequence)?;
-        let Engine::Native { network, .. } = &self.engine else { return Ok(Vec::new()) };
-        let [_, rows, columns] = self.card.input_shape;
-        let input = Tensor::from_vec(self.input(&map.db, map.shape, None)?, (1, rows, columns), &Device::Cpu)?;
-        Ok(match network.latent(&input)? {
-            Some(latent) => latent.flatten_all()?.to_vec1()?,
-            None => Vec::new(),
-        })
     }
 
     /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take

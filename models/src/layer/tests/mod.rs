@@ -2,6 +2,7 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
 use super::*;
+use crate::quantum::{Circuit, CircuitSpec};
 use crate::random::stream;
 
 mod convolution;
@@ -230,7 +231,8 @@ fn circuit_and_cross_entropy_agree_with_finite_differences() {
         weighted_sum(&out, &gd)
     };
     let (input, angles) = (var(&x, &[batch, 2]), var(&theta, &[4]));
-    let out = circuit(&input, &angles).expect("forward");
+    let paper = Circuit::new(&CircuitSpec::default()).expect("the default");
+    let out = circuit(&input, &angles, &paper, 0).expect("forward");
     let [gx, gtheta] = gradients(&out, &upstream, [&input, &angles]);
     close("dx", &gx, &differences(&to_f64(&x), |x| forward(x, &to_f64(&theta))), 1e-5);
     close("dtheta", &gtheta, &differences(&to_f64(&theta), |t| forward(&to_f64(&x), t)), 1e-5);
