@@ -244,7 +244,7 @@ impl Operation for Conv2d {
         let mut output = unwritten(sizes.output_count());
         let gemm = sizes.forward_gemm();
         if sizes.is_depthwise() {
-            let weight = depthwise::offset_first(weight.values, sizes.offsets());
+            let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
         } else {
             let weight =
@@ -270,7 +270,7 @@ impl Operation for Conv2d {
                 gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
             let mut target = if all { unwritten(input.values.len()) } else { vec![0.0; input.values.len()] };
             if sizes.is_depthwise() {
-                let weight = depthwise::offset_first(weight.values, sizes.offsets());
+                let weight = depthwise::transposed(weight.values, sizes.offsets());
                 for gemm in &gemms {
                     depthwise::run(gemm, &gradient, &weight, None, &mut target, self.tiles);
                 }

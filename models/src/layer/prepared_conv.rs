@@ -78,7 +78,7 @@ impl PreparedConv {
         let weight = if in_windows {
             Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
         } else if geometry.groups > 1 {
-            Weight::Depthwise(depthwise::offset_first(&folded, rows * columns))
+            Weight::Depthwise(depthwise::transposed(&folded, rows * columns))
         } else {
             Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
         };

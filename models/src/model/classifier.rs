@@ -10,6 +10,7 @@ use super::file::{Model, is_onnx, read};
 use super::onnx::read_card;
 use super::onnx_runtime::{OnnxError, OnnxSession};
 use crate::dataset::{DatasetError, ManifestRow, network_input};
+use crate::kernel::depthwise::transposed;
 use crate::layer::softmax;
 use crate::network::{Inference, Network};
 
@@ -228,16 +229,7 @@ impl Classifier {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
         self.card.standardisation.apply(&mut input, shape.doppler, of);
-        if !self.card.is_transposed() {
-            return Ok(input);
-        }
-        let mut transposed = vec![0.0; input.len()];
-        for (row, line) in input.chunks_exact(shape.doppler).enumerate() {
-            for (column, &value) in line.iter().enumerate() {
-                transposed[column * shape.range + row] = value;
-            }
-        }
-        Ok(transposed)
+        Ok(if self.card.is_transposed() { transposed(&input, shape.doppler) } else { input })
     }
 }
 
