@@ -144,7 +144,8 @@ mod x86 {
         const LANES: usize = 8;
         const ROWS: usize = 6;
         operations! {
-            _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_max_ps, _mm256_fmadd_ps
+            _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps,
+            _mm256_add_ps, _mm256_sub_ps, _mm256_max_ps, _mm256_fmadd_ps
         }
 
         #[inline(always)]
@@ -182,7 +183,8 @@ mod x86 {
         const LANES: usize = 16;
         const ROWS: usize = 14;
         operations! {
-            _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_max_ps, _mm512_fmadd_ps
+            _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps,
+            _mm512_add_ps, _mm512_sub_ps, _mm512_max_ps, _mm512_fmadd_ps
         }
 
         #[inline(always)]

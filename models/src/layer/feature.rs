@@ -51,3 +51,17 @@ pub struct Affine<'a> {
     /// Added to each output.
     pub shift: &'a [f32],
 }
+
+/// Weights `[o][..]` and biases of a convolution with the affine function behind it folded in.
+pub(super) fn fold(
+    weight: &[f32],
+    outputs: usize,
+    bias: Option<&[f32]>,
+    affine: Option<Affine<'_>>,
+) -> (Vec<f32>, Vec<f32>) {
+    let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
+    let length = weight.len() / outputs;
+    let weight = weight.iter().enumerate().map(|(k, w)| w * scale(k / length)).collect();
+    let bias = |o: usize| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o]);
+    (weight, (0..outputs).map(bias).collect())
+}

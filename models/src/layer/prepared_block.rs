@@ -6,7 +6,7 @@ use std::cell::RefCell;
 
 use candle_core::{Result, bail};
 
-use super::feature::{Affine, Feature};
+use super::feature::{Affine, Feature, fold};
 use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{Block, LANES};
 use crate::kernel::level::{dispatch, multiply_add};
@@ -57,10 +57,7 @@ impl PreparedBlock {
                 weight.len()
             );
         }
-        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
-        let folded: Vec<f32> = weight.iter().enumerate().map(|(k, w)| w * scale(k / (9 * inputs))).collect();
-        let mut init: Vec<f32> =
-            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let (folded, mut init) = fold(weight, outputs, bias, affine);
         let weight = if inputs == 1 {
             init.resize(outputs.next_multiple_of(LANES), 0.0);
             Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)

@@ -2,7 +2,7 @@
 
 use super::activation::{Activation, CHUNK, add_in_place, in_place};
 use super::conv2d::{ConvGeometry, ConvSizes};
-use super::feature::{Affine, Feature};
+use super::feature::{Affine, Feature, fold};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
@@ -63,13 +63,7 @@ impl PreparedConv {
                 weight.len()
             );
         }
-        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
-        let mut folded = weight.to_vec();
-        for (o, kernel) in folded.chunks_exact_mut(inputs * rows * columns).enumerate() {
-            kernel.iter_mut().for_each(|w| *w *= scale(o));
-        }
-        let bias: Vec<f32> =
-            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let (folded, bias) = fold(weight, outputs, bias, affine);
         let tiles = Tiles::new(level);
         let in_windows = [rows, columns] == [3, 3]
             && geometry == ConvGeometry::dense(1, 1)
