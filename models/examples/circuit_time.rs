@@ -63,13 +63,14 @@ fn measure() -> Result<(), Box<dyn std::error::Error>> {
 
     let input = Var::from_tensor(&Tensor::from_slice(x.as_flattened(), (BATCH, 2), &Device::Cpu)?)?;
     let angles = Var::from_tensor(&Tensor::new(&theta, &Device::Cpu)?)?;
+    let paper = CircuitSpec::default();
+    let circuit = Circuit::new(&paper)?;
     let through = seconds(|| {
-        let loss = layer::circuit(&input, &angles).and_then(|out| out.sum_all());
+        let loss = layer::circuit(&input, &angles, &circuit, 0).and_then(|out| out.sum_all());
         let _ = black_box(loss.and_then(|loss| loss.backward()));
     });
     println!("the layer in candle, with a sum and its backward pass: {:.1} ns a sample", a_sample * through);
 
-    let paper = CircuitSpec::default();
     let shots = Execution::Shots(Shots { count: 4096, seed: 1, gradient: ShotGradient::Shots });
     let noise = Noise { depolarising_one_qubit: 0.001, depolarising_two_qubit: 0.01, readout_flip: 0.02 };
     let of = |qubits: usize| CircuitSpec { qubits, ..CircuitSpec::default() };

@@ -3,7 +3,7 @@
 //! The noise of a range bin is taken from the map as [`crate::standardise::MapReference::OverNoise`] takes it. Cells that are
 //! replaced are exponential about it, so that they read as cells with nothing in them.
 
-use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape};
+use radome_dsp::{Occupancy, Rdm, RdmShape};
 
 use crate::dataset::{Dataset, LEAKAGE_BINS, network_input};
 use crate::metrics::{Metrics, most_probable};
@@ -161,17 +161,9 @@ pub fn ablate(
 ) -> Result<AblationScores, ClassifyError> {
     let mut scores = AblationScores::new(classifier.card());
     let header = dataset.header();
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
     for &index in indices {
         let Some(row) = dataset.rows().get(index) else { continue };
-        let map = Rdm {
-            shape: header.shape,
-            db: dataset.map(index)?,
-            range_step_m,
-            velocity_step_m_per_s,
-            sequence: row.frame,
-            flags: MapFlags::default(),
-        };
+        let map = header.rdm(dataset.map(index)?, row.frame);
         scores.add(&map, row.label, |map| classifier.classify_row(&map.db, map.shape, row))?;
     }
     Ok(scores)
@@ -179,6 +171,8 @@ pub fn ablate(
 
 #[cfg(test)]
 mod tests {
+    use radome_dsp::MapFlags;
+
     use super::*;
 
     const SHAPE: RdmShape = RdmShape { rx: 2, doppler: 32, range: 33 };

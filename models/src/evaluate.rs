@@ -10,9 +10,20 @@ use crate::model::{Classifier, ClassifyError};
 /// # Errors
 /// [`ClassifyError`] for the first map that cannot be read or classified.
 pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> Result<Metrics, ClassifyError> {
+    evaluate_changed(classifier, dataset, indices, |_, _| ())
+}
+
+/// [`evaluate`] on maps that `change` is given first, with their indices.
+pub(crate) fn evaluate_changed(
+    classifier: &mut Classifier,
+    dataset: &Dataset,
+    indices: &[usize],
+    change: impl Fn(usize, &mut [f32]),
+) -> Result<Metrics, ClassifyError> {
     let mut pairs = Vec::with_capacity(indices.len());
     for &index in indices {
-        let map = dataset.map(index)?;
+        let mut map = dataset.map(index)?;
+        change(index, &mut map);
         let Some(row) = dataset.rows().get(index) else { continue };
         let probabilities = classifier.classify_row(&map, dataset.header().shape, row)?;
         pairs.push((row.label, most_probable(&probabilities)));

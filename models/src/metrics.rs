@@ -5,6 +5,14 @@ use serde::{Deserialize, Serialize};
 
 const CLASSES: usize = Occupancy::ALL.len();
 
+/// Counts `[truth][prediction]`.
+pub(crate) type Confusion = [[u64; CLASSES]; CLASSES];
+
+/// Adds the counts of `more` to `sum`.
+pub(crate) fn add_confusion(sum: &mut Confusion, more: &Confusion) {
+    sum.iter_mut().flatten().zip(more.iter().flatten()).for_each(|(sum, count)| *sum += count);
+}
+
 /// Scores over a set of maps. Classes of which there is no map are left out of every mean and listed in `absent`.
 ///
 /// # Examples

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::SystemTime;
 
-use radome_dsp::{MapFlags, Rdm};
 use radome_models::dataset::{DatasetError, lock_folder};
 use radome_models::study::{
     Condition, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant, paired_difference,
@@ -33,12 +32,10 @@ fn weaker(snr_db: f64) -> Condition {
 fn strangers() -> Condition {
     let maps = dataset(Maps { seed: 2, ..FEW });
     let header = maps.header().clone();
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
     let stranger = |index: usize| {
         let mut row = maps.rows()[index].clone();
         row.sequence = format!("stranger {}", row.sequence);
-        let (shape, db, flags) = (header.shape, maps.map(index).expect("a map"), MapFlags::default());
-        (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: row.frame, flags }, row)
+        (header.rdm(maps.map(index).expect("a map"), row.frame), row)
     };
     let all = (0..maps.len()).map(stranger).collect();
     condition("strangers", Dataset::from_maps(header.clone(), all).expect("dataset"))

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_dsp::{MapFlags, Occupancy, Rdm};
+use radome_dsp::{Occupancy, Rdm};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
@@ -60,16 +60,18 @@ fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
 }
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
-    let header = set.header();
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
-    Rdm {
-        shape: header.shape,
-        db: set.map(index).expect("map"),
-        range_step_m,
-        velocity_step_m_per_s,
-        sequence: index as u64,
-        flags: MapFlags::default(),
-    }
+    set.header().rdm(set.map(index).expect("map"), index as u64)
+}
+
+/// The model from its file and as it was; the folder holds nothing but the file.
+fn saved_and_loaded(model: Model) -> [Classifier; 2] {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("model.safetensors");
+    model.save(&path).expect("save");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1, "no temporary file is left");
+    let both = [Classifier::load(&path).expect("load"), Classifier::new(model)];
+    assert_eq!(both[0].card(), both[1].card());
+    both
 }
 
 #[test]
@@ -90,7 +92,6 @@ fn every_seed_learns_to_count() {
 #[test]
 fn descriptors_learn_to_count() {
     let set = dataset(easy());
-    let dir = tempfile::tempdir().expect("folder");
     for network in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
         for seed in [11, 22, 33] {
             let spec = TrainSpec { seed, epochs: 12, linear_epochs: Some(6), learning_rate: 5e-3, ..quick() };
@@ -99,18 +100,13 @@ fn descriptors_learn_to_count() {
             assert!(last.training_balanced_accuracy > 0.65, "{network:?} seed {seed}: {last:?}");
             let test = outcome.test.expect("test split");
             assert!(test.balanced_accuracy > 0.55, "{network:?} seed {seed}: {test:?}");
-            let path = dir.path().join("model.safetensors");
-            outcome.model.save(&path).expect("save");
-            let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(outcome.model));
-            assert_eq!(loaded.card(), original.card());
+            let [mut loaded, mut original] = saved_and_loaded(outcome.model);
             let standardisation = &loaded.card().standardisation;
             assert_eq!((standardisation.mean_db, standardisation.sigma_db), (0.0, 1.0));
             for index in [0, 200, 300] {
                 let map = rdm(&set, index);
                 let answer = loaded.classify(&map).expect("classify");
                 assert_eq!(answer, original.classify(&map).expect("classify"));
-                let width = if network == NetworkKind::DescriptorHqnn { 2 } else { 0 };
-                assert_eq!(loaded.latent(&map).expect("latent").len(), width);
                 let mut louder = map.clone();
                 louder.db.iter_mut().for_each(|db| *db += 13.0);
                 for (a, b) in answer.iter().zip(loaded.classify(&louder).expect("classify")) {
@@ -124,14 +120,7 @@ fn descriptors_learn_to_count() {
 #[test]
 fn a_saved_model_answers_as_before() {
     let (set, spec) = brief();
-    let outcome = train(&set, &spec, &mut |_| {}).expect("training");
-    let dir = tempfile::tempdir().expect("folder");
-    let path = dir.path().join("model.safetensors");
-    outcome.model.save(&path).expect("save");
-    assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1, "no temporary file is left");
-    let mut loaded = Classifier::load(&path).expect("load");
-    let mut original = Classifier::new(outcome.model);
-    assert_eq!(loaded.card(), original.card());
+    let [mut loaded, mut original] = saved_and_loaded(train(&set, &spec, &mut |_| {}).expect("training").model);
     assert_eq!(loaded.card().dataset_hash, set.hash());
     assert_eq!(loaded.waveform(), &set.header().waveform);
     for index in 0..6 {
@@ -139,7 +128,6 @@ fn a_saved_model_answers_as_before() {
         let probabilities = loaded.classify(&map).expect("classify");
         assert_eq!(probabilities, original.classify(&map).expect("classify"));
         assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-6);
-        assert_eq!(loaded.latent(&map).expect("latent"), original.latent(&map).expect("latent"));
     }
 }
 
@@ -231,10 +219,7 @@ fn a_checkpoint_of_another_training_is_refused() {
 fn orientation_travels_with_the_model() {
     let (set, spec) = brief();
     let model = train(&set, &TrainSpec { transposed: true, ..spec }, &mut |_| {}).expect("training").model;
-    let dir = tempfile::tempdir().expect("folder");
-    let path = dir.path().join("model.safetensors");
-    model.save(&path).expect("save");
-    let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(model));
+    let [mut loaded, mut original] = saved_and_loaded(model);
     assert!(loaded.card().is_transposed());
     let map = rdm(&set, 1);
     assert_eq!(loaded.classify(&map).expect("classify"), original.classify(&map).expect("classify"));
@@ -262,12 +247,7 @@ fn reference_grid_and_smoothing_travel_with_the_model() {
     let smoothing = Smoothing { dwell_s: 20.0, temperature: 1.2, ..Smoothing::default() };
     let reference = MapReference::OverNoise { skip_range_bins: 2, most_db: Some(15.0) };
     let outcome = train(&set, &TrainSpec { reference, pooled: [4, 6], smoothing, ..spec }, &mut |_| {});
-    let model = outcome.expect("training").model;
-    let dir = tempfile::tempdir().expect("folder");
-    let path = dir.path().join("model.safetensors");
-    model.save(&path).expect("save");
-    let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(model));
-    assert_eq!(loaded.card(), original.card());
+    let [mut loaded, mut original] = saved_and_loaded(outcome.expect("training").model);
     assert_eq!((loaded.card().smoothing, loaded.card().pooled), (smoothing, [4, 6]));
     let map = rdm(&set, 1);
     let answer = loaded.classify(&map).expect("classify");
@@ -392,7 +372,7 @@ mod hard_cases {
         assert!(matches!(classifier.classify(&map), Err(ClassifyError::Shape { .. })));
         let mut map = rdm(&set, 0);
         map.shape.rx = 3;
-        assert!(matches!(classifier.latent(&map), Err(ClassifyError::Shape { .. })));
+        assert!(matches!(classifier.classify(&map), Err(ClassifyError::Shape { .. })));
         // Absurd but finite: an answer or an error, no panic and no NaN.
         for value in [f32::MAX, -f32::MAX, 0.0] {
             let mut map = rdm(&set, 0);
@@ -412,15 +392,7 @@ mod hard_cases {
                 let mut row = ManifestRow::new(Domain::Sim, "flat", "run", &format!("s{index}"), 0, label);
                 row.split = Some(split);
                 let db = (0..header.shape.cells()).map(|cell| level(index * 1000 + cell)).collect();
-                let map = Rdm {
-                    shape: header.shape,
-                    db,
-                    range_step_m: 0.1,
-                    velocity_step_m_per_s: 0.1,
-                    sequence: 0,
-                    flags: MapFlags::default(),
-                };
-                (map, row)
+                (header.rdm(db, 0), row)
             })
             .collect();
         Dataset::from_maps(header, maps).expect("dataset")

@@ -88,6 +88,7 @@ pub struct Features {
 
 /// Features that cannot be measured.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum FeatureError {
     /// A map could not be read.
     #[error(transparent)]
@@ -99,12 +100,7 @@ pub enum FeatureError {
     #[error(
         "maps of {range} range x {doppler} Doppler bins show too little; at least {LEAKAGE_BINS} + {NEAR_BINS} x 16 are needed"
     )]
-    TooSmall {
-        /// Range bins.
-        range: usize,
-        /// Doppler bins.
-        doppler: usize,
-    },
+    TooSmall { range: usize, doppler: usize },
 }
 
 /// Features of one map.

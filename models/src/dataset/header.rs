@@ -1,6 +1,6 @@
 //! Header of a dataset: `dataset.json`.
 
-use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform, rdm::SpecError};
+use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape, RdmSpec, Waveform, rdm::SpecError};
 use serde::{Deserialize, Serialize};
 
 /// Version of the format that is written; older ones are read.
@@ -37,5 +37,11 @@ impl DatasetHeader {
             dimensions: ["rx", "doppler", "range"].map(str::to_owned).to_vec(),
             class_names: Occupancy::ALL.map(|o| o.name().to_owned()).to_vec(),
         })
+    }
+
+    /// A map of the dataset with these cells, `[rx][doppler][range]` dB.
+    pub fn rdm(&self, db: Vec<f32>, sequence: u64) -> Rdm {
+        let (range_step_m, velocity_step_m_per_s) = self.rdm_spec.steps(&self.waveform);
+        Rdm { shape: self.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags: MapFlags::default() }
     }
 }

@@ -53,60 +53,8 @@ impl Dataset {
     /// # Errors
     /// [`DatasetError`] where a file is missing, too large, not a regular file of this folder, or contradicts the others.
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
-        let path = dir.join("dataset.json");
-        let read = |name: &str, limit_bytes: u64| within(dir, name).and_then(|path| read_text(&path, limit_bytes));
-        let text = read("dataset.json", TEXT_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
-        let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
-        // Reads the version alone first: a newer header may have other fields.
-        #[derive(serde::Deserialize)]
-        struct Version {
-            format_version: u32,
-        }
-        let found = serde_json::from_str::<Version>(&text).map_err(json)?.format_version;
-        if found > FORMAT_VERSION {
-            return Err(DatasetError::Newer { path, found, supported: FORMAT_VERSION });
-        }
-        let header: DatasetHeader = serde_json::from_str(&text).map_err(json)?;
-        let expected = header.rdm_spec.shape(&header.waveform)?;
-        if header.shape != expected {
-            return Err(DatasetError::Inconsistent {
-                path,
-                expected: format!("maps of {expected}, as waveform and map spec give"),
-                found: header.shape.to_string(),
-            });
-        }
-
-        let ours = DatasetHeader::new(header.waveform.clone(), header.rdm_spec)?;
-        if (&header.dimensions, &header.class_names) != (&ours.dimensions, &ours.class_names) {
-            return Err(DatasetError::Inconsistent {
-                path,
-                expected: format!("dimensions {:?} and classes {:?}", ours.dimensions, ours.class_names),
-                found: format!("{:?} and {:?}", header.dimensions, header.class_names),
-            });
-        }
-
-        let path = dir.join("manifest.jsonl");
-        let text = read("manifest.jsonl", MANIFEST_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
-        if let Some((index, line)) = text.lines().enumerate().find(|(_, line)| line.len() > LONGEST_ROW_BYTES) {
-            return Err(DatasetError::Inconsistent {
-                path,
-                expected: format!("rows of {LONGEST_ROW_BYTES} bytes at most"),
-                found: format!("{} bytes in line {}", line.len(), index + 1),
-            });
-        }
-        let rows: Vec<ManifestRow> = text
-            .lines()
-            .enumerate()
-            .filter(|(_, line)| !line.trim().is_empty())
-            .map(|(index, line)| {
-                serde_json::from_str(line).map_err(|source| DatasetError::Json {
-                    path: path.clone(),
-                    line: index + 1,
-                    source,
-                })
-            })
-            .collect::<Result<_, _>>()?;
-
+        let header = read_header(dir)?;
+        let rows = read_rows(dir)?;
         let mut shards = Vec::new();
         for (shard, rows) in rows.chunks(MAPS_PER_SHARD).enumerate() {
             let path = dir.join(shard_name(shard));
@@ -245,6 +193,58 @@ impl Dataset {
             _ => Ok(map),
         }
     }
+}
+
+/// Reads a text file of a dataset's folder, whose path comes with it.
+fn read(dir: &Path, name: &str, limit_bytes: u64) -> Result<(PathBuf, String), DatasetError> {
+    let path = dir.join(name);
+    let text = within(dir, name).and_then(|path| read_text(&path, limit_bytes));
+    match text {
+        Ok(text) => Ok((path, text)),
+        Err(error) => Err(DatasetError::io(&path, "reading")(error)),
+    }
+}
+
+/// Reads `dataset.json`, and checks that its entries agree.
+fn read_header(dir: &Path) -> Result<DatasetHeader, DatasetError> {
+    let (path, text) = read(dir, "dataset.json", TEXT_LIMIT_BYTES)?;
+    let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
+    // Reads the version alone first: a newer header may have other fields.
+    #[derive(serde::Deserialize)]
+    struct Version {
+        format_version: u32,
+    }
+    let found = serde_json::from_str::<Version>(&text).map_err(json)?.format_version;
+    if found > FORMAT_VERSION {
+        return Err(DatasetError::Newer { path, found, supported: FORMAT_VERSION });
+    }
+    let header: DatasetHeader = serde_json::from_str(&text).map_err(json)?;
+    let expected = header.rdm_spec.shape(&header.waveform)?;
+    if header.shape != expected {
+        let expected = format!("maps of {expected}, as waveform and map spec give");
+        return Err(DatasetError::Inconsistent { path, expected, found: header.shape.to_string() });
+    }
+    let ours = DatasetHeader::new(header.waveform.clone(), header.rdm_spec)?;
+    if (&header.dimensions, &header.class_names) != (&ours.dimensions, &ours.class_names) {
+        let expected = format!("dimensions {:?} and classes {:?}", ours.dimensions, ours.class_names);
+        let found = format!("{:?} and {:?}", header.dimensions, header.class_names);
+        return Err(DatasetError::Inconsistent { path, expected, found });
+    }
+    Ok(header)
+}
+
+/// Reads `manifest.jsonl`.
+fn read_rows(dir: &Path) -> Result<Vec<ManifestRow>, DatasetError> {
+    let (path, text) = read(dir, "manifest.jsonl", MANIFEST_LIMIT_BYTES)?;
+    if let Some((index, line)) = text.lines().enumerate().find(|(_, line)| line.len() > LONGEST_ROW_BYTES) {
+        let expected = format!("rows of {LONGEST_ROW_BYTES} bytes at most");
+        let found = format!("{} bytes in line {}", line.len(), index + 1);
+        return Err(DatasetError::Inconsistent { path, expected, found });
+    }
+    let row = |(index, line): (usize, &str)| {
+        serde_json::from_str(line).map_err(|source| DatasetError::Json { path: path.clone(), line: index + 1, source })
+    };
+    text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(row).collect()
 }
 
 /// Bytes that an npy header of version 1 has at most.

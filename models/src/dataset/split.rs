@@ -85,10 +85,51 @@ impl SplitSpec {
             },
         };
         let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();
+        let groups = self.groups(rows, group_of, held_out.is_none())?;
+        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
+        for (name, group) in &groups {
+            if group.fixed.is_none() && held_out != Some(*name) {
+                let mut hash = Sha256::new();
+                hash.update(self.seed.to_le_bytes());
+                hash.update(name.as_bytes());
+                strata.entry((group.is_real, group.classes)).or_default().push((hash.finalize().into(), name));
+            }
+        }
+        let mut dealt: BTreeMap<&str, Split> = BTreeMap::new();
+        for mut names in strata.into_values() {
+            names.sort_unstable();
+            let (test, validation) = self.shares_of(names.len());
+            for (index, (_, name)) in names.into_iter().enumerate() {
+                let split = match index {
+                    i if i < test => Split::Test,
+                    i if i < test + validation => Split::Validation,
+                    _ => Split::Train,
+                };
+                dealt.insert(name, split);
+            }
+        }
+        let split = |row: &ManifestRow| {
+            let name = group_of(row);
+            if held_out == Some(name) {
+                return Split::Test;
+            }
+            let fixed = groups.get(name).and_then(|group| Some(group.fixed?.0));
+            fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
+        };
+        Ok(rows.iter().map(split).collect())
+    }
+
+    /// Groups of the rows, with what they hold. Splits of rows count only if `rows_decide`.
+    fn groups<'a>(
+        &self,
+        rows: &'a [ManifestRow],
+        group_of: impl Fn(&ManifestRow) -> &'a str,
+        rows_decide: bool,
+    ) -> Result<BTreeMap<&'a str, Group<'a>>, DatasetError> {
         let mut groups: BTreeMap<&str, Group> = BTreeMap::new();
         for row in rows {
             let group = groups.entry(group_of(row)).or_default();
-            match (group.fixed, row.split.filter(|_| held_out.is_none())) {
+            match (group.fixed, row.split.filter(|_| rows_decide)) {
                 (Some((first, sequence)), Some(second)) if first != second => {
                     return Err(if sequence == row.sequence {
                         DatasetError::SequenceInTwoSplits { sequence: row.sequence.clone(), first, second }
@@ -107,50 +148,22 @@ impl SplitSpec {
             group.is_real |= row.domain == Domain::Real;
             group.classes[row.label.index()] = true;
         }
-        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
-        for (name, group) in &groups {
-            if group.fixed.is_none() && held_out != Some(*name) {
-                let mut hash = Sha256::new();
-                hash.update(self.seed.to_le_bytes());
-                hash.update(name.as_bytes());
-                strata.entry((group.is_real, group.classes)).or_default().push((hash.finalize().into(), name));
-            }
-        }
-        let mut dealt: BTreeMap<&str, Split> = BTreeMap::new();
-        for mut names in strata.into_values() {
-            names.sort_unstable();
-            let count = names.len() as f64;
-            let share = if held_out.is_some() { 0.0 } else { self.test };
-            let test = (share * count).round() as usize;
-            let validation = (self.validation * count).round() as usize;
-            // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
-            // two subjects, scenes or seeds, of which there may be few.
-            let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
-            let least =
-                |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room >= least_room { 1 } else { n };
-            let test = least(share, test, names.len().saturating_sub(1)).min(names.len().saturating_sub(1));
-            let room = names.len() - test;
-            let validation = least(self.validation, validation, room).min(room.saturating_sub(1));
-            for (index, (_, name)) in names.into_iter().enumerate() {
-                let split = match index {
-                    i if i < test => Split::Test,
-                    i if i < test + validation => Split::Validation,
-                    _ => Split::Train,
-                };
-                dealt.insert(name, split);
-            }
-        }
-        Ok(rows
-            .iter()
-            .map(|row| {
-                let name = group_of(row);
-                if held_out == Some(name) {
-                    return Split::Test;
-                }
-                let fixed = groups.get(name).and_then(|group| Some(group.fixed?.0));
-                fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
-            })
-            .collect())
+        Ok(groups)
+    }
+
+    /// Number of groups of a stratum for test and for validation.
+    fn shares_of(&self, groups: usize) -> (usize, usize) {
+        // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
+        // two subjects, scenes or seeds, of which there may be few.
+        let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
+        let number = |share: f64, room: usize| {
+            let wanted = (share * groups as f64).round() as usize;
+            wanted.max(usize::from(share > 0.0 && room >= least_room))
+        };
+        let most = groups.saturating_sub(1);
+        let test = number(if self.held_out.is_some() { 0.0 } else { self.test }, most).min(most);
+        let room = groups - test;
+        (test, number(self.validation, room).min(room.saturating_sub(1)))
     }
 }
 

@@ -1,5 +1,5 @@
 use radome_dsp::rdm::PhysicalAxes;
-use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
+use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
 use super::layout::MAPS_PER_SHARD;
 use super::*;
@@ -11,8 +11,7 @@ fn header() -> DatasetHeader {
 
 fn map(header: &DatasetHeader, sequence: u64) -> Rdm {
     let db = (0..header.shape.cells()).map(|k| k as f32 - 1000.0 * sequence as f32).collect();
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
-    Rdm { shape: header.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags: MapFlags::default() }
+    header.rdm(db, sequence)
 }
 
 fn row(sequence: &str, frame: u64, label: Occupancy) -> ManifestRow {

@@ -13,16 +13,16 @@ const CELLS_PER_TASK: [usize; 2] = [256, 16];
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
 
-/// Transposes weights from `[channel][offset]` to `[offset][channel]`.
-pub(crate) fn offset_first(weight: &[f32], offsets: usize) -> Vec<f32> {
-    let channels = weight.len() / offsets;
-    let mut ordered = vec![0.0; weight.len()];
-    for (channel, values) in weight.chunks_exact(offsets).enumerate() {
-        for (offset, &value) in values.iter().enumerate() {
-            ordered[offset * channels + channel] = value;
+/// Transposes a matrix `[row][column]` of so many columns: weights `[channel][offset]` to `[offset][channel]`, and back.
+pub(crate) fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
+    let rows = values.len() / columns;
+    let mut transposed = vec![0.0; values.len()];
+    for (row, values) in values.chunks_exact(columns).enumerate() {
+        for (column, &value) in values.iter().enumerate() {
+            transposed[column * rows + row] = value;
         }
     }
-    ordered
+    transposed
 }
 
 /// Computes `target = init + sum over offsets of source * weight` for all cells of a product; `weight` is `[offset][channel]`, and
@@ -111,13 +111,7 @@ pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f
     for partial in &partials {
         total.iter_mut().zip(partial).for_each(|(t, &p)| *t += p);
     }
-    let mut ordered = vec![0.0f32; offsets * channels];
-    for (offset, values) in total.chunks_exact(channels).enumerate() {
-        for (channel, &value) in values.iter().enumerate() {
-            ordered[channel * offsets + offset] = value;
-        }
-    }
-    ordered
+    transposed(&total, channels)
 }
 
 #[derive(Default)]

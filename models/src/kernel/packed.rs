@@ -72,15 +72,7 @@ impl Packed {
 
     /// Columns with padding.
     fn length(columns: usize, tiles: Tiles) -> usize {
-        let rest = columns % tiles.width();
-        let narrow = if rest == 0 {
-            0
-        } else if rest <= tiles.lanes {
-            tiles.lanes
-        } else {
-            tiles.width()
-        };
-        columns - rest + narrow
+        columns.next_multiple_of(tiles.lanes)
     }
 
     /// `values`, one for each column, filled up with zeros for the padding.

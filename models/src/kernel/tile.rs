@@ -292,6 +292,19 @@ kernels!(
     1 2 3 4 5 6 7 8 9 10 11 12 13 14
 );
 
+/// The kernel that the function of a level gives.
+macro_rules! of_level {
+    ($level:expr, $avx512:ident, $avx2:ident, $plain:ident, $($argument:expr),*) => {
+        match $level {
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx512 => $avx512($($argument),*),
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx2 => $avx2($($argument),*),
+            _ => $plain($($argument),*),
+        }
+    };
+}
+
 /// Sizes of the tiles of one kernel level, and its kernels.
 #[derive(Clone, Copy)]
 pub(crate) struct Tiles {
@@ -327,13 +340,7 @@ impl Tiles {
     /// All addresses in `tile` are valid for its sizes; `init` and `panel` as wide as the tile.
     pub unsafe fn row_tile(self, rows: usize, tile: &RowTile) {
         let wide = tile.columns > self.lanes;
-        let kernel = match self.level {
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => avx512_rows(rows, wide),
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => avx2_rows(rows, wide),
-            _ => plain_rows(rows, wide),
-        };
+        let kernel = of_level!(self.level, avx512_rows, avx2_rows, plain_rows, rows, wide);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -343,13 +350,7 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn outer_tile(self, rows: usize, tile: &OuterTile) {
-        let kernel = match self.level {
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => avx512_outer(rows, tile.columns),
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => avx2_outer(rows, tile.columns),
-            _ => plain_outer(rows, tile.columns),
-        };
+        let kernel = of_level!(self.level, avx512_outer, avx2_outer, plain_outer, rows, tile.columns);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -359,13 +360,7 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn channel_tile(self, rows: usize, tile: &ChannelTile) {
-        let kernel = match self.level {
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => avx512_channels(rows),
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => avx2_channels(rows),
-            _ => plain_channels(rows),
-        };
+        let kernel = of_level!(self.level, avx512_channels, avx2_channels, plain_channels, rows);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -375,13 +370,7 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn offset_tile(self, offsets: usize, tile: &OffsetTile) {
-        let kernel = match self.level {
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => avx512_offsets(offsets),
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => avx2_offsets(offsets),
-            _ => plain_offsets(offsets),
-        };
+        let kernel = of_level!(self.level, avx512_offsets, avx2_offsets, plain_offsets, offsets);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }

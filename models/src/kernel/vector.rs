@@ -95,6 +95,46 @@ mod x86 {
     use super::{Plain, Vector};
     use std::arch::x86_64::*;
 
+    /// The methods of [`Vector`] that are one instruction, by its names.
+    macro_rules! operations {
+        ($splat:ident, $load:ident, $store:ident, $add:ident, $subtract:ident, $larger:ident, $fused:ident) => {
+            #[inline(always)]
+            unsafe fn splat(value: f32) -> Self {
+                Self(unsafe { $splat(value) })
+            }
+
+            #[inline(always)]
+            unsafe fn load(from: *const f32) -> Self {
+                Self(unsafe { $load(from) })
+            }
+
+            #[inline(always)]
+            unsafe fn store(self, to: *mut f32) {
+                unsafe { $store(to, self.0) };
+            }
+
+            #[inline(always)]
+            unsafe fn add(self, other: Self) -> Self {
+                Self(unsafe { $add(self.0, other.0) })
+            }
+
+            #[inline(always)]
+            unsafe fn subtract(self, other: Self) -> Self {
+                Self(unsafe { $subtract(self.0, other.0) })
+            }
+
+            #[inline(always)]
+            unsafe fn larger(self, other: Self) -> Self {
+                Self(unsafe { $larger(self.0, other.0) })
+            }
+
+            #[inline(always)]
+            unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self {
+                Self(unsafe { $fused(self.0, factor.0, sum.0) })
+            }
+        };
+    }
+
     #[derive(Clone, Copy)]
     pub(crate) struct Avx2(__m256);
 
@@ -103,15 +143,9 @@ mod x86 {
     impl Vector for Avx2 {
         const LANES: usize = 8;
         const ROWS: usize = 6;
-
-        #[inline(always)]
-        unsafe fn splat(value: f32) -> Self {
-            Avx2(unsafe { _mm256_set1_ps(value) })
-        }
-
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            Avx2(unsafe { _mm256_loadu_ps(from) })
+        operations! {
+            _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps,
+            _mm256_add_ps, _mm256_sub_ps, _mm256_max_ps, _mm256_fmadd_ps
         }
 
         #[inline(always)]
@@ -125,11 +159,6 @@ mod x86 {
         }
 
         #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            unsafe { _mm256_storeu_ps(to, self.0) };
-        }
-
-        #[inline(always)]
         unsafe fn store_first(self, to: *mut f32, count: usize) {
             if count >= Self::LANES {
                 return unsafe { self.store(to) };
@@ -137,26 +166,6 @@ mod x86 {
             let mut lanes = [0.0f32; 8];
             unsafe { self.store(lanes.as_mut_ptr()) };
             unsafe { Plain::load(lanes.as_ptr()).store_first(to, count) };
-        }
-
-        #[inline(always)]
-        unsafe fn add(self, other: Self) -> Self {
-            Avx2(unsafe { _mm256_add_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn subtract(self, other: Self) -> Self {
-            Avx2(unsafe { _mm256_sub_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn larger(self, other: Self) -> Self {
-            Avx2(unsafe { _mm256_max_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self {
-            Avx2(unsafe { _mm256_fmadd_ps(self.0, factor.0, sum.0) })
         }
     }
 
@@ -173,15 +182,9 @@ mod x86 {
     impl Vector for Avx512 {
         const LANES: usize = 16;
         const ROWS: usize = 14;
-
-        #[inline(always)]
-        unsafe fn splat(value: f32) -> Self {
-            Avx512(unsafe { _mm512_set1_ps(value) })
-        }
-
-        #[inline(always)]
-        unsafe fn load(from: *const f32) -> Self {
-            Avx512(unsafe { _mm512_loadu_ps(from) })
+        operations! {
+            _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps,
+            _mm512_add_ps, _mm512_sub_ps, _mm512_max_ps, _mm512_fmadd_ps
         }
 
         #[inline(always)]
@@ -190,33 +193,8 @@ mod x86 {
         }
 
         #[inline(always)]
-        unsafe fn store(self, to: *mut f32) {
-            unsafe { _mm512_storeu_ps(to, self.0) };
-        }
-
-        #[inline(always)]
         unsafe fn store_first(self, to: *mut f32, count: usize) {
             unsafe { _mm512_mask_storeu_ps(to, mask(count), self.0) };
-        }
-
-        #[inline(always)]
-        unsafe fn add(self, other: Self) -> Self {
-            Avx512(unsafe { _mm512_add_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn subtract(self, other: Self) -> Self {
-            Avx512(unsafe { _mm512_sub_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn larger(self, other: Self) -> Self {
-            Avx512(unsafe { _mm512_max_ps(self.0, other.0) })
-        }
-
-        #[inline(always)]
-        unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self {
-            Avx512(unsafe { _mm512_fmadd_ps(self.0, factor.0, sum.0) })
         }
     }
 }

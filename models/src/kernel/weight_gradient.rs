@@ -72,8 +72,14 @@ pub(crate) fn weight_gradient(
         }
     };
     (0..groups * splits).into_par_iter().for_each_init(Scratch::default, task);
-    let (total, others) = sums.split_at_mut(size);
+    add_groups(&mut sums, size);
+    if all_offsets == 1 { sums } else { by_channel(gemm, &sums, outputs, gathered) }
+}
+
+/// Adds the sums of all groups, each of `size` values, in their order, and keeps the totals.
+fn add_groups(sums: &mut Vec<f32>, size: usize) {
     const CHUNK: usize = 1 << 14;
+    let (total, others) = sums.split_at_mut(size);
     total.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, total)| {
         for other in others.chunks_exact(size.max(1)) {
             let other = &other[chunk * CHUNK..][..total.len()];
@@ -81,20 +87,19 @@ pub(crate) fn weight_gradient(
         }
     });
     sums.truncate(size);
-    if all_offsets == 1 {
-        return sums;
-    }
-    let mut ordered = unwritten(size);
-    let row = all_offsets * gemm.channels;
+}
+
+/// Sums `[offset][output][channel]`, or `[output][offset][channel]` of gathered cells, as `[output][channel][offset]`.
+fn by_channel(gemm: &ImplicitGemm, sums: &[f32], outputs: usize, gathered: bool) -> Vec<f32> {
+    let (offsets, channels) = (gemm.offsets.len(), gemm.channels);
+    let row = offsets * channels;
+    let mut ordered = unwritten(sums.len());
     ordered.par_chunks_exact_mut(row).enumerate().for_each(|(output, to)| {
-        for offset in 0..all_offsets {
-            let from = if gathered {
-                &sums[output * row + offset * gemm.channels..][..gemm.channels]
-            } else {
-                &sums[(offset * outputs + output) * channels..][..channels]
-            };
+        for offset in 0..offsets {
+            let place = if gathered { output * offsets + offset } else { offset * outputs + output };
+            let from = &sums[place * channels..][..channels];
             for (channel, &value) in from.iter().enumerate() {
-                to[channel * all_offsets + offset] = value;
+                to[channel * offsets + offset] = value;
             }
         }
     });

@@ -164,6 +164,24 @@ kernels!(
     #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 );
 
+/// The kernel of a level, with a flag as its constant parameter.
+macro_rules! by_level {
+    ($level:expr, $flag:expr, $avx512:ident, $avx2:ident, $plain:ident) => {
+        match ($level, $flag) {
+            #[cfg(target_arch = "x86_64")]
+            (KernelLevel::Avx512, true) => $avx512::<true>,
+            #[cfg(target_arch = "x86_64")]
+            (KernelLevel::Avx512, false) => $avx512::<false>,
+            #[cfg(target_arch = "x86_64")]
+            (KernelLevel::Avx2, true) => $avx2::<true>,
+            #[cfg(target_arch = "x86_64")]
+            (KernelLevel::Avx2, false) => $avx2::<false>,
+            (_, true) => $plain::<true>,
+            (_, false) => $plain::<false>,
+        }
+    };
+}
+
 impl InputWindow {
     /// Transforms the cells.
     ///
@@ -171,18 +189,7 @@ impl InputWindow {
     /// The level is available. Cells in the map and points have `channels` values each.
     pub unsafe fn transform(&self, level: KernelLevel) {
         let border = self.rows != [0, 4] || self.columns != [0, 4];
-        let kernel = match (level, border) {
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, true) => avx512_transform::<true>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, false) => avx512_transform::<false>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, true) => avx2_transform::<true>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, false) => avx2_transform::<false>,
-            (_, true) => plain_transform::<true>,
-            (_, false) => plain_transform::<false>,
-        };
+        let kernel = by_level!(level, border, avx512_transform, avx2_transform, plain_transform);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
@@ -194,18 +201,7 @@ impl OutputWindow {
     /// # Safety
     /// The level is available. Targets and residuals that are not null have `columns` values, points whole vectors of them.
     pub unsafe fn transform_back(&self, level: KernelLevel, pooled: bool) {
-        let kernel = match (level, pooled) {
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, true) => avx512_back::<true>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, false) => avx512_back::<false>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, true) => avx2_back::<true>,
-            #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, false) => avx2_back::<false>,
-            (_, true) => plain_back::<true>,
-            (_, false) => plain_back::<false>,
-        };
+        let kernel = by_level!(level, pooled, avx512_back, avx2_back, plain_back);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }

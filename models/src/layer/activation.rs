@@ -1,6 +1,6 @@
 //! Activations, alone or behind a sum of two maps.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -71,13 +71,7 @@ fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
     match A {
-        RELU => {
-            if x < 0.0 {
-                0.0
-            } else {
-                x
-            }
-        }
+        RELU if x < 0.0 => 0.0,
         SILU => x * sigmoid::<FUSED>(x),
         SIGMOID => sigmoid::<FUSED>(x),
         _ => x,
@@ -88,13 +82,7 @@ pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
 #[inline(always)]
 pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> f32 {
     match A {
-        RELU => {
-            if x <= 0.0 {
-                0.0
-            } else {
-                gradient
-            }
-        }
+        RELU if x <= 0.0 => 0.0,
         SILU => {
             let s = sigmoid::<FUSED>(x);
             gradient * s * multiply_add::<FUSED>(x, 1.0 - s, 1.0)
@@ -178,7 +166,7 @@ impl Operation for Activate {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        let [input] = inputs else { bail!("activation: expected one input") };
         let mut output = unwritten(input.values.len());
         output
             .par_chunks_mut(CHUNK)
@@ -188,7 +176,7 @@ impl Operation for Activate {
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
-        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        let [input] = inputs else { bail!("activation: expected one input") };
         gradient
             .par_chunks_mut(CHUNK)
             .zip(input.values.par_chunks(CHUNK))
@@ -212,9 +200,9 @@ pub(super) fn each_pair(
     inputs: &[Argument<'_>],
     function: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
 ) -> Result<(Vec<f32>, Shape)> {
-    let [a, b] = inputs else { candle_core::bail!("{name}: expected two inputs") };
+    let [a, b] = inputs else { bail!("{name}: expected two inputs") };
     if a.dims != b.dims {
-        return Err(Error::Msg(format!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
+        bail!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims);
     }
     let mut output = unwritten(a.values.len());
     let parts = output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK));

@@ -1,6 +1,6 @@
 //! Adaptive average pooling of maps of any size to a fixed size.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::feature::Feature;
@@ -43,11 +43,11 @@ impl AveragePool {
             {
                 Ok([batch, rows, columns, channels])
             }
-            _ => Err(Error::Msg(format!(
+            _ => bail!(
                 "{NAME}: expected [batch, rows, columns, channels] without empty axes, got {dims:?} to ({}, {})",
-                self.rows, self.columns
-            ))
-            .bt()),
+                self.rows,
+                self.columns
+            ),
         }
     }
 
@@ -127,7 +127,7 @@ impl Operation for AveragePool {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, _, _, channels] = self.sizes(input.dims)?;
         let length = channels * self.rows * self.columns;
         let mut result = unwritten(batch * length);
@@ -136,7 +136,7 @@ impl Operation for AveragePool {
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let [_, rows, columns, channels] = self.sizes(input.dims)?;
         let bins = self.rows * self.columns;
         let mut input_gradient = vec![0.0f32; input.values.len()];

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock, RwLock};
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::activation::{Activation, activate, by_activation, descend};
@@ -67,11 +67,6 @@ impl RunningStatistics {
         self.constants
     }
 
-    /// Number of channels.
-    pub fn channels(&self) -> usize {
-        self.channels
-    }
-
     fn moments(&self) -> Moments {
         self.shared.read().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
     }
@@ -92,7 +87,7 @@ impl RunningStatistics {
     /// The number of means or of variances is not the number of channels.
     pub fn set(&self, mean: Vec<f32>, variance: Vec<f32>) -> Result<()> {
         if mean.len() != self.channels || variance.len() != self.channels {
-            candle_core::bail!(
+            bail!(
                 "{NAME}: expected running statistics of {} channels, got {} means and {} variances",
                 self.channels,
                 mean.len(),
@@ -292,12 +287,11 @@ impl BatchNorm {
             return Ok(channels);
         }
         let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
-        Err(Error::Msg(format!(
+        bail!(
             "{NAME}: expected input [batch, .., c], weight [c], bias [c] and running statistics of c channels; got {dims:?} \
              and {} channels",
             self.statistics.channels
-        ))
-        .bt())
+        )
     }
 
     /// Mean and biased variance of each channel, in f64 over blocks (Chan, Golub and LeVeque, 1979).
@@ -336,7 +330,7 @@ impl Operation for BatchNorm {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let channels = self.channels(inputs)?;
-        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let count = input.values.len() / channels;
         let (mean, variance) = match self.mode {
             BatchNormMode::Evaluation => {
@@ -344,12 +338,11 @@ impl Operation for BatchNorm {
                 (mean, variance)
             }
             BatchNormMode::Training if count < 2 => {
-                return Err(Error::Msg(format!(
+                bail!(
                     "{NAME}: expected more than one value for each channel in training, got input {:?}: a single value \
                      has no variance; use larger batches",
                     input.dims
-                ))
-                .bt());
+                );
             }
             BatchNormMode::Training => {
                 let (mean, variance) = self.moments(input.values, channels);
@@ -372,9 +365,9 @@ impl Operation for BatchNorm {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
         let channels = self.channels(inputs)?;
-        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let Some(Used { mean, inverse }) = self.used.get() else {
-            candle_core::bail!("{NAME}: backward pass without a forward pass");
+            bail!("{NAME}: backward pass without a forward pass");
         };
         let (scale, shift) = scale_and_shift(weight.values, bias.values, mean, inverse);
         let means = repeated(mean);

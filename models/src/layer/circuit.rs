@@ -3,41 +3,24 @@
 //! Expectations are computed in f64 and rounded once, within 6e-8. Gradients by inputs are within 6e-8 of their magnitude.
 //! Gradients by angles are summed over rows in f64.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::quantum::{Circuit, CircuitError, CircuitSpec, Draw, Trained, expectations_of_rows, gradients_of_rows};
+use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, gradients_of_rows};
 
 const NAME: &str = "circuit";
 /// Rows of the closed form in one task: fewer are not worth another thread.
 const ROWS: usize = 1024;
 
-/// `[<ZI>, <IZ>]` of [`crate::quantum::circuit`] for each row of `input` `[batch][2]` (radians) at `theta` `[4]`
-/// (radians).
-///
-/// # Errors
-/// Shapes differ from those above, or a tensor is not f32 on the CPU.
-pub fn circuit(input: &Tensor, theta: &Tensor) -> Result<Tensor> {
-    circuit_of(input, theta, &Circuit::new(&CircuitSpec::default()).map_err(failed)?)
-}
-
 /// `<Z>` of each qubit of `circuit` for each row of `input` `[batch][qubits]` (radians) at `theta` `[angles]` (radians),
-/// in the order of [`CircuitSpec::observables`].
+/// in the order of [`CircuitSpec::observables`](crate::quantum::CircuitSpec::observables).
 ///
 /// With shots, outcomes are a function of the seed, of the number of the call, and of the row.
 ///
 /// # Errors
 /// Shapes differ from those above, or a tensor is not f32 on the CPU.
-pub fn circuit_of(input: &Tensor, theta: &Tensor, circuit: &Circuit) -> Result<Tensor> {
-    circuit_of_call(input, theta, circuit, circuit.next_call())
-}
-
-/// [`circuit_of`] with a given number of the call. The same number gives the same shots.
-///
-/// # Errors
-/// Those of [`circuit_of`].
-pub fn circuit_of_call(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
+pub fn circuit(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
     apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }
 
@@ -60,10 +43,7 @@ impl CircuitLayer {
         let (qubits, angles) = (self.circuit.qubits(), self.circuit.angle_count());
         match (input, theta) {
             (&[batch, width], &[count]) if width == qubits && count == angles => Ok(batch),
-            _ => Err(Error::Msg(format!(
-                "{NAME}: expected input [batch, {qubits}] and {angles} angles, got {input:?} and {theta:?}"
-            ))
-            .bt()),
+            _ => bail!("{NAME}: expected input [batch, {qubits}] and {angles} angles, got {input:?} and {theta:?}"),
         }
     }
 
@@ -136,13 +116,13 @@ impl Operation for CircuitLayer {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let [input, theta] = inputs else { bail!("{NAME}: expected inputs and angles") };
         let batch = self.check(input.dims, theta.dims)?;
         Ok((self.expectations(input.values, theta.values)?, Shape::from((batch, self.circuit.qubits()))))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let [input, theta] = inputs else { bail!("{NAME}: expected inputs and angles") };
         let (by_input, by_theta) = self.gradients(input.values, theta.values, &gradient)?;
         Ok(vec![Some(by_input), Some(by_theta)])
     }
@@ -151,7 +131,7 @@ impl Operation for CircuitLayer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::quantum::{self, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
+    use crate::quantum::{self, CircuitSpec, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
     use crate::random::stream;
     use candle_core::{Device, Var};
     use rand::Rng;
@@ -185,7 +165,7 @@ mod tests {
             let count = theta.len();
             var(theta, &[count])
         });
-        let out = circuit_of_call(&input, &theta, circuit, call).expect("forward");
+        let out = super::circuit(&input, &theta, circuit, call).expect("forward");
         let weights = Tensor::from_slice(weights, &shape, &Device::Cpu).expect("tensor");
         let grads = (&out * weights).and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
         [flat(&out), flat(grads.get(&input).expect("gradient")), flat(grads.get(&theta).expect("gradient"))]
@@ -262,16 +242,14 @@ mod tests {
     }
 
     #[test]
-    fn shots_are_counted_by_calls_and_can_be_had_again() {
-        let circuit = ready(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
+    fn shots_differ_by_call_and_by_row_and_can_be_had_again() {
+        let measured = ready(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
         let (x, theta) = (var(vec![1.0; 6], &[3, 2]), var(vec![0.5; 4], &[4]));
-        let next = || flat(&circuit_of(&x, &theta, &circuit).expect("forward"));
-        let (first, second) = (next(), next());
-        assert_ne!(first, second);
+        let of = |call| flat(&circuit(&x, &theta, &measured, call).expect("forward"));
+        let first = of(0);
+        assert_ne!(first, of(1));
         assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "rows have outcomes of their own");
-        let again = |call| flat(&circuit_of_call(&x, &theta, &circuit, call).expect("forward"));
-        assert_eq!([first, second], [again(0), again(1)]);
-        assert_eq!(flat(&circuit_of(&x, &theta, &circuit.clone()).expect("forward")), again(2));
+        assert_eq!(first, of(0));
     }
 
     mod hard_cases {
@@ -344,7 +322,7 @@ mod tests {
             let said = |x: &[usize], theta: usize| {
                 let zeros =
                     |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).expect("zeros");
-                circuit_of(&zeros(x), &zeros(&[theta]), &circuit).expect_err("wrong shape").to_string()
+                super::circuit(&zeros(x), &zeros(&[theta]), &circuit, 0).expect_err("wrong shape").to_string()
             };
             for said in [said(&[5, 2], 6), said(&[5, 3], 4), said(&[3], 6)] {
                 assert!(said.contains("expected input [batch, 3] and 6 angles"), "{said}");

@@ -1,6 +1,6 @@
 //! Two-dimensional convolution, dense or depthwise.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
 use crate::kernel::KernelLevel;
@@ -227,7 +227,7 @@ impl Conv2d {
         match inputs {
             [input, weight] => ConvSizes::new(NAME, input.dims, weight.dims, None, self.geometry),
             [input, weight, bias] => ConvSizes::new(NAME, input.dims, weight.dims, Some(bias.dims), self.geometry),
-            _ => candle_core::bail!("{NAME}: expected input, weight and perhaps bias"),
+            _ => bail!("{NAME}: expected input, weight and perhaps bias"),
         }
     }
 }
@@ -239,12 +239,12 @@ impl Operation for Conv2d {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let sizes = self.sizes(inputs)?;
-        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
         let mut output = unwritten(sizes.output_count());
         let gemm = sizes.forward_gemm();
         if sizes.is_depthwise() {
-            let weight = depthwise::offset_first(weight.values, sizes.offsets());
+            let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
         } else {
             let weight =
@@ -256,7 +256,7 @@ impl Operation for Conv2d {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
         let sizes = self.sizes(inputs)?;
-        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
             depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)
@@ -270,7 +270,7 @@ impl Operation for Conv2d {
                 gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
             let mut target = if all { unwritten(input.values.len()) } else { vec![0.0; input.values.len()] };
             if sizes.is_depthwise() {
-                let weight = depthwise::offset_first(weight.values, sizes.offsets());
+                let weight = depthwise::transposed(weight.values, sizes.offsets());
                 for gemm in &gemms {
                     depthwise::run(gemm, &gradient, &weight, None, &mut target, self.tiles);
                 }

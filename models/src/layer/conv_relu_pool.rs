@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
@@ -47,10 +47,9 @@ fn geometry(inputs: &[Argument<'_>]) -> Result<(usize, Block)> {
         {
             Ok((batch, Block { rows, columns, inputs, outputs }))
         }
-        _ => Err(Error::Msg(format!(
+        _ => bail!(
             "{NAME}: expected input [batch, rows >= 2, columns >= 2, i], weight [o, i, 3, 3], bias [o]; got {dims:?}"
-        ))
-        .bt()),
+        ),
     }
 }
 
@@ -61,7 +60,7 @@ impl Operation for ConvReluPool {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (batch, block) = geometry(inputs)?;
-        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let (input, packed, bias) = (input.values, block.pack(weight.values), bias.values);
         let mut pooled = vec![0.0f32; batch * block.pooled_length()];
         let mut winner = vec![0u8; pooled.len()];
@@ -98,9 +97,9 @@ impl Operation for ConvReluPool {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
         let (_, block) = geometry(inputs)?;
-        let [input, weight, _] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, _] = inputs else { bail!("{NAME}: expected three inputs") };
         let Some(winner) = self.winner.get() else {
-            candle_core::bail!("{NAME}: backward pass without a forward pass");
+            bail!("{NAME}: backward pass without a forward pass");
         };
         let (input_values, weight) = (input.values, weight.values);
         let sample = block.rows * block.columns * block.inputs;

@@ -12,7 +12,7 @@
 //!
 //! `dataset/features.rs` has other features: quantiles over many maps, which compare simulated rooms with real ones.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -267,7 +267,7 @@ pub fn map_descriptors(input: &Tensor) -> Result<Tensor> {
 fn sizes_of(dims: &[usize]) -> Result<[usize; 3]> {
     match *dims {
         [batch, rows, columns, 1] if rows > 0 && columns > 0 => Ok([batch, rows, columns]),
-        _ => Err(Error::Msg(format!("{NAME}: expected [batch, range, velocity, 1], got {dims:?}")).bt()),
+        _ => bail!("{NAME}: expected [batch, range, velocity, 1], got {dims:?}"),
     }
 }
 
@@ -299,7 +299,7 @@ impl Operation for MapDescriptors {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, ..] = sizes_of(input.dims)?;
         let mut output = vec![0.0; batch * DESCRIPTORS];
         run(sizes, input.values, &mut output);
@@ -307,7 +307,7 @@ impl Operation for MapDescriptors {
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], _gradient: Vec<f32>) -> Result<Gradients> {
-        candle_core::bail!("{NAME}: the maps have no gradient")
+        bail!("{NAME}: the maps have no gradient")
     }
 }
 

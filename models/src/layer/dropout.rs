@@ -1,6 +1,6 @@
 //! Dropout of values and of whole samples.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rand::Rng;
 use rayon::prelude::*;
 
@@ -51,7 +51,7 @@ pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> R
 /// Factor of what is kept.
 fn scale(name: &str, probability: f32) -> Result<f32> {
     if !(0.0..1.0).contains(&probability) {
-        return Err(Error::Msg(format!("{name}: expected a probability from 0 to below 1, got {probability}")).bt());
+        bail!("{name}: expected a probability from 0 to below 1, got {probability}");
     }
     Ok(1.0 / (1.0 - probability))
 }
@@ -68,7 +68,7 @@ impl<F: Fn(&mut [f32]) + Send + Sync + 'static> Operation for Dropout<F> {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{}: expected one input", self.name) };
+        let [input] = inputs else { bail!("{}: expected one input", self.name) };
         let mut output = input.values.to_vec();
         (self.drop)(&mut output);
         Ok((output, Shape::from(input.dims)))

@@ -1,6 +1,6 @@
 //! Feature maps of inference, without a graph of gradients.
 
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 /// Maps `[batch][row][column][channel]` in a buffer that keeps its memory between uses.
 #[derive(Debug, Clone, Default)]
@@ -16,12 +16,7 @@ impl Feature {
     /// The number of values is not the product of `dims`.
     pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
         if dims.iter().product::<usize>() != values.len() {
-            return Err(Error::Msg(format!(
-                "feature: {dims:?} needs {} values, got {}",
-                dims.iter().product::<usize>(),
-                values.len()
-            ))
-            .bt());
+            bail!("feature: {dims:?} needs {} values, got {}", dims.iter().product::<usize>(), values.len());
         }
         Ok(Feature { dims, values })
     }
@@ -55,4 +50,18 @@ pub struct Affine<'a> {
     pub scale: &'a [f32],
     /// Added to each output.
     pub shift: &'a [f32],
+}
+
+/// Weights `[o][..]` and biases of a convolution with the affine function behind it folded in.
+pub(super) fn fold(
+    weight: &[f32],
+    outputs: usize,
+    bias: Option<&[f32]>,
+    affine: Option<Affine<'_>>,
+) -> (Vec<f32>, Vec<f32>) {
+    let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
+    let length = weight.len() / outputs;
+    let weight = weight.iter().enumerate().map(|(k, w)| w * scale(k / length)).collect();
+    let bias = |o: usize| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o]);
+    (weight, (0..outputs).map(bias).collect())
 }

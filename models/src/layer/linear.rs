@@ -1,6 +1,6 @@
 //! Fully connected layer.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
@@ -28,7 +28,7 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
     let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
     match dims[..] {
         [&[batch, i], &[o, wi], &[bo]] if i == wi && o == bo && i > 0 && o > 0 => Ok([batch, i, o]),
-        _ => Err(Error::Msg(format!("{NAME}: expected input [batch, i], weight [o, i], bias [o]; got {dims:?}")).bt()),
+        _ => bail!("{NAME}: expected input [batch, i], weight [o, i], bias [o]; got {dims:?}"),
     }
 }
 
@@ -39,7 +39,7 @@ impl Operation for Linear {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [batch, i, o] = sizes(inputs)?;
-        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Forward, self.tiles);
         let mut output = unwritten(batch * o);
         ImplicitGemm::rows(batch, i).run(input.values, &weight, Some(bias.values), &mut output);
@@ -48,7 +48,7 @@ impl Operation for Linear {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
         let [batch, i, o] = sizes(inputs)?;
-        let [input, weight, _] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let [input, weight, _] = inputs else { bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Backward, self.tiles);
         let mut input_gradient = unwritten(batch * i);
         ImplicitGemm::rows(batch, o).run(&gradient, &weight, None, &mut input_gradient);

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::feature::Feature;
@@ -54,11 +54,10 @@ impl MaxPool {
             let sizes = Sizes { input: [rows, columns], output: [length(rows), length(columns)], channels };
             return Ok((batch, sizes));
         }
-        Err(Error::Msg(format!(
+        bail!(
             "{NAME}: expected [batch, rows, columns, channels] that hold a window of 1 to 15 cells a side, padded by half \
              of it at most; got {dims:?} with kernel {kernel}, stride {stride}, padding {padding}"
-        ))
-        .bt())
+        )
     }
 
     /// Cells of the window of output cell `(row, column)` that are in the input: index in the window, and cell.
@@ -205,7 +204,7 @@ impl Operation for MaxPool {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let (batch, sizes) = self.sizes(input.dims)?;
         let mut output = unwritten(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
         let mut winners = vec![0u8; output.len()];
@@ -215,10 +214,10 @@ impl Operation for MaxPool {
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let (_, sizes) = self.sizes(input.dims)?;
         let Some(winners) = self.winners.get() else {
-            candle_core::bail!("{NAME}: backward pass without a forward pass");
+            bail!("{NAME}: backward pass without a forward pass");
         };
         let channels = sizes.channels;
         let pooled = sizes.output[0] * sizes.output[1] * channels;

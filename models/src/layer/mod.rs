@@ -5,7 +5,7 @@
 //! - [`conv_relu_pool`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the largest cell of each pooling window has a
 //!   gradient, so the backward pass does at most a quarter of the dense work, and the convolution's output is never stored.
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
-//!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit_of`], [`cross_entropy`].
+//!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit()`], [`cross_entropy`].
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same layers for inference, without gradients, with
 //!   batch normalisation folded in and buffers used again.
 //! - [`descriptors`]: numbers that describe a map, without parameters or gradients.
@@ -59,7 +59,7 @@ pub use average_pool::adaptive_average_pool;
 pub(crate) use average_pool::bin;
 pub use backward::backward;
 pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch_norm};
-pub use circuit::{circuit, circuit_of, circuit_of_call};
+pub use circuit::circuit;
 pub use conv_relu_pool::conv_relu_pool;
 pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;
@@ -79,5 +79,4 @@ pub(crate) use scaled_sigmoid::scaled_sigmoid_of;
 pub use standardise::standardise;
 pub use sum::{add, concatenate};
 pub(crate) use tensor::with_values;
-pub(crate) use trigonometric::features as trigonometric_features;
 pub use trigonometric::trigonometric;

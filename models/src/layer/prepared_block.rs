@@ -4,9 +4,9 @@
 
 use std::cell::RefCell;
 
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
-use super::feature::{Affine, Feature};
+use super::feature::{Affine, Feature, fold};
 use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{Block, LANES};
 use crate::kernel::level::{dispatch, multiply_add};
@@ -51,17 +51,13 @@ impl PreparedBlock {
         let lengths = [bias.map(<[f32]>::len), affine.map(|a| a.scale.len()), affine.map(|a| a.shift.len())];
         if weight.is_empty() || weight.len() != outputs * inputs * 9 || lengths.iter().flatten().any(|&l| l != outputs)
         {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared block: expected weight [o, i, 3, 3] and o values of bias, scale and shift; got {} values for \
                  {shape:?}, {lengths:?}",
                 weight.len()
-            ))
-            .bt());
+            );
         }
-        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
-        let folded: Vec<f32> = weight.iter().enumerate().map(|(k, w)| w * scale(k / (9 * inputs))).collect();
-        let mut init: Vec<f32> =
-            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let (folded, mut init) = fold(weight, outputs, bias, affine);
         let weight = if inputs == 1 {
             init.resize(outputs.next_multiple_of(LANES), 0.0);
             Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)
@@ -78,12 +74,11 @@ impl PreparedBlock {
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, inputs] = input.dims();
         if inputs != self.inputs || rows < 2 || columns < 2 {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared block: expected input [batch, rows >= 2, columns >= 2, {}], got {:?}",
                 self.inputs,
                 input.dims()
-            ))
-            .bt());
+            );
         }
         let [pooled_rows, pooled_columns] = [rows / 2, columns / 2];
         output.reshape([batch, pooled_rows, pooled_columns, self.outputs]);

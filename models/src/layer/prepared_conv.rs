@@ -2,13 +2,13 @@
 
 use super::activation::{Activation, CHUNK, add_in_place, in_place};
 use super::conv2d::{ConvGeometry, ConvSizes};
-use super::feature::{Affine, Feature};
+use super::feature::{Affine, Feature, fold};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
 use crate::kernel::winograd::{Finish, Winograd};
 use crate::kernel::{KernelLevel, depthwise};
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 /// Least number of input channels for which Winograd's transforms are worth their cost.
 const FEW_CHANNELS: usize = 8;
@@ -57,20 +57,13 @@ impl PreparedConv {
             || !groups
             || lengths.iter().flatten().any(|&l| l != outputs)
         {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared convolution: expected weight [o, i / groups, kernel rows, kernel columns], groups 1 or o, and o \
                  values of bias, scale and shift; got {} values for {weight_dims:?}, {lengths:?} with {geometry:?}",
                 weight.len()
-            ))
-            .bt());
+            );
         }
-        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
-        let mut folded = weight.to_vec();
-        for (o, kernel) in folded.chunks_exact_mut(inputs * rows * columns).enumerate() {
-            kernel.iter_mut().for_each(|w| *w *= scale(o));
-        }
-        let bias: Vec<f32> =
-            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let (folded, bias) = fold(weight, outputs, bias, affine);
         let tiles = Tiles::new(level);
         let in_windows = [rows, columns] == [3, 3]
             && geometry == ConvGeometry::dense(1, 1)
@@ -79,7 +72,7 @@ impl PreparedConv {
         let weight = if in_windows {
             Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
         } else if geometry.groups > 1 {
-            Weight::Depthwise(depthwise::offset_first(&folded, rows * columns))
+            Weight::Depthwise(depthwise::transposed(&folded, rows * columns))
         } else {
             Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
         };
@@ -95,12 +88,7 @@ impl PreparedConv {
         if let Some(residual) = residual
             && residual.dims != sizes.output_shape()
         {
-            return Err(Error::Msg(format!(
-                "prepared convolution: expected a residual {:?}, got {:?}",
-                sizes.output_shape(),
-                residual.dims
-            ))
-            .bt());
+            bail!("prepared convolution: expected a residual {:?}, got {:?}", sizes.output_shape(), residual.dims);
         }
         output.reshape(sizes.output_shape());
         let gemm = sizes.forward_gemm();

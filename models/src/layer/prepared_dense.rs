@@ -1,7 +1,7 @@
 //! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a
 //! probability, and f32 sums over a thousand features have such errors.
 
-use candle_core::{Error, Result};
+use candle_core::{Result, bail};
 
 use super::activation::{Activation, in_place};
 use super::feature::Feature;
@@ -37,12 +37,11 @@ impl PreparedDense {
     ) -> Result<Self> {
         let [outputs, inputs] = shape;
         if weight.is_empty() || weight.len() != outputs * inputs || bias.len() != outputs {
-            return Err(Error::Msg(format!(
+            bail!(
                 "prepared dense layer: expected weight [o, i] and o values of bias; got {} values for {shape:?} and {}",
                 weight.len(),
                 bias.len()
-            ))
-            .bt());
+            );
         }
         let groups = outputs.div_ceil(LANES);
         let mut packed = vec![0.0; groups * inputs * LANES];
@@ -64,12 +63,7 @@ impl PreparedDense {
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, channels] = input.dims();
         if rows * columns * channels != self.inputs {
-            return Err(Error::Msg(format!(
-                "prepared dense layer: expected input [batch, {}], got {:?}",
-                self.inputs,
-                input.dims()
-            ))
-            .bt());
+            bail!("prepared dense layer: expected input [batch, {}], got {:?}", self.inputs, input.dims());
         }
         output.reshape([batch, 1, 1, self.outputs]);
         let rows = output.values_mut().chunks_exact_mut(self.outputs).zip(input.values().chunks_exact(self.inputs));

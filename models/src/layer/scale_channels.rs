@@ -1,6 +1,6 @@
 //! Multiplication of each channel of each map by a factor: the last step of squeeze-and-excitation.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::feature::Feature;
@@ -30,8 +30,7 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
         }
         _ => {
             let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
-            Err(Error::Msg(format!("{NAME}: expected input [batch, rows, columns, c], scale [batch, c]; got {dims:?}"))
-                .bt())
+            bail!("{NAME}: expected input [batch, rows, columns, c], scale [batch, c]; got {dims:?}")
         }
     }
 }
@@ -43,10 +42,10 @@ impl Feature {
     /// Shapes differ from those above, or an axis is empty.
     pub fn scale_channels(&mut self, scale: &Feature) -> Result<()> {
         let ([batch, rows, columns, channels], [b, 1, 1, c]) = (self.dims(), scale.dims()) else {
-            candle_core::bail!("{NAME}: expected a scale [batch, 1, 1, c], got {:?}", scale.dims());
+            bail!("{NAME}: expected a scale [batch, 1, 1, c], got {:?}", scale.dims());
         };
         if batch != b || channels != c || rows * columns * channels == 0 {
-            candle_core::bail!("{NAME}: expected a scale [{batch}, 1, 1, {channels}], got {:?}", scale.dims());
+            bail!("{NAME}: expected a scale [{batch}, 1, 1, {channels}], got {:?}", scale.dims());
         }
         for_each_chunk(self.values_mut(), columns * channels, |index, row| {
             let scale = &scale.values()[index / rows * channels..][..channels];
@@ -65,7 +64,7 @@ impl Operation for ScaleChannels {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (map, channels) = sizes(inputs)?;
-        let [input, scale] = inputs else { candle_core::bail!("{NAME}: expected two inputs") };
+        let [input, scale] = inputs else { bail!("{NAME}: expected two inputs") };
         let mut output = unwritten(input.values.len());
         output
             .par_chunks_exact_mut(map)
@@ -81,7 +80,7 @@ impl Operation for ScaleChannels {
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
         let (map, channels) = sizes(inputs)?;
-        let [input, scale] = inputs else { candle_core::bail!("{NAME}: expected two inputs") };
+        let [input, scale] = inputs else { bail!("{NAME}: expected two inputs") };
         let mut scale_gradient = vec![0.0f32; scale.values.len()];
         gradient
             .par_chunks_exact_mut(map)

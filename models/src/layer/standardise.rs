@@ -1,6 +1,6 @@
 //! Normalisation by constants.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -27,15 +27,14 @@ impl Operation for Standardise {
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [input] = inputs else { bail!("{NAME}: expected one input") };
         let width = self.mean.len();
         if width == 0 || width != self.factor.len() || input.dims.last() != Some(&width) {
-            return Err(Error::Msg(format!(
+            bail!(
                 "{NAME}: expected input [batch, {width}] and as many sigmas, got {:?} and {}",
                 input.dims,
                 self.factor.len()
-            ))
-            .bt());
+            );
         }
         let mut output = input.values.to_vec();
         output.par_chunks_exact_mut(width).for_each(|row| {

@@ -1,6 +1,6 @@
 //! Sum and concatenation of two arrays.
 
-use candle_core::{Error, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor, bail};
 
 use super::activation::each_pair;
 use super::operation::{Argument, Gradients, Operation, apply};
@@ -49,7 +49,7 @@ fn widths(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
         }
         _ => {
             let dims: Vec<_> = inputs.iter().map(|input| input.dims).collect();
-            Err(Error::Msg(format!("concatenate: expected [batch, a] and [batch, b], got {dims:?}")).bt())
+            bail!("concatenate: expected [batch, a] and [batch, b], got {dims:?}")
         }
     }
 }
@@ -61,7 +61,7 @@ impl Operation for Concatenate {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [batch, a, b] = widths(inputs)?;
-        let [first, second] = inputs else { candle_core::bail!("concatenate: expected two inputs") };
+        let [first, second] = inputs else { bail!("concatenate: expected two inputs") };
         let mut output = Vec::with_capacity(batch * (a + b));
         for (first, second) in first.values.chunks_exact(a).zip(second.values.chunks_exact(b)) {
             output.extend_from_slice(first);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform};
+use radome_dsp::{Occupancy, RdmSpec, Waveform};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -154,68 +154,61 @@ impl ModelCard {
     }
 
     fn check(&self, path: &Path) -> Result<(), ModelError> {
-        let fail = |what: &str, expected: String, found: String| {
-            Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found })
+        let check = |is_valid: bool, what: &str, expected: String, found: String| match is_valid {
+            true => Ok(()),
+            false => Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found }),
         };
-        if self.classes != Occupancy::ALL {
-            return fail("classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes));
-        }
-        if self.axes != input_axes(false) && self.axes != input_axes(true) {
-            return fail("axes", format!("{:?}", input_axes(false)), format!("{:?}", self.axes));
-        }
+        let is_complete = self.classes == Occupancy::ALL;
+        check(is_complete, "classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes))?;
+        let has_known_axes = self.axes == input_axes(false) || self.axes == input_axes(true);
+        check(has_known_axes, "axes", format!("{:?}", input_axes(false)), format!("{:?}", self.axes))?;
+        let found = format!("{:?}", self.input_shape);
         match self.rdm_spec.shape(&self.waveform) {
-            Ok(RdmShape { rx: 1, doppler, range })
-                if self.input_shape == input_shape(range, doppler, self.is_transposed()) => {}
             Ok(shape) => {
-                return fail("input_shape", format!("that of a map of {shape}"), format!("{:?}", self.input_shape));
+                let of_map = input_shape(shape.range, shape.doppler, self.is_transposed());
+                let is_of_map = shape.rx == 1 && self.input_shape == of_map;
+                check(is_of_map, "input_shape", format!("that of a map of {shape}"), found.clone())?;
             }
-            Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
+            Err(error) => check(false, "rdm_spec", "one that fits the waveform".to_owned(), error.to_string())?,
         }
         // This comes before the layout of the network, whose sizes are products of these numbers.
-        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
-            return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
-        }
+        let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
+        let expected = format!("1 to {MOST_POOLED} rows and columns");
+        check(is_pooled, "pooled", expected, format!("{:?}", self.pooled))?;
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
-            return fail("head.circuit", "a circuit that can be run".to_owned(), error.to_string());
+            return check(false, "head.circuit", "a circuit that can be run".to_owned(), error.to_string());
         }
         let [_, rows, columns] = self.input_shape;
         if let Some(layer) = self.network_spec().too_small_for(rows, columns) {
-            return fail(
-                "input_shape",
-                format!("a map that is large enough for layer {layer}"),
-                format!("{:?}", self.input_shape),
-            );
+            return check(false, "input_shape", format!("a map that is large enough for layer {layer}"), found);
         }
         let Normalisation { mean, sigma } = &self.latent;
         let width = if self.network.has_latent() { self.head.width() } else { 0 };
-        if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
-            let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
-            return fail("latent", format!("{width} constants or none"), found);
-        }
+        let fits_latent = mean.len() == sigma.len() && (mean.is_empty() || mean.len() == width);
+        let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
+        check(fits_latent, "latent", format!("{width} constants or none"), found)?;
         if let Some((name, value, expected)) = self.smoothing.fault() {
-            return fail(name, expected.to_owned(), value.to_string());
+            return check(false, name, expected.to_owned(), value.to_string());
         }
         let Standardisation { reference, mean_db, sigma_db, .. } = self.standardisation;
         if let Some((name, value, expected)) = reference.fault() {
-            return fail(name, expected.to_owned(), value.to_string());
+            return check(false, name, expected.to_owned(), value.to_string());
         }
         let readable = self.network.check_maps(reference, self.is_transposed(), self.standardisation.needs_labels());
         if let Err(error) = readable {
-            return fail("standardisation", "dB over noise, range by velocity".to_owned(), error.found.to_owned());
+            let expected = "dB over noise, range by velocity".to_owned();
+            return check(false, "standardisation", expected, error.found.to_owned());
         }
-        if self.network.reads_descriptors() && (mean_db != 0.0 || sigma_db != 1.0) {
-            let found = format!("mean {mean_db} dB, sigma {sigma_db} dB");
-            return fail("standardisation", "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned(), found);
-        }
+        let is_in_db = !self.network.reads_descriptors() || (mean_db == 0.0 && sigma_db == 1.0);
+        let expected = "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned();
+        check(is_in_db, "standardisation", expected, format!("mean {mean_db} dB, sigma {sigma_db} dB"))?;
         let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
         let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
-        if !positive || !mean_db.is_finite() || mean.iter().any(|v| !v.is_finite()) {
-            let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
-            return fail("constants", "finite means, sigmas and temperature above zero".to_owned(), found);
-        }
-        Ok(())
+        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite());
+        let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
+        check(positive && is_finite, "constants", "finite means, sigmas and temperature above zero".to_owned(), found)
     }
 }
 

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use candle_core::{Device, Tensor};
 use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use thiserror::Error;
 
@@ -11,6 +10,7 @@ use super::file::{Model, is_onnx, read};
 use super::onnx::read_card;
 use super::onnx_runtime::{OnnxError, OnnxSession};
 use crate::dataset::{DatasetError, ManifestRow, network_input};
+use crate::kernel::depthwise::transposed;
 use crate::layer::softmax;
 use crate::network::{Inference, Network};
 
@@ -177,22 +177,6 @@ impl Classifier {
         self.run(&map.db, map.shape, None)
     }
 
-    /// Latent of the HQNN for a map, before its standardisation; empty for other networks and for ONNX files.
-    ///
-    /// # Errors
-    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails.
-    pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
-        self.check_unlabelled()?;
-        self.check_sequence(&map.db, map.shape, map.sequence)?;
-        let Engine::Native { network, .. } = &self.engine else { return Ok(Vec::new()) };
-        let [_, rows, columns] = self.card.input_shape;
-        let input = Tensor::from_vec(self.input(&map.db, map.shape, None)?, (1, rows, columns), &Device::Cpu)?;
-        Ok(match network.latent(&input)? {
-            Some(latent) => latent.flatten_all()?.to_vec1()?,
-            None => Vec::new(),
-        })
-    }
-
     /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take
     /// them from the row.
     ///
@@ -245,16 +229,7 @@ impl Classifier {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
         self.card.standardisation.apply(&mut input, shape.doppler, of);
-        if !self.card.is_transposed() {
-            return Ok(input);
-        }
-        let mut transposed = vec![0.0; input.len()];
-        for (row, line) in input.chunks_exact(shape.doppler).enumerate() {
-            for (column, &value) in line.iter().enumerate() {
-                transposed[column * shape.range + row] = value;
-            }
-        }
-        Ok(transposed)
+        Ok(if self.card.is_transposed() { transposed(&input, shape.doppler) } else { input })
     }
 }
 

@@ -14,9 +14,9 @@ use super::parameters::Normalisation;
 use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
     Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
-    scaled_sigmoid_of, trigonometric_features, with_values,
+    scaled_sigmoid_of, with_values,
 };
-use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
+use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, features};
 
 /// Values that one task of a step without sums passes over.
 const CHUNK: usize = 1 << 14;
@@ -407,7 +407,6 @@ impl Step {
             output.values_mut().copy_from_slice(first.values());
         }
         let [batch, rows, columns, channels] = if in_place { output.dims() } else { input(0)?.dims() };
-        let width = rows * columns * channels;
         match &self.kernel {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
@@ -423,17 +422,7 @@ impl Step {
             }
             &Kernel::AveragePool { rows, columns } => input(0)?.adaptive_average_pool(rows, columns, output)?,
             Kernel::ScaleChannels => output.scale_channels(input(1)?)?,
-            Kernel::Add { rectified } => {
-                let other = input(1)?;
-                if other.dims() != output.dims() {
-                    bail!("expected equal shapes, got {:?} and {:?}", output.dims(), other.dims());
-                }
-                let function = if *rectified { Activation::Relu } else { Activation::None };
-                for_each_chunk(output.values_mut(), CHUNK, |index, values| {
-                    let other = &other.values()[index * CHUNK..];
-                    values.iter_mut().zip(other).for_each(|(x, y)| *x = activate(function, *x + y));
-                });
-            }
+            Kernel::Add { rectified } => add(input(1)?, *rectified, output)?,
             Kernel::Activate(function) => {
                 output.values_mut().iter_mut().for_each(|x| *x = activate(*function, *x));
             }
@@ -443,54 +432,76 @@ impl Step {
                     cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activate(*activation, *x * a + b));
                 }
             }
-            Kernel::Standardise { mean, factor } => {
-                if mean.len() != width {
-                    bail!("expected {} values, got {width}", mean.len());
-                }
-                for row in output.values_mut().chunks_exact_mut(width) {
-                    row.iter_mut()
-                        .zip(mean.iter().zip(factor))
-                        .for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
-                }
-            }
+            Kernel::Standardise { mean, factor } => standardise(mean, factor, output)?,
             Kernel::ScaledSigmoid => output.values_mut().iter_mut().for_each(|x| *x = scaled_sigmoid_of(*x)),
             Kernel::ClosedForm(trained) => {
                 let input = input(0)?;
                 output.reshape(input.dims());
                 expectations_of_rows(trained, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
             }
-            Kernel::Circuit { circuit, theta } => {
-                let input = input(0)?;
-                output.reshape(input.dims());
-                let rows = input.values().par_chunks_exact(width).zip(output.values_mut().par_chunks_exact_mut(width));
-                rows.enumerate()
-                    .try_for_each(|(row, (x, result))| {
-                        let x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-                        let expectations = circuit.expectations(&x, theta, Draw { call: 0, row: row as u64 })?;
-                        result.iter_mut().zip(expectations).for_each(|(result, v)| *result = v as f32);
-                        Ok(())
-                    })
-                    .map_err(|error: crate::quantum::CircuitError| candle_core::Error::wrap(error))?;
-            }
-            Kernel::Trigonometric => {
-                output.reshape([batch, 1, 1, 5]);
-                let rows = input(0)?.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0);
-                for (&x, result) in rows {
-                    *result = trigonometric_features(x.map(f64::from)).map(|[value, ..]| value as f32);
-                }
-            }
-            Kernel::Concatenate => {
-                let (first, second) = (input(0)?, input(1)?);
-                let other = second.dims()[1..].iter().product::<usize>();
-                output.reshape([batch, 1, 1, width + other]);
-                let parts = first.values().chunks_exact(width).zip(second.values().chunks_exact(other));
-                for (row, (a, b)) in output.values_mut().chunks_exact_mut(width + other).zip(parts) {
-                    row[..width].copy_from_slice(a);
-                    row[width..].copy_from_slice(b);
-                }
-            }
+            Kernel::Circuit { circuit, theta } => run_circuit(circuit, theta, input(0)?, output)?,
+            Kernel::Trigonometric => trigonometric(input(0)?, output),
+            Kernel::Concatenate => concatenate(input(0)?, input(1)?, output),
         }
         Ok(())
+    }
+}
+
+/// Adds `other`, and rectifies the sum if asked to.
+fn add(other: &Feature, rectified: bool, output: &mut Feature) -> Result<()> {
+    if other.dims() != output.dims() {
+        bail!("expected equal shapes, got {:?} and {:?}", output.dims(), other.dims());
+    }
+    let function = if rectified { Activation::Relu } else { Activation::None };
+    for_each_chunk(output.values_mut(), CHUNK, |index, values| {
+        let other = &other.values()[index * CHUNK..];
+        values.iter_mut().zip(other).for_each(|(x, y)| *x = activate(function, *x + y));
+    });
+    Ok(())
+}
+
+fn standardise(mean: &[f32], factor: &[f32], output: &mut Feature) -> Result<()> {
+    let width: usize = output.dims()[1..].iter().product();
+    if mean.len() != width {
+        bail!("expected {} values, got {width}", mean.len());
+    }
+    for row in output.values_mut().chunks_exact_mut(width) {
+        let constants = mean.iter().zip(factor);
+        row.iter_mut().zip(constants).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
+    }
+    Ok(())
+}
+
+/// Runs a circuit on each row.
+fn run_circuit(circuit: &Circuit, theta: &[f64], input: &Feature, output: &mut Feature) -> Result<()> {
+    output.reshape(input.dims());
+    let width: usize = input.dims()[1..].iter().product();
+    let rows = input.values().par_chunks_exact(width).zip(output.values_mut().par_chunks_exact_mut(width));
+    rows.enumerate()
+        .try_for_each(|(row, (x, result))| {
+            let x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
+            let expectations = circuit.expectations(&x, theta, Draw { call: 0, row: row as u64 })?;
+            result.iter_mut().zip(expectations).for_each(|(result, v)| *result = v as f32);
+            Ok(())
+        })
+        .map_err(|error: CircuitError| candle_core::Error::wrap(error))
+}
+
+fn trigonometric(input: &Feature, output: &mut Feature) {
+    output.reshape([input.dims()[0], 1, 1, 5]);
+    for (&x, result) in input.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0) {
+        *result = features(x.map(f64::from)).0.map(|value| value as f32);
+    }
+}
+
+/// Puts the rows of two inputs one behind the other.
+fn concatenate(first: &Feature, second: &Feature, output: &mut Feature) {
+    let [width, other] = [first, second].map(|input| input.dims()[1..].iter().product::<usize>());
+    output.reshape([first.dims()[0], 1, 1, width + other]);
+    let parts = first.values().chunks_exact(width).zip(second.values().chunks_exact(other));
+    for (row, (a, b)) in output.values_mut().chunks_exact_mut(width + other).zip(parts) {
+        row[..width].copy_from_slice(a);
+        row[width..].copy_from_slice(b);
     }
 }
 

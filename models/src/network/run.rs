@@ -6,9 +6,9 @@ use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::instance::Network;
 use super::parameters::Normalisation;
 use crate::layer::{
-    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
-    concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels,
-    scaled_sigmoid, standardise, trigonometric,
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit, concatenate,
+    conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels, scaled_sigmoid,
+    standardise, trigonometric,
 };
 use crate::quantum::Circuit;
 
@@ -136,10 +136,7 @@ impl Network {
             }
             Layer::BatchNorm { activation, .. } => {
                 let statistics = self.parameters().statistics(&node.name)?;
-                let of = match mode {
-                    Mode::Training { .. } => BatchNormMode::Training,
-                    Mode::Evaluation => BatchNormMode::Evaluation,
-                };
+                let of = if mode == Mode::Evaluation { BatchNormMode::Evaluation } else { BatchNormMode::Training };
                 batch_norm(first, &parameter("weight")?, &parameter("bias")?, statistics, of, *activation, level)
             }
             Layer::Activate(function) => activation(first, *function, level),
@@ -164,10 +161,10 @@ impl Network {
             Layer::ScaledSigmoid => {
                 scaled_sigmoid(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 })
             }
-            Layer::Circuit { circuit, .. } => {
-                let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
+            Layer::Circuit { circuit: spec, .. } => {
+                let built = Circuit::new(spec).map_err(candle_core::Error::wrap)?;
                 let call = if let Mode::Training { step, .. } = mode { step } else { 0 };
-                circuit_of_call(first, &parameter("theta")?, &circuit, call)
+                circuit(first, &parameter("theta")?, &built, call)
             }
             Layer::Trigonometric => trigonometric(first),
             Layer::Concatenate => concatenate(first, input(1)?),

@@ -135,11 +135,6 @@ impl TorchvisionWeights {
         &self.hash
     }
 
-    /// Arrays that come from the file.
-    pub fn count(&self) -> usize {
-        self.values.len()
-    }
-
     /// Warnings for the user about differences between file and network.
     pub fn warnings(&self) -> Vec<String> {
         let say =
@@ -233,7 +228,7 @@ mod tests {
             let weights = read(&arrays, &spec).expect(name);
             assert_eq!(weights.initialised, [format!("{head}.weight"), format!("{head}.bias")], "{name}");
             assert!(weights.unused.is_empty(), "{name}: {:?}", weights.unused);
-            assert_eq!(weights.count(), spec.layout().len() - 2, "{name}");
+            assert_eq!(weights.values.len(), spec.layout().len() - 2, "{name}");
             assert!(weights.warnings().concat().contains(&format!("{head}.weight")));
             let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
             let before = network.values().expect("values");

@@ -68,8 +68,7 @@ impl Trained {
 
     /// [`circuit`] at input `x`.
     pub fn circuit(&self, x: [f64; 2]) -> CircuitPoint {
-        let waves = arguments(x).map(f64::sin_cos);
-        let (features, by_x) = (features(waves), feature_gradients(x, waves));
+        let (features, by_x) = features(x);
         let [zi, iz] = self.coefficients;
         CircuitPoint {
             zi: dot(&zi, &features),
@@ -101,7 +100,7 @@ fn arguments([x0, x1]: [f64; 2]) -> [f64; 3] {
 }
 
 #[inline(always)]
-fn features([(s0, c0), (s1, c1), (sw, cw)]: Waves) -> [f64; 5] {
+fn features_of([(s0, c0), (s1, c1), (sw, cw)]: Waves) -> [f64; 5] {
     [s1 * sw, s0 * sw, c0 * c1, c1 * cw, c0 * cw]
 }
 
@@ -115,9 +114,15 @@ fn feature_gradients([x0, x1]: [f64; 2], [(s0, c0), (s1, c1), (sw, cw)]: Waves) 
     ]
 }
 
+/// The features at input `x`, and their derivatives by x0 and x1.
+pub(crate) fn features(x: [f64; 2]) -> ([f64; 5], [[f64; 5]; 2]) {
+    let waves = arguments(x).map(f64::sin_cos);
+    (features_of(waves), feature_gradients(x, waves))
+}
+
 /// `[<ZI>, <IZ>]` alone.
 pub fn expectations(x: [f64; 2], theta: [f64; 4]) -> [f64; 2] {
-    let features = features(arguments(x).map(f64::sin_cos));
+    let features = features_of(arguments(x).map(f64::sin_cos));
     coefficients(theta.map(f64::sin_cos)).map(|c| dot(&c, &features))
 }
 
@@ -190,7 +195,7 @@ vectorised! {
             let waves = waves(&widen(x));
             let mut values = [[0.0f32; 2]; LANES];
             for (l, value) in values.iter_mut().enumerate() {
-                let features = features(lane(&waves, l));
+                let features = features_of(lane(&waves, l));
                 *value = [0, 1].map(|o| dot(&trained.coefficients[o], &features) as f32);
             }
             result.copy_from_slice(&values[..result.len()]);
@@ -214,7 +219,7 @@ vectorised! {
             let mut gradients = [[0.0f32; 2]; LANES];
             for l in 0..LANES {
                 let waves = lane(&waves, l);
-                let (features, [by_x0, by_x1]) = (features(waves), feature_gradients(x[l], waves));
+                let (features, [by_x0, by_x1]) = (features_of(waves), feature_gradients(x[l], waves));
                 let mut mixed = [0.0; 5];
                 for f in 0..5 {
                     for o in 0..2 {

@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::spec::{CircuitError, CircuitSpec, Encoding};
 
@@ -57,8 +56,6 @@ pub(super) enum Angle {
 
 /// Quantum circuit, built from its settings.
 ///
-/// Clones share the count of calls from which the shots of [`crate::layer::circuit_of`] are numbered.
-///
 /// # Examples
 /// ```
 /// use radome_models::quantum::{Circuit, CircuitSpec, Draw};
@@ -75,7 +72,6 @@ pub struct Circuit {
     pub(super) gates: Arc<[Gate]>,
     pub(super) layers: Arc<[Layer]>,
     angles: Arc<[Angle]>,
-    calls: Arc<AtomicU64>,
 }
 
 /// Pairs of qubits in the order of Qiskit's full entanglement: (0, 1), (0, 2), ... (1, 2), ...
@@ -126,18 +122,7 @@ impl Circuit {
                 gates.extend(pairs(qubits).map(|(control, target)| Gate::ControlledNot { control, target }));
             }
         }
-        Ok(Circuit {
-            spec: spec.clone(),
-            gates: gates.into(),
-            layers: layers.into(),
-            angles: angles.into(),
-            calls: Arc::default(),
-        })
-    }
-
-    /// Settings of the circuit.
-    pub fn spec(&self) -> &CircuitSpec {
-        &self.spec
+        Ok(Circuit { spec: spec.clone(), gates: gates.into(), layers: layers.into(), angles: angles.into() })
     }
 
     /// Number of qubits, inputs and outputs.
@@ -148,11 +133,6 @@ impl Circuit {
     /// Number of trained angles.
     pub fn angle_count(&self) -> usize {
         self.spec.angle_count()
-    }
-
-    /// Number of the next call of [`crate::layer::circuit_of`]. The counter goes on by one.
-    pub(crate) fn next_call(&self) -> u64 {
-        self.calls.fetch_add(1, Ordering::Relaxed)
     }
 
     /// Checks the number of inputs and of angles.

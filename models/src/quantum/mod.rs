@@ -27,6 +27,7 @@ pub(crate) mod state_vector;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use closed_form::features;
 pub use closed_form::{CircuitPoint, Trained, circuit, expectations, expectations_of_rows, gradients_of_rows};
 pub use evaluate::{Draw, Jacobian};
 pub use gates::Circuit;

@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use super::error::StudyError;
+use super::error::{StudyError, check_setting};
 use super::outcome::Job;
 use super::score::Score;
 use super::spec::StudySpec;
 use crate::dataset::{Dataset, Split};
 use crate::interval::{Interval, t_interval};
-use crate::metrics::Metrics;
+use crate::metrics::{Confusion, Metrics, add_confusion};
 
 /// Longest name of a condition or of its group, in characters: names are headings of tables, and parts of file names.
 const LONGEST_NAME: usize = 100;
@@ -76,14 +76,9 @@ pub fn condition_file_name(name: &str) -> Result<String, StudyError> {
 fn check_name(what: &str, name: &str) -> Result<(), StudyError> {
     let is_plain = !name.chars().any(|c| c.is_control() || c == '|');
     let has_letter = name.chars().any(|c| c.is_ascii_alphanumeric());
-    if is_plain && has_letter && name.chars().count() <= LONGEST_NAME {
-        return Ok(());
-    }
-    Err(StudyError::Setting {
-        what: what.to_owned(),
-        value: format!("{name:?}"),
-        expected: format!("a letter or digit, no '|', and {LONGEST_NAME} characters at most"),
-    })
+    let is_short = name.chars().count() <= LONGEST_NAME;
+    let expected = format!("a letter or digit, no '|', and {LONGEST_NAME} characters at most");
+    check_setting(is_plain && has_letter && is_short, what, format!("{name:?}"), expected)
 }
 
 /// Checks that the models of a study can be put to conditions.
@@ -92,19 +87,14 @@ fn check_name(what: &str, name: &str) -> Result<(), StudyError> {
 /// [`StudyError::Setting`] if two conditions have one name in files, or if the study trains no model on all labels, and
 /// [`StudyError::Maps`] if the maps of one are of another kind than the study's.
 pub(super) fn check(spec: &StudySpec, study: &Dataset, conditions: &[Condition]) -> Result<(), StudyError> {
-    let fail = |what: &str, value: String, expected: &str| {
-        Err(StudyError::Setting { what: what.to_owned(), value, expected: expected.to_owned() })
-    };
-    if !conditions.is_empty() && !spec.label_fractions.contains(&1.0) {
-        let value = format!("{:?}", spec.label_fractions);
-        return fail("label_fractions", value, "1 among them: models of all labels are put to conditions");
-    }
+    let has_models = conditions.is_empty() || spec.label_fractions.contains(&1.0);
+    let expected = "1 among them: models of all labels are put to conditions";
+    check_setting(has_models, "label_fractions", format!("{:?}", spec.label_fractions), expected)?;
     let mut names = BTreeSet::new();
     for condition in conditions {
-        if !names.insert(condition.file_name.to_ascii_lowercase()) {
-            let expected = "names that differ in letters and digits, '-' and '+'";
-            return fail("name of a condition", format!("'{}', like another", condition.name), expected);
-        }
+        let is_new = names.insert(condition.file_name.to_ascii_lowercase());
+        let expected = "names that differ in letters and digits, '-' and '+'";
+        check_setting(is_new, "name of a condition", format!("'{}', like another", condition.name), expected)?;
         let (expected, got) = (study.header(), condition.dataset.header());
         let other = |what: String| Err(StudyError::Maps { condition: condition.name.clone(), what });
         if got.shape != expected.shape {
@@ -167,7 +157,7 @@ pub struct ConditionCell {
     /// Accuracy; chance where a training broke off.
     pub accuracy: Option<Interval>,
     /// `confusion[truth][prediction]`, summed over models.
-    pub confusion: [[u64; 3]; 3],
+    pub confusion: Confusion,
 }
 
 impl ConditionReport {
@@ -192,12 +182,10 @@ impl ConditionReport {
                 let of = judgement.metrics.as_ref().map_or(CHANCE, |metrics| metrics.balanced_accuracy);
                 Score::new(&judgement.job, of)
             };
-            let mut confusion = [[0u64; 3]; 3];
+            let mut confusion = Confusion::default();
             for metrics in scores().flatten() {
                 maps = maps.max(metrics.samples);
-                for (sum, counts) in confusion.iter_mut().flatten().zip(metrics.confusion.iter().flatten()) {
-                    *sum += counts;
-                }
+                add_confusion(&mut confusion, &metrics.confusion);
             }
             cells.push(ConditionCell {
                 variant: variant.name.clone(),

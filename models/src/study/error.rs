@@ -1,5 +1,6 @@
 //! Errors of a study.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use thiserror::Error;
@@ -10,58 +11,31 @@ use crate::train::TrainError;
 
 /// Error of a study.
 #[derive(Debug, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
 pub enum StudyError {
     /// A setting is out of range.
     #[error("study: {what} is {value}, expected {expected}")]
-    Setting {
-        /// Name of the setting.
-        what: String,
-        /// Its value.
-        value: String,
-        /// Allowed values.
-        expected: String,
-    },
+    Setting { what: String, value: String, expected: String },
     /// A file of the study cannot be written or read.
     #[error("{path}: {reason}")]
-    File {
-        /// File or folder.
-        path: PathBuf,
-        /// Cause.
-        reason: String,
-    },
+    File { path: PathBuf, reason: String },
     /// Results of another study or dataset are in the folder.
     #[error("{path} holds results of another study or dataset\n\nhint: give this one a folder of its own")]
-    Foreign {
-        /// Folder.
-        path: PathBuf,
-    },
+    Foreign { path: PathBuf },
     /// The maps of a condition are of another kind than those that the networks are trained on.
     #[error(
         "condition '{condition}': {what}\n\nhint: build its dataset with the [map] of the study's, from like waveforms"
     )]
-    Maps {
-        /// Name of the condition.
-        condition: String,
-        /// Difference.
-        what: String,
-    },
+    Maps { condition: String, what: String },
     /// All maps of a condition are of sequences that a training saw.
     #[error(
         "condition '{condition}': all of its maps are of sequences that the networks are trained or chosen by\n\nhint: name a \
          dataset with other sequences, or with all of the study's"
     )]
-    NothingUnseen {
-        /// Name of the condition.
-        condition: String,
-    },
+    NothingUnseen { condition: String },
     /// The model of a training is not there, although the training is done.
     #[error("{path} is not there\n\nhint: remove {result} and the study trains it again")]
-    NoModel {
-        /// File of the model.
-        path: PathBuf,
-        /// Outcome of the training.
-        result: PathBuf,
-    },
+    NoModel { path: PathBuf, result: PathBuf },
     /// A training cannot be run.
     #[error(transparent)]
     Train(#[from] TrainError),
@@ -74,4 +48,20 @@ pub enum StudyError {
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+}
+
+/// Checks one setting of a study.
+///
+/// # Errors
+/// [`StudyError::Setting`] with its value unless it `is_valid`.
+pub(super) fn check_setting(
+    is_valid: bool,
+    what: impl Display,
+    value: impl Display,
+    expected: impl Display,
+) -> Result<(), StudyError> {
+    if is_valid {
+        return Ok(());
+    }
+    Err(StudyError::Setting { what: what.to_string(), value: value.to_string(), expected: expected.to_string() })
 }

@@ -35,7 +35,6 @@ mod times;
 pub use condition::{Condition, ConditionCell, ConditionReport, Judgement, condition_file_name};
 pub use cost::Cost;
 pub use error::StudyError;
-pub use noise::{NoisyMaps, with_noise};
 pub use outcome::{FAILED_BELOW, Job, Noisy, Outcome};
 pub use plan::{Plan, PlannedNetwork};
 pub use report::{

@@ -12,11 +12,8 @@ use super::score::Score;
 use super::spec::StudySpec;
 use crate::dataset::Dataset;
 use crate::interval::{Interval, median, t_interval};
-use crate::metrics::Metrics;
+use crate::metrics::{Confusion, Metrics, add_confusion};
 use crate::train::EpochReport;
-
-/// Confusion matrices summed over seeds: `[truth][prediction]`.
-type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 /// One variant trained on one share of the maps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -191,9 +188,7 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
     };
     let mut confusion = Confusion::default();
     for metrics in of.iter().filter_map(|outcome| outcome.test.as_ref()) {
-        for (sum, counts) in confusion.iter_mut().flatten().zip(metrics.confusion.iter().flatten()) {
-            *sum += counts;
-        }
+        add_confusion(&mut confusion, &metrics.confusion);
     }
     let under = |snr_db: f64| {
         interval(&|outcome| {

@@ -12,17 +12,17 @@ use super::condition::{self, Condition, ConditionReport, Judgement};
 use super::cost::{Cost, Meter};
 use super::error::StudyError;
 use super::jobs::{name, of_shard};
-use super::noise::with_noise;
+use super::noise::add_noise;
 use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
 use super::times::{Times, times};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
-use crate::evaluate::evaluate;
+use crate::evaluate::{evaluate, evaluate_changed};
 use crate::interval::median;
-use crate::model::{Classifier, Model};
-use crate::train::{EpochReport, Indices, Maps, TrainError, check_memory, train_on};
+use crate::model::{Classifier, Model, input_shape};
+use crate::train::{EpochReport, Indices, Maps, TrainError, TrainOutcome, TrainSpec, check_memory, train_on};
 use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
@@ -171,15 +171,9 @@ impl<'a> Study<'a> {
                 Some(tried.validation.as_ref().map_or(0.0, |metrics| metrics.balanced_accuracy))
             };
             let scores: Option<Vec<f64>> = rates.iter().map(|&rate| score(rate)).collect();
-            let best = scores.and_then(|scores| {
-                let mut best: Option<(f64, f64)> = None;
-                for (&rate, score) in rates.iter().zip(scores) {
-                    if best.is_none_or(|(_, found)| score > found) {
-                        best = Some((rate, score));
-                    }
-                }
-                best
-            });
+            // The first of equals wins.
+            let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
+            let best = scores.and_then(|scores| rates.iter().copied().zip(scores).reduce(better));
             if let Some((rate, _)) = best {
                 chosen.insert(variant.name.clone(), rate);
             }
@@ -286,6 +280,10 @@ impl<'a> Study<'a> {
         self.folder.join("models").join(format!("{}.safetensors", name(job)))
     }
 
+    fn checkpoint_path(&self, job: &Job) -> PathBuf {
+        self.folder.join("checkpoints").join(format!("{}.safetensors", name(job)))
+    }
+
     fn judgement_path(&self, task: Task) -> PathBuf {
         self.folder.join("judged").join(format!("{}.json", task.name()))
     }
@@ -365,9 +363,8 @@ impl<'a> Study<'a> {
     fn train(&self, job: &Job, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, StudyError> {
         let spec = self.spec.train_spec(job)?;
         let shape = self.dataset.header().shape;
+        let [_, rows, columns] = input_shape(shape.range, shape.doppler, spec.transposed);
         let network = spec.network_spec();
-        let [range, doppler] =
-            if spec.transposed { [shape.doppler, shape.range] } else { [shape.range, shape.doppler] };
         let mut outcome = Outcome {
             job: job.clone(),
             error: None,
@@ -383,21 +380,14 @@ impl<'a> Study<'a> {
             label_cost: Cost::default(),
             latency_ms: 0.0,
             parameters: network.parameter_count(),
-            multiply_adds: network.multiply_adds(range, doppler),
+            multiply_adds: network.multiply_adds(rows, columns),
         };
-        let checkpoint = self.folder.join("checkpoints").join(format!("{}.safetensors", name(job)));
         let meter = Meter::start();
-        let mut trained = train_on(&self.maps, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
-        if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
-            // It may be of a machine with other instructions.
-            tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
-            trained = train_on(&self.maps, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
-        }
-        let trained = match trained {
+        let trained = match self.train_or_restart(job, &spec, tell) {
             Ok(trained) => trained,
             // A training that diverges is a result; one that cannot be run is an error.
             Err(error @ TrainError::NonFinite { .. }) => {
-                let _ = std::fs::remove_file(&checkpoint);
+                let _ = std::fs::remove_file(self.checkpoint_path(job));
                 outcome.error = Some(error.to_string());
                 return Ok(outcome);
             }
@@ -406,13 +396,10 @@ impl<'a> Study<'a> {
         outcome.training_cost = meter.read();
         outcome.training = trained.history.last().map_or(0.0, |epoch| epoch.training_balanced_accuracy);
         outcome.training_seconds = trained.history.iter().map(|epoch| epoch.seconds).sum();
-        let mut seconds = 0.0;
-        for (index, epoch) in trained.history.iter().enumerate() {
-            seconds += epoch.seconds;
-            if epoch.validation_balanced_accuracy >= self.spec.target && outcome.epochs_to_target.is_none() {
-                outcome.epochs_to_target = Some(index + 1);
-                outcome.seconds_to_target = Some(seconds);
-            }
+        let reached = |epoch: &EpochReport| epoch.validation_balanced_accuracy >= self.spec.target;
+        if let Some(index) = trained.history.iter().position(reached) {
+            outcome.epochs_to_target = Some(index + 1);
+            outcome.seconds_to_target = Some(trained.history.iter().take(index + 1).map(|epoch| epoch.seconds).sum());
         }
         let chosen = trained.model.card.training.chosen_start;
         outcome.curve = trained.history.into_iter().filter(|epoch| epoch.start == chosen).collect();
@@ -425,12 +412,31 @@ impl<'a> Study<'a> {
         let mut classifier = Classifier::new(trained.model);
         if job.label_fraction == 1.0 {
             for &snr_db in &self.spec.snr_db {
-                let noisy = with_noise(self.dataset, &test, snr_db)?;
-                outcome.noisy.push(Noisy { snr_db, metrics: noisy.evaluate(&mut classifier)? });
+                let add_noise = |index, map: &mut [f32]| add_noise(map, index, snr_db);
+                let metrics = evaluate_changed(&mut classifier, self.dataset, &test, add_noise)?;
+                outcome.noisy.push(Noisy { snr_db, metrics });
             }
         }
         (outcome.latency_ms, outcome.label_cost) = self.time_labels(&mut classifier, &test)?;
         Ok(outcome)
+    }
+
+    /// Trains a job from its checkpoint, or from the start if that cannot be continued.
+    fn train_or_restart(
+        &self,
+        job: &Job,
+        spec: &TrainSpec,
+        tell: &mut dyn FnMut(Progress),
+    ) -> Result<TrainOutcome, TrainError> {
+        let checkpoint = self.checkpoint_path(job);
+        let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
+        let trained = train();
+        if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
+            // It may be of a machine with other instructions.
+            tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
+            return train();
+        }
+        trained
     }
 
     /// Median time of one map, ms, and its mean cost, over as many maps as energy counters need, after a few to warm up.

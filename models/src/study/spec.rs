@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::error::StudyError;
+use super::error::{StudyError, check_setting};
 use super::outcome::Job;
 use crate::network::{Head, NetworkSpec, networks};
 use crate::train::TrainSpec;
@@ -78,58 +78,42 @@ impl StudySpec {
     /// # Errors
     /// [`StudyError::Setting`] and [`StudyError::Train`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), StudyError> {
-        let fail = |what: &str, value: String, expected: &str| {
-            Err(StudyError::Setting { what: what.to_owned(), value, expected: expected.to_owned() })
-        };
-        if self.variants.is_empty() || self.seeds.is_empty() {
-            return fail("variants and seeds", "none".to_owned(), "at least one of each");
-        }
-        if self.variants.len() > MOST_VARIANTS {
-            return fail("variants", self.variants.len().to_string(), "1000 at most");
-        }
+        let has_work = !self.variants.is_empty() && !self.seeds.is_empty();
+        check_setting(has_work, "variants and seeds", "none", "at least one of each")?;
+        let variants = self.variants.len();
+        check_setting(variants <= MOST_VARIANTS, "variants", variants, "1000 at most")?;
         let counts = [self.seeds.len(), self.label_fractions.len(), self.learning_rates.len().max(1)];
-        let jobs = counts.into_iter().fold(self.variants.len(), usize::saturating_mul);
-        if jobs > MOST_JOBS {
-            return fail(
-                "variants, seeds, label_fractions and learning_rates",
-                jobs.to_string(),
-                "1000000 trainings at most",
-            );
-        }
+        let jobs = counts.into_iter().fold(variants, usize::saturating_mul);
+        let what = "variants, seeds, label_fractions and learning_rates";
+        check_setting(jobs <= MOST_JOBS, what, jobs, "1000000 trainings at most")?;
         let seeds: BTreeSet<u64> = self.seeds.iter().copied().collect();
         let fractions: BTreeSet<u64> = self.label_fractions.iter().map(|fraction| fraction.to_bits()).collect();
-        if seeds.len() < self.seeds.len() || fractions.len() < self.label_fractions.len() {
-            return fail("seeds and label_fractions", "one twice".to_owned(), "each once");
-        }
+        let is_once = seeds.len() == self.seeds.len() && fractions.len() == self.label_fractions.len();
+        check_setting(is_once, "seeds and label_fractions", "one twice", "each once")?;
         self.train.check()?;
         for (index, variant) in self.variants.iter().enumerate() {
-            if self.variants.iter().take(index).any(|other| other.name == variant.name) {
-                return fail("variants", format!("'{}' twice", variant.name), "names of their own");
-            }
             let name = &variant.name;
-            if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c)) {
-                return fail("a variant's name", format!("'{name}'"), "letters, digits, '_', '-' and '.'");
-            }
+            let is_new = !self.variants.iter().take(index).any(|other| other.name == *name);
+            check_setting(is_new, "variants", format!("'{name}' twice"), "names of their own")?;
+            let is_plain = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
+            let expected = "letters, digits, '_', '-' and '.'";
+            check_setting(is_plain, "a variant's name", format!("'{name}'"), expected)?;
             let network = self.network(variant)?;
             if let Head::Circuit { circuit, .. } = &network.head
                 && let Err(error) = circuit.check()
             {
-                return fail(&format!("circuit of variant {name}"), error.to_string(), "a circuit that can be run");
+                let what = format!("circuit of variant {name}");
+                return check_setting(false, what, error, "a circuit that can be run");
             }
         }
-        if let Some(bad) = self.label_fractions.iter().find(|f| !(**f > 0.0 && **f <= 1.0)) {
-            return fail("label_fractions", bad.to_string(), "above 0 and up to 1");
+        for &share in &self.label_fractions {
+            check_setting(share > 0.0 && share <= 1.0, "label_fractions", share, "above 0 and up to 1")?;
         }
-        if self.label_fractions.is_empty() {
-            return fail("label_fractions", "none".to_owned(), "at least one");
+        check_setting(!self.label_fractions.is_empty(), "label_fractions", "none", "at least one")?;
+        for &rate in &self.learning_rates {
+            check_setting(rate.is_finite() && rate > 0.0, "learning_rates", rate, "finite numbers above 0")?;
         }
-        if let Some(bad) = self.learning_rates.iter().find(|r| !(r.is_finite() && **r > 0.0)) {
-            return fail("learning_rates", bad.to_string(), "finite numbers above 0");
-        }
-        if let Some(bad) = self.snr_db.iter().find(|s| !s.is_finite()) {
-            return fail("snr_db", bad.to_string(), "finite numbers");
-        }
-        Ok(())
+        self.snr_db.iter().try_for_each(|snr| check_setting(snr.is_finite(), "snr_db", snr, "finite numbers"))
     }
 
     /// The network of a variant.

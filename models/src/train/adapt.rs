@@ -189,37 +189,11 @@ impl Adapter {
         }
         let recordings_by_class: [usize; CLASSES] =
             std::array::from_fn(|class| by_recording.iter().filter(|s| s[class] > 0.0).count());
-        let (tail, smoothing) = (self.tail()?, self.classifier.card().smoothing);
+        let tail = self.tail()?;
         let weakest = (WEAKEST_BY_TIME / total_s.powi(2)).min(SAFE_STRENGTH);
         let strengths: Vec<f64> = STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
 
-        let mut is_measured = [false; CLASSES];
-        let mut folds: Vec<Option<Fold>> = recordings.iter().map(|_| None).collect();
-        let parts = recordings.len().min(MOST_FOLDS);
-        for part in 0..parts {
-            let is_held_out = |index: usize| index % parts == part;
-            let seconds_of = |class: usize, held_out: bool| -> f64 {
-                let all = by_recording.iter().enumerate().filter(|(index, _)| is_held_out(*index) == held_out);
-                all.map(|(_, seconds)| seconds[class]).sum()
-            };
-            let shown = |class: &usize| seconds_of(*class, true) > 0.0;
-            let is_known = |class: usize| seconds_of(class, false) > 0.0;
-            if !(0..CLASSES).any(|class| shown(&class)) || !(0..CLASSES).filter(shown).all(is_known) {
-                continue;
-            }
-            (0..CLASSES).filter(shown).for_each(|class| is_measured[class] = true);
-            let others = recordings.iter().enumerate().filter(|(index, _)| !is_held_out(*index));
-            let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
-            let fits = tail.fit(&others, &self.simulated, &strengths, &self.before)?;
-            for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
-                // A recording without labels has no scores.
-                if by_recording[index].iter().sum::<f64>() > 0.0 {
-                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, smoothing);
-                    let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
-                    folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
-                }
-            }
-        }
+        let (folds, is_measured) = self.hold_out(&tail, recordings, &by_recording, &strengths)?;
         // The strongest of equals wins.
         let measured: Vec<&Fold> = folds.iter().flatten().collect();
         let mut chosen: Option<(usize, BeforeAfter)> = None;
@@ -247,6 +221,46 @@ impl Adapter {
         };
         let numbers = numbers.unwrap_or_else(|| self.before.clone());
         Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured })
+    }
+
+    /// Holds out each part of the recordings in turn, of which `by_recording` are the labelled seconds. Returns the predictions on
+    /// each recording that was held out, and which classes those showed.
+    fn hold_out(
+        &self,
+        tail: &Tail,
+        recordings: &[AdaptRecording],
+        by_recording: &[[f64; CLASSES]],
+        strengths: &[f64],
+    ) -> Result<(Vec<Option<Fold>>, [bool; CLASSES]), AdaptError> {
+        let smoothing = self.classifier.card().smoothing;
+        let mut is_measured = [false; CLASSES];
+        let mut folds: Vec<Option<Fold>> = recordings.iter().map(|_| None).collect();
+        let parts = recordings.len().min(MOST_FOLDS);
+        for part in 0..parts {
+            let is_held_out = |index: usize| index % parts == part;
+            let seconds_of = |class: usize, held_out: bool| -> f64 {
+                let all = by_recording.iter().enumerate().filter(|(index, _)| is_held_out(*index) == held_out);
+                all.map(|(_, seconds)| seconds[class]).sum()
+            };
+            let shown = |class: &usize| seconds_of(*class, true) > 0.0;
+            let is_known = |class: usize| seconds_of(class, false) > 0.0;
+            if !(0..CLASSES).any(|class| shown(&class)) || !(0..CLASSES).filter(shown).all(is_known) {
+                continue;
+            }
+            (0..CLASSES).filter(shown).for_each(|class| is_measured[class] = true);
+            let others = recordings.iter().enumerate().filter(|(index, _)| !is_held_out(*index));
+            let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
+            let fits = tail.fit(&others, &self.simulated, strengths, &self.before)?;
+            for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
+                // A recording without labels has no scores.
+                if by_recording[index].iter().sum::<f64>() > 0.0 {
+                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, smoothing);
+                    let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
+                    folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
+                }
+            }
+        }
+        Ok((folds, is_measured))
     }
 
     /// Computes scores on recordings with fitted parameters, or those of the model before.

@@ -12,7 +12,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::error::TrainError;
+use super::error::{TrainError, check_setting};
 use crate::random::stream;
 use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
 
@@ -121,52 +121,38 @@ impl Augmentation {
 
     /// Checks that settings are in range and can be applied to maps in `reference`.
     pub(super) fn check(&self, reference: MapReference) -> Result<(), TrainError> {
-        let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
-        let is_interval = |[low, high]: [f32; 2], least: f32, most: f32| low >= least && low <= high && high <= most;
+        let is_interval = |[low, high]: [f32; 2], most: f32| low >= -most && low <= high && high <= most;
         let is_count = |[low, high]: [usize; 2]| low >= 1 && low <= high && high <= MOST_BINS;
-        let is_share = |share: f64| (0.0..=1.0).contains(&share);
-        if !(self.noise_db >= 0.0 && self.noise_db.is_finite()) {
-            return fail("augmentation.noise_db", self.noise_db.to_string(), "0 or more");
+        let check_share = |name, share: f64| check_setting((0.0..=1.0).contains(&share), name, share, "0 to 1");
+        let check_bins = |name, bins: usize| check_setting(bins <= MOST_BINS, name, bins, "0 to 256 bins");
+        let is_sigma = self.noise_db >= 0.0 && self.noise_db.is_finite();
+        check_setting(is_sigma, "augmentation.noise_db", self.noise_db, "0 or more")?;
+        if let Some(superpose) = self.superpose {
+            check_share("augmentation.superpose.probability", superpose.probability)?;
         }
-        if let Some(superpose) = self.superpose
-            && !is_share(superpose.probability)
-        {
-            return fail("augmentation.superpose.probability", superpose.probability.to_string(), "0 to 1");
-        }
-        if let Some(gain_db) = self.echo_gain_db
-            && !is_interval(gain_db, -MOST_GAIN_DB, MOST_GAIN_DB)
-        {
+        if let Some(gain_db) = self.echo_gain_db {
             let expected = "two gains from -15 to 15 dB, the lower one first";
-            return fail("augmentation.echo_gain_db", format!("{gain_db:?}"), expected);
+            let is_valid = is_interval(gain_db, MOST_GAIN_DB);
+            check_setting(is_valid, "augmentation.echo_gain_db", format!("{gain_db:?}"), expected)?;
         }
         for (name, stretch) in [
             ("augmentation.range_stretch", self.range_stretch),
             ("augmentation.velocity_stretch", self.velocity_stretch),
         ] {
-            if !(0.0..=MOST_STRETCH).contains(&stretch) {
-                return fail(name, stretch.to_string(), "a part from 0 to 0.5");
-            }
+            check_setting((0.0..=MOST_STRETCH).contains(&stretch), name, stretch, "a part from 0 to 0.5")?;
         }
-        if self.range_shift_bins > MOST_BINS {
-            return fail("augmentation.range_shift_bins", self.range_shift_bins.to_string(), "0 to 256 bins");
-        }
+        check_bins("augmentation.range_shift_bins", self.range_shift_bins)?;
         if let Some(sway) = self.sway {
-            if !is_share(sway.probability) {
-                return fail("augmentation.sway.probability", sway.probability.to_string(), "0 to 1");
-            }
-            if !is_interval(sway.level_db, -MOST_SWAY_DB, MOST_SWAY_DB) {
-                let expected = "two levels from -60 to 60 dB, the lower one first";
-                return fail("augmentation.sway.level_db", format!("{:?}", sway.level_db), expected);
-            }
-            if sway.velocity_bins > MOST_BINS {
-                return fail("augmentation.sway.velocity_bins", sway.velocity_bins.to_string(), "0 to 256 bins");
-            }
+            check_share("augmentation.sway.probability", sway.probability)?;
+            let expected = "two levels from -60 to 60 dB, the lower one first";
+            let is_valid = is_interval(sway.level_db, MOST_SWAY_DB);
+            check_setting(is_valid, "augmentation.sway.level_db", format!("{:?}", sway.level_db), expected)?;
+            check_bins("augmentation.sway.velocity_bins", sway.velocity_bins)?;
+            let expected = "two numbers from 1 to 256, the lower one first";
             for (name, count) in
                 [("augmentation.sway.stretches", sway.stretches), ("augmentation.sway.stretch_bins", sway.stretch_bins)]
             {
-                if !is_count(count) {
-                    return fail(name, format!("{count:?}"), "two numbers from 1 to 256, the lower one first");
-                }
+                check_setting(is_count(count), name, format!("{count:?}"), expected)?;
             }
         }
         match self.of_powers() {

@@ -12,7 +12,7 @@ use super::augmentation::{Augmentation, MapUse, Partners};
 use super::error::TrainError;
 use super::maps::Maps;
 use super::spec::TrainSpec;
-use crate::dataset::{Dataset, DatasetError, Split};
+use crate::dataset::{Dataset, DatasetError, ManifestRow, Split};
 use crate::model::input_shape;
 use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
@@ -26,6 +26,13 @@ pub(super) struct Part {
     pub labels: Vec<usize>,
     /// Constants of each map.
     scales: Vec<Scale>,
+}
+
+impl Part {
+    /// Number of maps of each class.
+    fn counts(&self) -> [usize; Occupancy::ALL.len()] {
+        Occupancy::ALL.map(|o| self.labels.iter().filter(|&&label| label == o.index()).count())
+    }
 }
 
 pub(super) struct Data {
@@ -100,48 +107,19 @@ impl Data {
                 return Err(TrainError::EmptySplit { split, maps: rows.len(), sequences });
             }
         }
-        let count = |part: &Part| Occupancy::ALL.map(|o| part.labels.iter().filter(|&&l| l == o.index()).count());
-        let counts = count(&train);
+        let counts = train.counts();
         let present: Vec<Occupancy> = Occupancy::ALL.into_iter().filter(|o| counts[o.index()] > 0).collect();
         if let [class] = present[..] {
             return Err(TrainError::OneClass { class });
         }
-        let mut warnings = Vec::new();
-        for (split, counts) in [(Split::Train, counts), (Split::Validation, count(&validation))] {
-            for class in Occupancy::ALL.into_iter().filter(|o| counts[o.index()] == 0) {
-                warnings.push(format!("the {split} split has no map of class '{class}'"));
-            }
-        }
-        if test.is_empty() {
-            warnings.push("the test split is empty: scores on the validation split are optimistic".to_owned());
-        }
+        let mut warnings = split_warnings(&train, &validation, &test);
         let partners = spec.augmentation.superpose.map(|superpose| {
             let sequences = train.indices.iter().filter_map(|&i| rows.get(i)).map(|row| row.sequence.as_str());
             Partners::new(superpose, &train.labels, sequences)
         });
-        // n / (k n_c) over the k classes shown, so that the mean weight of a map is one.
-        let shown = partners.as_ref().map_or(counts.map(|c| c as f64), Partners::expected);
-        let classes = shown.iter().filter(|n| **n > 0.0).count();
-        let of_class = |n| match n {
-            n if n <= 0.0 => 0.0,
-            _ if !spec.class_weights => 1.0,
-            n => train.labels.len() as f32 / (classes as f64 * n) as f32,
-        };
-        let class_weights = shown.iter().zip(spec.label_weights).map(|(&n, by)| of_class(n) * by as f32).collect();
-
-        let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
-        let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
-        if spec.network.reads_descriptors() {
-            // They are of levels in dB.
-            (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
-        }
-        let cell = |index: usize| rows.get(index).map(|row| (row.scene.as_str(), row.label));
+        let class_weights = class_weights(spec, &train, partners.as_ref());
+        let standardisation = standardisation(spec, rows, &train)?;
         if spec.label_leaking_cells {
-            let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(index)).collect();
-            for of in cells {
-                let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| cell(**index) == Some(of));
-                standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| spec.reference.bounded(map)))?;
-            }
             warnings.push(
                 "maps are standardised by scene and class: every map's label, those of the test split too, is told to the \
                  network by its scale, and no score says what the model would do on maps without labels"
@@ -149,17 +127,16 @@ impl Data {
             );
         }
         for part in [&mut train, &mut validation] {
-            part.scales = part.indices.iter().map(|index| standardisation.scale(cell(*index))).collect();
+            part.scales = part.indices.iter().map(|index| standardisation.scale(cell(rows, *index))).collect();
         }
-        let (range, doppler) = (shape.range, shape.doppler);
         Ok(Data {
             train,
             validation,
             test,
             standardisation,
             class_weights,
-            range,
-            doppler,
+            range: shape.range,
+            doppler: shape.doppler,
             transposed: spec.transposed,
             partners,
             warnings,
@@ -225,6 +202,56 @@ impl Data {
     }
 }
 
+/// Warnings about classes and splits without maps.
+fn split_warnings(train: &Part, validation: &Part, test: &[usize]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for (split, counts) in [(Split::Train, train.counts()), (Split::Validation, validation.counts())] {
+        for class in Occupancy::ALL.into_iter().filter(|o| counts[o.index()] == 0) {
+            warnings.push(format!("the {split} split has no map of class '{class}'"));
+        }
+    }
+    if test.is_empty() {
+        warnings.push("the test split is empty: scores on the validation split are optimistic".to_owned());
+    }
+    warnings
+}
+
+/// Weight of each class in the loss: `n / (k n_c)` over the k classes shown, so that the mean weight of a map is one, times the
+/// weight of its label.
+fn class_weights(spec: &TrainSpec, train: &Part, partners: Option<&Partners>) -> Vec<f32> {
+    let shown = partners.map_or(train.counts().map(|c| c as f64), Partners::expected);
+    let classes = shown.iter().filter(|n| **n > 0.0).count();
+    let of_class = |n| match n {
+        n if n <= 0.0 => 0.0,
+        _ if !spec.class_weights => 1.0,
+        n => train.labels.len() as f32 / (classes as f64 * n) as f32,
+    };
+    shown.iter().zip(spec.label_weights).map(|(&n, by)| of_class(n) * by as f32).collect()
+}
+
+/// Measures the standardisation on the training maps.
+fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Result<Standardisation, TrainError> {
+    let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
+    let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
+    if spec.network.reads_descriptors() {
+        // They are of levels in dB.
+        (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
+    }
+    if spec.label_leaking_cells {
+        let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(rows, index)).collect();
+        for of in cells {
+            let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| cell(rows, **index) == Some(of));
+            standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| spec.reference.bounded(map)))?;
+        }
+    }
+    Ok(standardisation)
+}
+
+/// Scene and class of a map.
+fn cell(rows: &[ManifestRow], index: usize) -> Option<(&str, Occupancy)> {
+    rows.get(index).map(|row| (row.scene.as_str(), row.label))
+}
+
 /// A share of the maps, drawn class by class (at least one of each), in their order.
 fn fraction_by_class(
     indices: &[usize],
@@ -245,12 +272,12 @@ fn fraction_by_class(
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{MapFlags, Rdm, RdmSpec, Waveform, WaveformRequest};
+    use radome_dsp::{RdmSpec, Waveform, WaveformRequest};
     use rand::Rng;
     use rand_distr::{Distribution, Normal};
 
     use super::*;
-    use crate::dataset::{DatasetHeader, Domain, ManifestRow};
+    use crate::dataset::{DatasetHeader, Domain};
     use crate::standardise::MapReference;
     use crate::train::{Superpose, Sway};
 
@@ -268,9 +295,7 @@ mod tests {
             let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
             row.split = Some(if index < 24 { Split::Train } else { Split::Validation });
             let db = (0..header.shape.cells()).map(|_| -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10()).collect();
-            let shape = header.shape;
-            let (range_step_m, velocity_step_m_per_s) = (0.1, 0.1);
-            (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: 0, flags: MapFlags::default() }, row)
+            (header.rdm(db, 0), row)
         });
         let maps = maps.collect();
         Dataset::from_maps(header, maps).expect("dataset")

@@ -1,5 +1,7 @@
 //! Errors of a training.
 
+use std::fmt::Display;
+
 use radome_dsp::Occupancy;
 use thiserror::Error;
 
@@ -93,6 +95,19 @@ pub enum TrainError {
     /// A tensor operation failed.
     #[error("network: {0}")]
     Network(#[from] candle_core::Error),
+}
+
+/// Checks one setting of a training.
+///
+/// # Errors
+/// [`TrainError::Setting`] with its value unless it `is_valid`.
+pub(super) fn check_setting(
+    is_valid: bool,
+    name: &'static str,
+    value: impl Display,
+    expected: &'static str,
+) -> Result<(), TrainError> {
+    if is_valid { Ok(()) } else { Err(TrainError::Setting { name, value: value.to_string(), expected }) }
 }
 
 fn gigabytes(bytes: &u64) -> f64 {

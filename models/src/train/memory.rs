@@ -48,7 +48,7 @@ fn memory_bytes() -> Option<u64> {
 
 #[cfg(test)]
 mod hard_cases {
-    use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
+    use radome_dsp::{Occupancy, RdmSpec, Waveform, WaveformRequest};
 
     use super::*;
     use crate::dataset::{DatasetHeader, Domain, ManifestRow, Split};
@@ -61,14 +61,11 @@ mod hard_cases {
             WaveformRequest { samples_per_chirp: 2 * SIZE, chirps_per_frame: SIZE, ..WaveformRequest::paper() };
         let waveform = Waveform::realise(request).expect("waveform");
         let header = DatasetHeader::new(waveform, RdmSpec::paper()).expect("header");
-        let shape = header.shape;
         let maps = (0..40u64).map(|index| {
             let label = Occupancy::from_index(index as usize % 3).expect("class");
             let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
             row.split = Some(if index < 32 { Split::Train } else { Split::Validation });
-            let (range_step_m, velocity_step_m_per_s) = (0.1, 0.1);
-            let db = vec![0.0; shape.cells()];
-            (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: 0, flags: MapFlags::default() }, row)
+            (header.rdm(vec![0.0; header.shape.cells()], 0), row)
         });
         let maps = maps.collect();
         Dataset::from_maps(header, maps).expect("dataset")

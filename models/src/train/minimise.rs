@@ -17,32 +17,15 @@ pub(super) fn minimise<E>(
     least_gain: f64,
     mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), E>,
 ) -> Result<Option<Vec<f64>>, E> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let sum = |a: &[f64], factor: f64, b: &[f64]| a.iter().zip(b).map(|(a, b)| a + factor * b).collect::<Vec<f64>>();
     let mut at = start;
     let (mut value, mut gradient) = function(&at)?;
     if !value.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
         return Ok(None);
     }
     // Steps and the changes of the gradient over them, the oldest first.
-    let mut past: VecDeque<(Vec<f64>, Vec<f64>)> = VecDeque::new();
+    let mut past = VecDeque::new();
     for _ in 0..most_steps {
-        let mut direction: Vec<f64> = gradient.iter().map(|g| -g).collect();
-        let mut shares = Vec::with_capacity(past.len());
-        for (step, change) in past.iter().rev() {
-            let share = dot(step, &direction) / dot(step, change);
-            direction = sum(&direction, -share, change);
-            shares.push(share);
-        }
-        let scale = match past.back() {
-            Some((step, change)) => dot(step, change) / dot(change, change),
-            None => 1.0 / dot(&gradient, &gradient).sqrt().max(1.0),
-        };
-        direction.iter_mut().for_each(|d| *d *= scale);
-        for ((step, change), share) in past.iter().zip(shares.iter().rev()) {
-            let back = dot(change, &direction) / dot(step, change);
-            direction = sum(&direction, share - back, step);
-        }
+        let direction = descent(&gradient, &past);
         let slope = dot(&direction, &gradient);
         if slope.is_nan() || slope >= 0.0 {
             break;
@@ -74,6 +57,36 @@ pub(super) fn minimise<E>(
         }
     }
     Ok(Some(at))
+}
+
+/// Direction of descent by the two-loop recursion over past steps and changes of the gradient.
+fn descent(gradient: &[f64], past: &VecDeque<(Vec<f64>, Vec<f64>)>) -> Vec<f64> {
+    let mut direction: Vec<f64> = gradient.iter().map(|g| -g).collect();
+    let mut shares = Vec::with_capacity(past.len());
+    for (step, change) in past.iter().rev() {
+        let share = dot(step, &direction) / dot(step, change);
+        direction = sum(&direction, -share, change);
+        shares.push(share);
+    }
+    let scale = match past.back() {
+        Some((step, change)) => dot(step, change) / dot(change, change),
+        None => 1.0 / dot(gradient, gradient).sqrt().max(1.0),
+    };
+    direction.iter_mut().for_each(|d| *d *= scale);
+    for ((step, change), share) in past.iter().zip(shares.iter().rev()) {
+        let back = dot(change, &direction) / dot(step, change);
+        direction = sum(&direction, share - back, step);
+    }
+    direction
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// `a + factor b`.
+fn sum(a: &[f64], factor: f64, b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a + factor * b).collect()
 }
 
 #[cfg(test)]

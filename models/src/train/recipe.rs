@@ -15,7 +15,8 @@ use crate::evaluate::evaluate;
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::model::{Classifier, MODEL_FORMAT_VERSION, Model, ModelCard, TrainingSummary, input_axes, input_shape};
-use crate::network::TorchvisionWeights;
+use crate::network::{Network, TorchvisionWeights};
+use crate::standardise::Standardisation;
 
 /// Trains a network. `report` is called after each epoch.
 ///
@@ -56,10 +57,7 @@ pub(crate) fn train_on(
     let dataset = maps.dataset();
     spec.check()?;
     spec.check_full_batch()?;
-    check_memory(dataset, spec)?;
-    let weights = load_weights(spec)?;
-    let data = data::Data::load(maps, spec)?;
-    let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
+    let Prepared { weights, data, level } = Prepared::new(maps, spec)?;
     let (run, history) =
         Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }
             .run(report)?;
@@ -67,35 +65,17 @@ pub(crate) fn train_on(
     let chosen_start = run.start_index();
     let (network, best_epoch) = run.finish()?;
     let temperature = temperature::fit(&network, &data)?;
-    let header = dataset.header();
-    let mut card = ModelCard {
-        format_version: MODEL_FORMAT_VERSION,
-        network: spec.network,
-        head: spec.head.clone(),
-        classes: Occupancy::ALL.to_vec(),
-        input_shape: input_shape(header.shape.range, header.shape.doppler, spec.transposed),
-        axes: input_axes(spec.transposed),
-        waveform: header.waveform.clone(),
-        rdm_spec: header.rdm_spec,
-        standardisation: data.standardisation.clone(),
-        smoothing: spec.smoothing,
-        pooled: spec.pooled,
-        latent: network.latent_constants(),
-        temperature,
-        dataset_hash: dataset.hash(),
-        seed: spec.seed,
-        training: TrainingSummary {
-            epochs: spec.epochs,
-            best_epoch,
-            training_maps: data.train.labels.len(),
-            weights_hash: weights.as_ref().map(|weights| weights.hash().to_owned()),
-            chosen_start,
-            kernel_level: level,
-            validation: Metrics::from_predictions([]),
-            test: None,
-        },
-        adapted: None,
+    let training = TrainingSummary {
+        epochs: spec.epochs,
+        best_epoch,
+        training_maps: data.train.labels.len(),
+        weights_hash: weights.as_ref().map(|weights| weights.hash().to_owned()),
+        chosen_start,
+        kernel_level: level,
+        validation: Metrics::from_predictions([]),
+        test: None,
     };
+    let mut card = card(dataset, spec, &data.standardisation, &network, temperature, training);
     let mut warnings = data.warnings.clone();
     warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
     // Scores are computed by the same code as in live use.
@@ -118,10 +98,53 @@ pub(crate) fn train_on(
     Ok(TrainOutcome { model, history, validation, test, warnings })
 }
 
-/// Weights to start from, if the settings name a file of them.
-fn load_weights(spec: &TrainSpec) -> Result<Option<TorchvisionWeights>, TrainError> {
-    let load = |path| TorchvisionWeights::load(path, &spec.network_spec());
-    Ok(spec.weights.as_deref().map(load).transpose()?)
+/// The card of a trained network.
+fn card(
+    dataset: &Dataset,
+    spec: &TrainSpec,
+    standardisation: &Standardisation,
+    network: &Network,
+    temperature: f64,
+    training: TrainingSummary,
+) -> ModelCard {
+    let header = dataset.header();
+    ModelCard {
+        format_version: MODEL_FORMAT_VERSION,
+        network: spec.network,
+        head: spec.head.clone(),
+        classes: Occupancy::ALL.to_vec(),
+        input_shape: input_shape(header.shape.range, header.shape.doppler, spec.transposed),
+        axes: input_axes(spec.transposed),
+        waveform: header.waveform.clone(),
+        rdm_spec: header.rdm_spec,
+        standardisation: standardisation.clone(),
+        smoothing: spec.smoothing,
+        pooled: spec.pooled,
+        latent: network.latent_constants(),
+        temperature,
+        dataset_hash: dataset.hash(),
+        seed: spec.seed,
+        training,
+        adapted: None,
+    }
+}
+
+/// A training's data, weights to start from and instruction set.
+struct Prepared {
+    weights: Option<TorchvisionWeights>,
+    data: data::Data,
+    level: KernelLevel,
+}
+
+impl Prepared {
+    /// Checks memory, and reads data and weights.
+    fn new(maps: &Maps, spec: &TrainSpec) -> Result<Self, TrainError> {
+        check_memory(maps.dataset(), spec)?;
+        let load = |path| TorchvisionWeights::load(path, &spec.network_spec());
+        let weights = spec.weights.as_deref().map(load).transpose()?;
+        let data = data::Data::load(maps, spec)?;
+        Ok(Prepared { weights, data, level: spec.kernel_level.unwrap_or_else(KernelLevel::detect).available() })
+    }
 }
 
 /// Measures how long the parts of a training take, by a few steps of it.
@@ -130,10 +153,7 @@ fn load_weights(spec: &TrainSpec) -> Result<Option<TorchvisionWeights>, TrainErr
 /// Those of [`train`].
 pub(crate) fn time_steps(maps: &Maps, spec: &TrainSpec) -> Result<StepTimes, TrainError> {
     spec.check()?;
-    check_memory(maps.dataset(), spec)?;
-    let weights = load_weights(spec)?;
-    let data = data::Data::load(maps, spec)?;
-    let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
+    let Prepared { weights, data, level } = Prepared::new(maps, spec)?;
     run::Run::start(&data, spec, weights.as_ref(), 0, level)?.time_steps()
 }
 

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::augmentation::Augmentation;
-use super::error::TrainError;
+use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
 use crate::kernel::KernelLevel;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -186,15 +186,13 @@ impl TrainSpec {
     /// # Errors
     /// [`TrainError::Setting`] if not.
     pub(super) fn check_full_batch(&self) -> Result<(), TrainError> {
-        let is_fixed = self.network.reads_descriptors() && self.augmentation == Augmentation::default();
-        match self.full_batch {
-            Some(FullBatch { steps, .. }) if !is_fixed => Err(TrainError::Setting {
-                name: "full_batch",
-                value: format!("{steps} steps for network {:?}", self.network),
-                expected: "a network of descriptors without augmentation, whose inputs stay the same",
-            }),
-            _ => Ok(()),
-        }
+        let Some(FullBatch { steps, .. }) = self.full_batch else { return Ok(()) };
+        check_setting(
+            self.network.reads_descriptors() && self.augmentation == Augmentation::default(),
+            "full_batch",
+            format!("{steps} steps for network {:?}", self.network),
+            "a network of descriptors without augmentation, whose inputs stay the same",
+        )
     }
 
     /// Checks all settings.
@@ -202,88 +200,57 @@ impl TrainSpec {
     /// # Errors
     /// [`TrainError::Setting`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), TrainError> {
-        let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
-        for (name, value) in
-            [("epochs", self.epochs), ("batch_size", self.batch_size), ("starts", self.starts as usize)]
-        {
-            if value == 0 {
-                return fail(name, value.to_string(), "at least 1");
-            }
-        }
-        if self.epochs > MOST_EPOCHS {
-            return fail("epochs", self.epochs.to_string(), "100000 at most");
-        }
-        if self.batch_size > MOST_IN_BATCH {
-            return fail("batch_size", self.batch_size.to_string(), "65536 at most");
-        }
-        if self.starts > MOST_STARTS {
-            return fail("starts", self.starts.to_string(), "1000 at most");
-        }
-        if self.starts > 1 && self.start_epochs == 0 {
-            return fail("start_epochs", self.start_epochs.to_string(), "1 or more where there are several starts");
-        }
-        if self.linear_epochs() > self.epochs {
-            return fail("linear_epochs", self.linear_epochs().to_string(), "0 up to epochs");
-        }
-        if !self.label_weights.iter().all(|weight| (1e-3..=1e3).contains(weight)) {
-            return fail("label_weights", format!("{:?}", self.label_weights), "0.001 to 1000 each");
-        }
+        let is_penalty = |value: f64| value.is_finite() && value >= 0.0;
+        let (epochs, batch_size, starts) = (self.epochs, self.batch_size, self.starts);
+        check_setting(epochs > 0, "epochs", epochs, "at least 1")?;
+        check_setting(batch_size > 0, "batch_size", batch_size, "at least 1")?;
+        check_setting(starts > 0, "starts", starts, "at least 1")?;
+        check_setting(epochs <= MOST_EPOCHS, "epochs", epochs, "100000 at most")?;
+        check_setting(batch_size <= MOST_IN_BATCH, "batch_size", batch_size, "65536 at most")?;
+        check_setting(starts <= MOST_STARTS, "starts", starts, "1000 at most")?;
+        let expected = "1 or more where there are several starts";
+        check_setting(starts == 1 || self.start_epochs > 0, "start_epochs", self.start_epochs, expected)?;
+        check_setting(self.linear_epochs() <= epochs, "linear_epochs", self.linear_epochs(), "0 up to epochs")?;
+        let is_weighted = self.label_weights.iter().all(|weight| (1e-3..=1e3).contains(weight));
+        check_setting(is_weighted, "label_weights", format!("{:?}", self.label_weights), "0.001 to 1000 each")?;
         if let Some(FullBatch { steps, weight_penalty }) = self.full_batch {
-            if !(1..=MOST_EPOCHS).contains(&steps) {
-                return fail("full_batch.steps", steps.to_string(), "1 to 100000");
-            }
-            if !(weight_penalty.is_finite() && weight_penalty >= 0.0) {
-                return fail("full_batch.weight_penalty", weight_penalty.to_string(), "0 or more");
-            }
+            check_setting((1..=MOST_EPOCHS).contains(&steps), "full_batch.steps", steps, "1 to 100000")?;
+            check_setting(is_penalty(weight_penalty), "full_batch.weight_penalty", weight_penalty, "0 or more")?;
         }
-        if !(0.0..=10.0).contains(&self.weight_decay) {
-            return fail("weight_decay", self.weight_decay.to_string(), "0 to 10");
-        }
-        if !(self.latent_penalty.is_finite() && self.latent_penalty >= 0.0) {
-            return fail("latent_penalty", self.latent_penalty.to_string(), "0 or more");
-        }
-        let rates = [
+        check_setting((0.0..=10.0).contains(&self.weight_decay), "weight_decay", self.weight_decay, "0 to 10")?;
+        check_setting(is_penalty(self.latent_penalty), "latent_penalty", self.latent_penalty, "0 or more")?;
+        for (name, value) in [
             ("learning_rate", self.learning_rate),
             ("angle_rate", self.angle_rate),
             ("head_rate", self.head_rate),
             ("feature_sigma", f64::from(self.feature_sigma)),
             ("latent_sigma", f64::from(self.latent_sigma)),
-        ];
-        for (name, value) in rates {
-            if !(value.is_finite() && value > 0.0) {
-                return fail(name, value.to_string(), "a finite number above 0");
-            }
+        ] {
+            check_setting(value.is_finite() && value > 0.0, name, value, "a finite number above 0")?;
         }
-        if !(self.label_fraction > 0.0 && self.label_fraction <= 1.0) {
-            return fail("label_fraction", self.label_fraction.to_string(), "above 0 and up to 1");
-        }
-        if self.most_training_maps == Some(0) {
-            return fail("most_training_maps", "0".to_owned(), "at least 1");
-        }
+        let is_share = self.label_fraction > 0.0 && self.label_fraction <= 1.0;
+        check_setting(is_share, "label_fraction", self.label_fraction, "above 0 and up to 1")?;
+        check_setting(self.most_training_maps != Some(0), "most_training_maps", 0, "at least 1")?;
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
-            return fail("head.circuit", error.to_string(), "a circuit that can be run");
+            return check_setting(false, "head.circuit", error, "a circuit that can be run");
         }
         if let Some((name, value, expected)) = self.reference.fault() {
-            return fail(name, value.to_string(), expected);
+            return check_setting(false, name, value, expected);
         }
         self.augmentation.check(self.reference)?;
-        if self.augmentation.superpose.is_some() && self.label_leaking_cells {
-            return fail("label_leaking_cells", "true".to_owned(), "false where augmentation.superpose changes labels");
-        }
-        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
-            return fail("pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns");
-        }
+        let is_labelled = self.augmentation.superpose.is_none() || !self.label_leaking_cells;
+        let expected = "false where augmentation.superpose changes labels";
+        check_setting(is_labelled, "label_leaking_cells", true, expected)?;
+        let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
+        check_setting(is_pooled, "pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns")?;
         if let Some((name, value, expected)) = self.smoothing.fault() {
-            return fail(name, value.to_string(), expected);
+            return check_setting(false, name, value, expected);
         }
         self.network.check_maps(self.reference, self.transposed, self.label_leaking_cells)?;
-        match self.latent {
-            LatentStandardisation::Running { momentum } if !(momentum > 0.0 && momentum <= 1.0) => {
-                fail("latent.running.momentum", momentum.to_string(), "above 0 and up to 1")
-            }
-            _ => Ok(()),
-        }
+        let LatentStandardisation::Running { momentum } = self.latent else { return Ok(()) };
+        let is_share = momentum > 0.0 && momentum <= 1.0;
+        check_setting(is_share, "latent.running.momentum", momentum, "above 0 and up to 1")
     }
 }

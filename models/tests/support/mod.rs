@@ -1,7 +1,7 @@
 //! Made-up maps of none, one or two moving targets: seeded, and hard enough that a network has something to learn.
 #![allow(dead_code)]
 
-use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
+use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 use radome_models::dataset::{DatasetHeader, Domain, ManifestRow, Split};
 use radome_models::{Dataset, stream};
 use rand::Rng;
@@ -63,8 +63,7 @@ fn map(header: &DatasetHeader, targets: &[Target], clutter: &[f64], frame: usize
             db.push((-80.0 + 10.0 * (power * speckle.max(1e-9)).log10()) as f32);
         }
     }
-    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
-    Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: frame as u64, flags: MapFlags::default() }
+    header.rdm(db, frame as u64)
 }
 
 pub fn dataset(maps: Maps) -> Dataset {

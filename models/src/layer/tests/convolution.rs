@@ -52,22 +52,17 @@ fn conv2d_agrees_with_the_reference_and_with_finite_differences() {
             differences(&wd, |w| loss(&xd, w, &bd)),
             differences(&bd, |b| loss(&xd, &wd, b)),
         ];
-        let dx: Vec<f32> = dx.iter().map(|&v| v as f32).collect();
-        let want: Vec<f32> = want.iter().map(|&v| v as f32).collect();
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let name = |what: &str| format!("{what} of {case:?} at {level:?}");
             let input = var(&channel_last(&x, inputs, rows * columns), &[batch, rows, columns, inputs]);
             let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
             let bias = var(&b, &[outputs]);
             let out = conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
-            close(&name("output"), &flat(&out), &to_f64(&channel_last(&want, outputs, cells)), 1e-5);
-            let g = var(&channel_last(&upstream, outputs, cells), out.dims());
-            let scalar = (&out * g.as_tensor()).and_then(|t| t.sum_all()).expect("loss");
-            let grads = scalar.backward().expect("backward");
-            let got = |v: &Var| flat(grads.get(v).expect("gradient"));
-            close(&name("dx"), &got(&input), &to_f64(&channel_last(&dx, inputs, rows * columns)), 1e-5);
-            close(&name("dw"), &got(&weight), &dw, 1e-5);
-            close(&name("db"), &got(&bias), &db, 1e-5);
+            close(&name("output"), &flat(&out), &channel_last(&want, outputs, cells), 1e-5);
+            let [gx, gw, gb] = gradients(&out, &channel_last(&upstream, outputs, cells), [&input, &weight, &bias]);
+            close(&name("dx"), &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
+            close(&name("dw"), &gw, &dw, 1e-5);
+            close(&name("db"), &gb, &db, 1e-5);
         }
     }
 }
@@ -86,7 +81,7 @@ fn levels_agree_at_every_coordinate() {
             [flat(&out), flat(grads.get(&input).expect("dx")), flat(grads.get(&weight).expect("dw"))]
         };
         let plain = run(KernelLevel::Portable);
-        for level in levels() {
+        for level in KernelLevel::ALL {
             for (got, want) in run(level).iter().zip(&plain) {
                 close(&format!("{case:?} at {level:?}"), got, &to_f64(want), 1e-5);
             }
@@ -151,7 +146,7 @@ fn convolutions_by_windows_agree_with_the_reference() {
         let pooled = reference::max_pool2(&reference::relu(&plain), rows, columns);
         let input = Feature::new([batch, rows, columns, inputs], x).expect("feature");
         let mut output = Feature::new([1, 1, 1, 9000], vec![f32::NAN; 9000]).expect("feature");
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let case = format!("{rows} x {columns}, {inputs} to {outputs} at {level:?}");
             for act in [Activation::None, Activation::Relu] {
                 let geometry = ConvGeometry::dense(1, 1);
@@ -186,7 +181,7 @@ fn a_prepared_block_of_one_channel_agrees_with_the_reference() {
             })
             .collect();
         let input = Feature::new([batch, rows, columns, 1], x).expect("feature");
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let mut output = Feature::default();
             let block = PreparedBlock::new(&w, [outputs, 1], Some(&b), None, level).expect("prepare");
             block.run(&input, &mut output).expect("run");
@@ -203,7 +198,7 @@ mod hard_cases {
     /// In whichever cell of a window it is.
     #[test]
     fn a_nan_comes_out_of_a_prepared_block() {
-        for level in levels() {
+        for level in KernelLevel::ALL {
             for inputs in [1, 9] {
                 let block =
                     PreparedBlock::new(&random(3 * 9 * inputs, "w"), [3, inputs], None, None, level).expect("prepare");
@@ -239,7 +234,7 @@ mod hard_cases {
 
     #[test]
     fn a_nan_comes_out_wherever_it_is_looked_at() {
-        for level in levels() {
+        for level in KernelLevel::ALL {
             for (inputs, geometry) in [(3, ConvGeometry::dense(1, 1)), (20, ConvGeometry::depthwise(1, 1, 20))] {
                 let mut x = random(5 * 5 * inputs, "x");
                 x[(2 * 5 + 2) * inputs + 1] = f32::NAN;
@@ -284,7 +279,7 @@ fn dense_layers_round_once() {
         let (x, w, b) = (random(batch * inputs, "x"), random(outputs * inputs, "w"), random(outputs, "b"));
         let x: Vec<f32> = x.iter().map(|x| 1000.0 + x).collect();
         let input = Feature::new([batch, 1, 1, inputs], x.clone()).expect("feature");
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let dense = PreparedDense::new(&w, [outputs, inputs], &b, Activation::Relu, level).expect("prepare");
             let mut output = Feature::default();
             dense.run(&input, &mut output).expect("run");

@@ -1,21 +1,5 @@
 use super::*;
 
-/// Gradient of `sum(output * upstream)` by this crate's backward pass and by candle's, which must be the same bits.
-fn gradients(output: &Tensor, upstream: &[f32], variables: &[&Var]) -> Vec<Vec<f32>> {
-    let weights = Tensor::from_slice(upstream, output.elem_count(), &Device::Cpu).expect("weights");
-    let loss = (output.flatten_all().expect("flat") * weights).and_then(|t| t.sum_all()).expect("loss");
-    let (ours, theirs) = (backward(&loss).expect("backward"), loss.backward().expect("backward"));
-    let both = |v: &&Var| [&ours, &theirs].map(|s| flat(s.get(v).expect("gradient")));
-    variables
-        .iter()
-        .map(|v| {
-            let [ours, theirs] = both(v);
-            assert_eq!(ours, theirs);
-            ours
-        })
-        .collect()
-}
-
 fn activated(act: Activation, x: f64) -> f64 {
     match act {
         Activation::None => x,
@@ -48,14 +32,14 @@ fn batch_norm_agrees_with_the_reference_and_with_finite_differences() {
         };
         let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
         let (_, mean, variance) = reference::batch_norm(&xd, &wd, &bd, epsilon);
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let constants = BatchNormConstants { epsilon: epsilon as f32, momentum: 0.1 };
             let statistics = RunningStatistics::new(channels, constants);
             let (input, weight, bias) = (var(&x, &dims), var(&w, &[channels]), var(&b, &[channels]));
             let run = |mode| batch_norm(&input, &weight, &bias, &statistics, mode, act, level).expect("forward");
             let out = run(BatchNormMode::Training);
             close("output", &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
-            let got = gradients(&out, &upstream, &[&input, &weight, &bias]);
+            let got = gradients(&out, &upstream, [&input, &weight, &bias]);
             close("dx", &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
             close("dw", &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
             close("db", &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
@@ -80,7 +64,7 @@ fn batch_norm_agrees_with_the_reference_and_with_finite_differences() {
             let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
             let out = run(BatchNormMode::Evaluation);
             close("evaluated", &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
-            let got = gradients(&out, &upstream, &[&input, &weight, &bias]);
+            let got = gradients(&out, &upstream, [&input, &weight, &bias]);
             close("evaluated dx", &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
             close("evaluated dw", &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
             close("evaluated db", &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
@@ -93,10 +77,10 @@ fn activations_agree_with_their_formulas_and_finite_differences() {
     let x: Vec<f32> = random(3000, "x").iter().map(|v| 30.0 * v * v * v).chain([-100.0, 100.0, -87.5, 88.5]).collect();
     let (xd, upstream) = (to_f64(&x), random(x.len(), "g"));
     for act in ACTIVATIONS {
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let input = var(&x, &[x.len()]);
             let out = activation(&input, act, level).expect("forward");
-            let got = gradients(&out, &upstream, &[&input]).remove(0);
+            let [got] = gradients(&out, &upstream, [&input]);
             for (k, &x) in xd.iter().enumerate() {
                 let (want, y) = (activated(act, x), f64::from(flat(&out)[k]));
                 assert!((y - want).abs() <= 1e-6 * want.abs() + 1e-30, "{act:?}({x}) is {want}, not {y}");
@@ -128,15 +112,14 @@ fn sums_scales_and_pools_agree_with_references_and_finite_differences() {
         let upstream = random(want.len(), "g");
         let gd = to_f64(&upstream);
         let pooled = want.len() / (batch * channels);
-        let dx: Vec<f32> =
-            differences(&to_f64(&x), |x| weighted_sum(&forward(x), &gd)).iter().map(|&v| v as f32).collect();
+        let dx = differences(&to_f64(&x), |x| weighted_sum(&forward(x), &gd));
         let want: Vec<f32> = want.iter().map(|&v| v as f32).collect();
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let input = var(&channel_last(&x, channels, cells), &[batch, rows, columns, channels]);
             let out = max_pool2d(&input, kernel, stride, padding, level).expect("forward");
             assert_eq!(flat(&out), channel_last(&want, channels, pooled));
-            let got = gradients(&out, &channel_last(&upstream, channels, pooled), &[&input]).remove(0);
-            close("dx", &got, &to_f64(&channel_last(&dx, channels, cells)), 1e-5);
+            let [got] = gradients(&out, &channel_last(&upstream, channels, pooled), [&input]);
+            close("dx", &got, &channel_last(&dx, channels, cells), 1e-5);
         }
     }
 
@@ -150,14 +133,14 @@ fn sums_scales_and_pools_agree_with_references_and_finite_differences() {
     };
     let (ad, bd, sd) = (to_f64(&a), to_f64(&b), to_f64(&scale));
     let (va, vb, vs) = (var(&a, &dims), var(&b, &dims), var(&scale, &[2, 21]));
-    for level in levels() {
+    for level in KernelLevel::ALL {
         let out = add_relu(&va, &vb, level).expect("forward");
-        let got = gradients(&out, &upstream, &[&va, &vb]);
+        let got = gradients(&out, &upstream, [&va, &vb]);
         close("da", &got[0], &differences(&ad, |a| sum(a, &bd)), 1e-5);
         close("db", &got[1], &differences(&bd, |b| sum(&ad, b)), 1e-5);
     }
     let out = scale_channels(&va, &vs).expect("forward");
-    let got = gradients(&out, &upstream, &[&va, &vs]);
+    let got = gradients(&out, &upstream, [&va, &vs]);
     close("da", &got[0], &differences(&ad, |a| scaled(a, &sd)), 1e-5);
     close("ds", &got[1], &differences(&sd, |s| scaled(&ad, s)), 1e-5);
 }
@@ -170,7 +153,7 @@ fn dropout_drops_its_share_and_the_gradient_of_what_it_dropped() {
     let kept = out.iter().filter(|&&v| v != 0.0).count() as f64 / 50_000.0;
     assert!((kept - 0.7).abs() < 0.01, "{kept}");
     assert!(out.iter().all(|&v| v == 0.0 || (v - 1.0 / 0.7).abs() < 1e-6));
-    assert_eq!(gradients(&run(0), &[1.0; 50_000], &[&input])[0], out);
+    assert_eq!(gradients(&run(0), &[1.0; 50_000], [&input])[0], out);
     assert_ne!(flat(&run(1)), out);
     assert!(dropout(&input, 1.0, 5, 0).is_err());
 }
@@ -232,7 +215,7 @@ mod hard_cases {
         x[5] = f32::NAN;
         let input = var(&x, &[2, 4, 4, 20]);
         let one = var(&[1.0; 20], &[20]);
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let statistics = RunningStatistics::new(20, BatchNormConstants::default());
             for act in ACTIVATIONS {
                 let out = activation(&input, act, level).expect("forward");

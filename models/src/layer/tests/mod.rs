@@ -2,6 +2,7 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
 use super::*;
+use crate::quantum::{Circuit, CircuitSpec};
 use crate::random::stream;
 
 mod convolution;
@@ -60,12 +61,24 @@ fn differences(at: &[f64], f: impl Fn(&[f64]) -> f64) -> Vec<f64> {
         .collect()
 }
 
+/// Gradient of `sum(output * upstream)` by this crate's backward pass and by candle's, which must be the same bits.
+fn gradients<const N: usize>(output: &Tensor, upstream: &[f32], variables: [&Var; N]) -> [Vec<f32>; N] {
+    let weights = Tensor::from_slice(upstream, output.elem_count(), &Device::Cpu).expect("weights");
+    let loss = (output.flatten_all().expect("flat") * weights).and_then(|t| t.sum_all()).expect("loss");
+    let (ours, theirs) = (backward(&loss).expect("backward"), loss.backward().expect("backward"));
+    variables.map(|v| {
+        let [ours, theirs] = [&ours, &theirs].map(|s| flat(s.get(v).expect("gradient")));
+        assert_eq!(ours, theirs);
+        ours
+    })
+}
+
 fn weighted_sum(values: &[f64], weights: &[f64]) -> f64 {
     values.iter().zip(weights).map(|(v, w)| v * w).sum()
 }
 
 /// `[sample][channel][row][column]` to `[sample][row][column][channel]`.
-fn channel_last(values: &[f32], channels: usize, cells: usize) -> Vec<f32> {
+fn channel_last<T: Copy>(values: &[T], channels: usize, cells: usize) -> Vec<T> {
     values
         .chunks_exact(channels * cells)
         .flat_map(|s| (0..cells).flat_map(move |p| (0..channels).map(move |c| s[c * cells + p])))
@@ -83,10 +96,6 @@ fn same_bits<const N: usize>(what: &str, run: impl Fn() -> [Vec<f32>; N] + Sync)
     for threads in [2, 3, 5] {
         assert!(on(threads) == one, "{what}, {threads} threads");
     }
-}
-
-fn levels() -> [KernelLevel; 3] {
-    KernelLevel::ALL
 }
 
 /// (batch, rows, columns, inputs, outputs): first layer, second layer, odd sizes, channels that fill no vector.
@@ -111,20 +120,16 @@ fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
                 .collect()
         };
         let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let input = var(&channel_last(&x, inputs, rows * columns), &[batch, rows, columns, inputs]);
             let (weight, bias) = (var(&w, &[outputs, inputs, 3, 3]), var(&b, &[outputs]));
             let out = conv_relu_pool(&input, &weight, &bias, InputGradient::Needed, level).expect("forward");
-            let want: Vec<f32> = forward(&xd, &wd, &bd).iter().map(|&v| v as f32).collect();
-            close("output", &flat(&out), &to_f64(&channel_last(&want, outputs, pooled)), 1e-6);
-            let g = var(&channel_last(&upstream, outputs, pooled), out.dims());
-            let scalar = (&out * g.as_tensor()).and_then(|t| t.sum_all()).expect("loss");
-            let grads = scalar.backward().expect("backward");
-            let dx: Vec<f32> = differences(&xd, |x| loss(x, &wd, &bd)).iter().map(|&v| v as f32).collect();
-            let got = |v: &Var| flat(grads.get(v).expect("gradient"));
-            close("dx", &got(&input), &to_f64(&channel_last(&dx, inputs, rows * columns)), 1e-5);
-            close("dw", &got(&weight), &differences(&wd, |w| loss(&xd, w, &bd)), 1e-5);
-            close("db", &got(&bias), &differences(&bd, |b| loss(&xd, &wd, b)), 1e-5);
+            close("output", &flat(&out), &channel_last(&forward(&xd, &wd, &bd), outputs, pooled), 1e-6);
+            let [gx, gw, gb] = gradients(&out, &channel_last(&upstream, outputs, pooled), [&input, &weight, &bias]);
+            let dx = differences(&xd, |x| loss(x, &wd, &bd));
+            close("dx", &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
+            close("dw", &gw, &differences(&wd, |w| loss(&xd, w, &bd)), 1e-5);
+            close("db", &gb, &differences(&bd, |b| loss(&xd, &wd, b)), 1e-5);
         }
     }
 }
@@ -133,7 +138,7 @@ fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
 #[test]
 fn gradients_do_not_depend_on_whether_the_input_needs_one() {
     for (batch, rows, columns, inputs, outputs) in CASES {
-        for level in levels() {
+        for level in KernelLevel::ALL {
             let input = var(&random(batch * inputs * rows * columns, "x"), &[batch, rows, columns, inputs]);
             let (weight, bias) = (
                 var(&random(outputs * inputs * 9, "w"), &[outputs, inputs, 3, 3]),
@@ -185,16 +190,9 @@ fn adaptive_average_pool_agrees_with_the_reference_and_with_finite_differences()
         let input = var(&channel_last(&x, channels, rows * columns), &[batch, rows, columns, channels]);
         let out = adaptive_average_pool(&input, to.0, to.1).expect("forward");
         close("output", &flat(&out), &forward(&to_f64(&x)), 1e-6);
-        let scalar = (&out * var(&upstream, out.dims()).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
-        let grads = scalar.backward().expect("backward");
+        let [got] = gradients(&out, &upstream, [&input]);
         let dx = differences(&to_f64(&x), |x| weighted_sum(&forward(x), &gd));
-        let dx: Vec<f32> = dx.iter().map(|&v| v as f32).collect();
-        close(
-            "dx",
-            &flat(grads.get(&input).expect("gradient")),
-            &to_f64(&channel_last(&dx, channels, rows * columns)),
-            1e-5,
-        );
+        close("dx", &got, &channel_last(&dx, channels, rows * columns), 1e-5);
     }
 }
 
@@ -207,16 +205,14 @@ fn linear_agrees_with_the_reference_and_with_finite_differences() {
     let forward = |x: &[f64], w: &[f64], b: &[f64]| -> Vec<f64> {
         x.chunks_exact(inputs).flat_map(|s| reference::linear(s, w, b)).collect()
     };
-    for level in levels() {
+    for level in KernelLevel::ALL {
         let (input, weight, bias) = (var(&x, &[batch, inputs]), var(&w, &[outputs, inputs]), var(&b, &[outputs]));
         let out = linear(&input, &weight, &bias, level).expect("forward");
         close("output", &flat(&out), &forward(&xd, &wd, &bd), 1e-6);
-        let scalar = (&out * var(&upstream, out.dims()).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
-        let grads = scalar.backward().expect("backward");
-        let got = |v: &Var| flat(grads.get(v).expect("gradient"));
-        close("dx", &got(&input), &differences(&xd, |x| weighted_sum(&forward(x, &wd, &bd), &gd)), 1e-5);
-        close("dw", &got(&weight), &differences(&wd, |w| weighted_sum(&forward(&xd, w, &bd), &gd)), 1e-5);
-        close("db", &got(&bias), &differences(&bd, |b| weighted_sum(&forward(&xd, &wd, b), &gd)), 1e-5);
+        let [gx, gw, gb] = gradients(&out, &upstream, [&input, &weight, &bias]);
+        close("dx", &gx, &differences(&xd, |x| weighted_sum(&forward(x, &wd, &bd), &gd)), 1e-5);
+        close("dw", &gw, &differences(&wd, |w| weighted_sum(&forward(&xd, w, &bd), &gd)), 1e-5);
+        close("db", &gb, &differences(&bd, |b| weighted_sum(&forward(&xd, &wd, b), &gd)), 1e-5);
     }
 }
 
@@ -235,21 +231,11 @@ fn circuit_and_cross_entropy_agree_with_finite_differences() {
         weighted_sum(&out, &gd)
     };
     let (input, angles) = (var(&x, &[batch, 2]), var(&theta, &[4]));
-    let out = circuit(&input, &angles).expect("forward");
-    let scalar = (&out * var(&upstream, &[batch, 2]).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
-    let grads = scalar.backward().expect("backward");
-    close(
-        "dx",
-        &flat(grads.get(&input).expect("gradient")),
-        &differences(&to_f64(&x), |x| forward(x, &to_f64(&theta))),
-        1e-5,
-    );
-    close(
-        "dtheta",
-        &flat(grads.get(&angles).expect("gradient")),
-        &differences(&to_f64(&theta), |t| forward(&to_f64(&x), t)),
-        1e-5,
-    );
+    let paper = Circuit::new(&CircuitSpec::default()).expect("the default");
+    let out = circuit(&input, &angles, &paper, 0).expect("forward");
+    let [gx, gtheta] = gradients(&out, &upstream, [&input, &angles]);
+    close("dx", &gx, &differences(&to_f64(&x), |x| forward(x, &to_f64(&theta))), 1e-5);
+    close("dtheta", &gtheta, &differences(&to_f64(&theta), |t| forward(&to_f64(&x), t)), 1e-5);
 
     let (logits, labels, weights) = (random(4 * 3, "logits"), [0, 2, 1, 2], [0.5f32, 1.0, 2.0]);
     let loss = |z: &[f64]| {
@@ -289,7 +275,7 @@ mod hard_cases {
             let mut x = random(64, "x");
             x[cell] = f32::NAN;
             let x = var(&x, &[1, 8, 8, 1]);
-            for level in levels() {
+            for level in KernelLevel::ALL {
                 let out = conv_relu_pool(&x, &w, &b, InputGradient::Needed, level).expect("forward");
                 assert!(flat(&out)[cell / 16 * 4 + cell % 8 / 2].is_nan(), "{cell}");
             }

@@ -3,6 +3,7 @@
 use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
+use super::{flat, to_f64};
 use crate::layer::{add, backward, concatenate, scaled_sigmoid, standardise, trigonometric};
 use crate::random::stream;
 
@@ -12,13 +13,9 @@ fn var(rows: usize, columns: usize, what: &str) -> Var {
     Var::from_tensor(&Tensor::from_vec(values, (rows, columns), &Device::Cpu).expect("tensor")).expect("variable")
 }
 
-fn flat(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().and_then(|t| t.to_vec1()).expect("f32")
-}
-
 /// Gradient of a weighted sum of the outputs by one input, beside central differences of the formula in f64.
 fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: &dyn Fn(&[f64]) -> Vec<f64>) {
-    let x: Vec<f64> = flat(input).iter().map(|&v| f64::from(v)).collect();
+    let x = to_f64(&flat(input));
     let out = output(input.as_tensor());
     for (a, b) in flat(&out).iter().zip(formula(&x)) {
         assert!((f64::from(*a) - b).abs() < 1e-5 * b.abs().max(1.0), "{layer}: {a} {b}");
@@ -62,7 +59,7 @@ fn outputs_and_gradients_are_those_of_the_formulas() {
         x.chunks_exact(2).flat_map(row).collect()
     });
     let other = var(3, 2, "other");
-    let y: Vec<f64> = flat(&other).iter().map(|&v| f64::from(v)).collect();
+    let y = to_f64(&flat(&other));
     check("add", &x, &|x| add(x, &other).expect("add"), &|x| x.iter().zip(&y).map(|(a, b)| a + b).collect());
     check("concatenate", &x, &|x| concatenate(x, &other).expect("concatenate"), &|x| {
         x.chunks_exact(2).zip(y.chunks_exact(2)).flat_map(|(a, b)| [a[0], a[1], b[0], b[1]]).collect()

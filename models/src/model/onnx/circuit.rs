@@ -10,6 +10,7 @@ use crate::quantum::{Circuit, CircuitSpec, Encoding, Execution};
 /// Most qubits that are written: matrices of 65,536 numbers.
 const MOST_QUBITS: usize = 8;
 
+/// Adds the operators of a circuit. Returns the name of its expectations.
 pub(super) fn write(
     w: &mut Writer,
     name: &str,
@@ -17,7 +18,7 @@ pub(super) fn write(
     theta: &[f32],
     input: &str,
     output: &str,
-) -> Result<(), ExportError> {
+) -> Result<String, ExportError> {
     let refuse = |reason: String| ExportError::Circuit { layer: name.to_owned(), reason, most: MOST_QUBITS };
     if spec.qubits > MOST_QUBITS {
         return Err(refuse(format!("a circuit of {} qubits is too large to write out", spec.qubits)));
@@ -55,39 +56,15 @@ pub(super) fn write(
     let sign = |state: usize, qubit: usize| if state >> qubit & 1 == 0 { shrink } else { -shrink };
     let signs: Vec<f32> = (0..states).flat_map(|s| (0..qubits).rev().map(move |q| sign(s, q))).collect();
     let signs = w.constant(&named("signs"), &[states, qubits], &signs);
-    w.op("MatMul", &[&probabilities, &signs], output, Vec::new());
-    Ok(())
+    Ok(w.op("MatMul", &[&probabilities, &signs], output, Vec::new()))
 }
 
 /// Real and imaginary parts `[batch][state]` after the ZZ feature map.
 fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [String; 2] {
     let (qubits, states) = (spec.qubits, 1usize << spec.qubits);
     let named = |what: &str| format!("{name}.{what}");
-    let pi = w.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
-    let rest = w.op("Sub", &[&pi, input], &named("rest"), Vec::new());
     let pairs: Vec<(usize, usize)> = (0..qubits).flat_map(|i| (i + 1..qubits).map(move |j| (i, j))).collect();
-    let terms = if pairs.is_empty() {
-        input.to_owned()
-    } else {
-        // Columns of (pi - x) by products with zeros and ones.
-        let mut pick = |side: &str, of: &dyn Fn(&(usize, usize)) -> usize| {
-            let mut matrix = vec![0.0f32; qubits * pairs.len()];
-            for (k, pair) in pairs.iter().enumerate() {
-                matrix[of(pair) * pairs.len() + k] = 1.0;
-            }
-            let matrix = w.constant(&named(&format!("pick_{side}")), &[qubits, pairs.len()], &matrix);
-            w.op("MatMul", &[&rest, &matrix], &named(&format!("rest_{side}")), Vec::new())
-        };
-        let (first, second) = (pick("first", &|pair| pair.0), pick("second", &|pair| pair.1));
-        let products = w.op("Mul", &[&first, &second], &named("products"), Vec::new());
-        // Twice a product is an angle: multiples of pi are taken off before rounding errors of large sums matter.
-        let per_turn = w.constant(&named("per_turn"), &[1], &[std::f32::consts::FRAC_1_PI]);
-        let turns = w.op("Mul", &[&products, &per_turn], &named("turns"), Vec::new());
-        let whole = w.op("Round", &[&turns], &named("whole_turns"), Vec::new());
-        let off = w.op("Mul", &[&whole, &pi], &named("off"), Vec::new());
-        let products = w.op("Sub", &[&products, &off], &named("rests"), Vec::new());
-        w.op("Concat", &[input, &products], &named("terms"), vec![int("axis", 1)])
-    };
+    let terms = phase_terms(w, name, qubits, &pairs, input);
     let count = qubits + pairs.len();
     let bit = |state: usize, qubit: usize| state >> qubit & 1;
     let mut phases = vec![0.0f32; count * states];
@@ -128,6 +105,34 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
     [real, imaginary]
 }
 
+/// Terms of the phases: each `x_i`, then `(pi - x_i)(pi - x_j)` of each pair less a multiple of pi.
+fn phase_terms(w: &mut Writer, name: &str, qubits: usize, pairs: &[(usize, usize)], input: &str) -> String {
+    let named = |what: &str| format!("{name}.{what}");
+    let pi = w.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
+    let rest = w.op("Sub", &[&pi, input], &named("rest"), Vec::new());
+    if pairs.is_empty() {
+        return input.to_owned();
+    }
+    // Columns of (pi - x) by products with zeros and ones.
+    let mut pick = |side: &str, of: &dyn Fn(&(usize, usize)) -> usize| {
+        let mut matrix = vec![0.0f32; qubits * pairs.len()];
+        for (k, pair) in pairs.iter().enumerate() {
+            matrix[of(pair) * pairs.len() + k] = 1.0;
+        }
+        let matrix = w.constant(&named(&format!("pick_{side}")), &[qubits, pairs.len()], &matrix);
+        w.op("MatMul", &[&rest, &matrix], &named(&format!("rest_{side}")), Vec::new())
+    };
+    let (first, second) = (pick("first", &|pair| pair.0), pick("second", &|pair| pair.1));
+    let products = w.op("Mul", &[&first, &second], &named("products"), Vec::new());
+    // Twice a product is an angle: multiples of pi are taken off before rounding errors of large sums matter.
+    let per_turn = w.constant(&named("per_turn"), &[1], &[std::f32::consts::FRAC_1_PI]);
+    let turns = w.op("Mul", &[&products, &per_turn], &named("turns"), Vec::new());
+    let whole = w.op("Round", &[&turns], &named("whole_turns"), Vec::new());
+    let off = w.op("Mul", &[&whole, &pi], &named("off"), Vec::new());
+    let products = w.op("Sub", &[&products, &off], &named("rests"), Vec::new());
+    w.op("Concat", &[input, &products], &named("terms"), vec![int("axis", 1)])
+}
+
 /// Amplitudes `[batch][state]` after RY(x_i) on each qubit: products of `cos(x/2)` and `sin(x/2)` by the bits, qubit by qubit.
 fn product_state(w: &mut Writer, name: &str, qubits: usize, input: &str) -> String {
     let named = |what: &str| format!("{name}.{what}");
@@ -156,8 +161,8 @@ fn product_state(w: &mut Writer, name: &str, qubits: usize, input: &str) -> Stri
     state
 }
 
-/// The five trigonometric features of the two-qubit circuit.
-pub(super) fn write_features(w: &mut Writer, name: &str, input: &str, output: &str) {
+/// Adds the five trigonometric features of the two-qubit circuit. Returns their name.
+pub(super) fn write_features(w: &mut Writer, name: &str, input: &str, output: &str) -> String {
     let named = |what: &str| format!("{name}.{what}");
     let pi = w.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
     let two = w.constant(&named("two"), &[1], &[2.0]);
@@ -176,5 +181,5 @@ pub(super) fn write_features(w: &mut Writer, name: &str, input: &str, output: &s
     let (s1, c1) = (wave("Sin", &doubles[1], "s1"), wave("Cos", &doubles[1], "c1"));
     let pairs = [("a", &s1, &sw), ("b", &s0, &sw), ("c", &c0, &c1), ("d", &c1, &cw), ("e", &c0, &cw)];
     let features = pairs.map(|(what, x, y)| w.op("Mul", &[x, y], &named(what), Vec::new()));
-    w.op("Concat", &features.each_ref().map(String::as_str), output, vec![int("axis", 1)]);
+    w.op("Concat", &features.each_ref().map(String::as_str), output, vec![int("axis", 1)])
 }

@@ -9,7 +9,7 @@ use crate::layer::{Activation, bin};
 use crate::model::card::CARD_KEY;
 use crate::model::file::Model;
 use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
-use crate::network::{INPUT, Layer, Network, Node, Size, Value};
+use crate::network::{INPUT, Layer, Network, Node, Normalisation, Size, Value};
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;
@@ -58,7 +58,7 @@ fn graph(network: &Network, range: usize, doppler: usize) -> Result<proto::Graph
     let needed = layers.needed(&[layers.output], &[]);
     for (index, (node, _)) in layers.nodes.iter().zip(needed).enumerate().filter(|(_, (_, needed))| *needed) {
         let inputs: Vec<String> = node.inputs.iter().map(|&value| name_of(layers.output, value)).collect();
-        writer.layer(node, &inputs, name_of(layers.output, index + 1))?;
+        writer.layer(node, &inputs, &name_of(layers.output, index + 1))?;
     }
     let mut graph = writer.graph;
     graph.name = "radome".to_owned();
@@ -87,101 +87,119 @@ fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
 }
 
 impl Writer<'_> {
-    fn layer(&mut self, node: &Node, inputs: &[String], output: String) -> Result<(), ExportError> {
-        let name = &node.name;
+    /// Adds the operators of a layer. Returns the name of its result.
+    fn layer(&mut self, node: &Node, inputs: &[String], output: &str) -> Result<String, ExportError> {
+        let (name, network) = (&node.name, self.network);
         let first = inputs.first().map(String::as_str).unwrap_or_default();
         let second = inputs.get(1).map(String::as_str).unwrap_or_default();
         let named = |what: &str| format!("{name}.{what}");
-        match &node.layer {
+        Ok(match &node.layer {
             Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
-            Layer::Repeat { channels } => {
-                let copies = vec![first; *channels];
-                self.op("Concat", &copies, &output, vec![int("axis", 1)]);
-            }
+            Layer::Repeat { channels } => self.op("Concat", &vec![first; *channels], output, vec![int("axis", 1)]),
             Layer::ConvReluPool { .. } => {
-                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
-                let window = window(3, 1, 1);
-                let convolved = self.op("Conv", &[first, &weight, &bias], &named("convolved"), window);
+                let [weight, bias] = self.weight_and_bias(name)?;
+                let convolved = self.op("Conv", &[first, &weight, &bias], &named("convolved"), window(3, 1, 1));
                 let rectified = self.op("Relu", &[&convolved], &named("rectified"), Vec::new());
-                self.op("MaxPool", &[&rectified], &output, pool(2, 2, 0));
+                self.op("MaxPool", &[&rectified], output, window(2, 2, 0))
             }
             Layer::Convolution { kernel, geometry, bias, .. } => {
-                let mut read = vec![first.to_owned(), self.parameter(&named("weight"))?];
-                if *bias {
-                    read.push(self.parameter(&named("bias"))?);
-                }
                 let mut attributes = window(*kernel, geometry.stride, geometry.padding);
                 attributes.push(int("group", geometry.groups as i64));
-                self.op("Conv", &read.iter().map(String::as_str).collect::<Vec<_>>(), &output, attributes);
+                if !bias {
+                    let weight = self.parameter(&named("weight"))?;
+                    return Ok(self.op("Conv", &[first, &weight], output, attributes));
+                }
+                let [weight, bias] = self.weight_and_bias(name)?;
+                self.op("Conv", &[first, &weight, &bias], output, attributes)
             }
             Layer::BatchNorm { channels, activation } => {
-                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
-                let statistics = self.network.parameters().statistics(name)?;
-                let (mean, variance, epsilon) =
-                    (statistics.mean(), statistics.variance(), statistics.constants().epsilon);
-                let mean = self.constant(&named("running_mean"), &[*channels], &mean);
-                let variance = self.constant(&named("running_var"), &[*channels], &variance);
-                let read = [first, &weight, &bias, &mean, &variance];
-                let epsilon = vec![float("epsilon", epsilon)];
-                self.activated("BatchNormalization", &read, &output, epsilon, *activation);
+                self.batch_norm(name, *channels, *activation, first, output)?
             }
-            Layer::Activate(function) => drop(self.activate(*function, first, &output)),
+            Layer::Activate(function) => self.activate(*function, first, output),
             Layer::MaxPool { kernel, stride, padding } => {
-                self.op("MaxPool", &[first], &output, pool(*kernel, *stride, *padding));
+                self.op("MaxPool", &[first], output, window(*kernel, *stride, *padding))
             }
-            Layer::AveragePool { rows, columns } => {
-                let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
-                    Some(&Size::Map { rows, columns, .. }) => (rows, columns),
-                    _ => (1, 1),
-                };
-                let by_columns = self.constant(&named("columns"), &[width, *columns], &means(width, *columns, true));
-                let by_rows = self.constant(&named("rows"), &[*rows, height], &means(height, *rows, false));
-                let narrow = self.op("MatMul", &[first, &by_columns], &named("narrow"), Vec::new());
-                let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"), Vec::new());
-                self.op("Flatten", &[&pooled], &output, vec![int("axis", 1)]);
-            }
+            Layer::AveragePool { rows, columns } => self.average_pool(node, *rows, *columns, first, output),
             Layer::Linear { .. } => {
-                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
-                self.op("Gemm", &[first, &weight, &bias], &output, vec![int("transB", 1)]);
+                let [weight, bias] = self.weight_and_bias(name)?;
+                self.op("Gemm", &[first, &weight, &bias], output, vec![int("transB", 1)])
             }
-            Layer::ScaleChannels => {
-                let axes = named("axes");
-                // ONNX takes axes as integers here, so they are written as a shape.
-                let shape = self.whole_numbers(&axes, &[0, -1, 1, 1]);
-                let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
-                self.op("Mul", &[first, &factors], &output, Vec::new());
-            }
+            Layer::ScaleChannels => self.scale_channels(name, first, second, output),
             Layer::Add { rectified } => {
                 let function = if *rectified { Activation::Relu } else { Activation::None };
-                self.activated("Add", &[first, second], &output, Vec::new(), function);
+                self.activated("Add", &[first, second], output, Vec::new(), function)
             }
-            Layer::Dropout { .. } | Layer::DropSamples { .. } => {
-                self.op("Identity", &[first], &output, Vec::new());
-            }
-            Layer::Standardise { width } => match self.network.parameters().normalisation(name).cloned() {
-                None => drop(self.op("Identity", &[first], &output, Vec::new())),
-                Some(normalisation) => {
-                    let mean = self.constant(&named("mean"), &[*width], &normalisation.mean);
-                    let sigma = self.constant(&named("sigma"), &[*width], &normalisation.sigma);
-                    let centred = self.op("Sub", &[first, &mean], &named("centred"), Vec::new());
-                    self.op("Div", &[&centred, &sigma], &output, Vec::new());
-                }
+            Layer::Dropout { .. } | Layer::DropSamples { .. } => self.activate(Activation::None, first, output),
+            Layer::Standardise { width } => match network.parameters().normalisation(name) {
+                None => self.activate(Activation::None, first, output),
+                Some(constants) => self.standardise(name, *width, constants, first, output),
             },
             Layer::ScaledSigmoid => {
                 let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
                 let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"), Vec::new());
-                self.op("Mul", &[&sigmoid, &pi], &output, Vec::new());
+                self.op("Mul", &[&sigmoid, &pi], output, Vec::new())
             }
             Layer::Circuit { circuit, .. } => {
-                let theta = self.network.parameters().numbers(&named("theta"))?;
-                circuit::write(self, name, circuit, &theta, first, &output)?;
+                let theta = network.parameters().numbers(&named("theta"))?;
+                circuit::write(self, name, circuit, &theta, first, output)?
             }
-            Layer::Trigonometric => circuit::write_features(self, name, first, &output),
-            Layer::Concatenate => {
-                self.op("Concat", &[first, second], &output, vec![int("axis", 1)]);
-            }
-        }
-        Ok(())
+            Layer::Trigonometric => circuit::write_features(self, name, first, output),
+            Layer::Concatenate => self.op("Concat", &[first, second], output, vec![int("axis", 1)]),
+        })
+    }
+
+    fn scale_channels(&mut self, name: &str, maps: &str, factors: &str, output: &str) -> String {
+        // ONNX takes axes as integers here, so they are written as a shape.
+        let shape = self.whole_numbers(&format!("{name}.axes"), &[0, -1, 1, 1]);
+        let factors = self.op("Reshape", &[factors, &shape], &format!("{name}.factors"), Vec::new());
+        self.op("Mul", &[maps, &factors], output, Vec::new())
+    }
+
+    fn standardise(
+        &mut self,
+        name: &str,
+        width: usize,
+        constants: &Normalisation,
+        input: &str,
+        output: &str,
+    ) -> String {
+        let named = |what: &str| format!("{name}.{what}");
+        let mean = self.constant(&named("mean"), &[width], &constants.mean);
+        let sigma = self.constant(&named("sigma"), &[width], &constants.sigma);
+        let centred = self.op("Sub", &[input, &mean], &named("centred"), Vec::new());
+        self.op("Div", &[&centred, &sigma], output, Vec::new())
+    }
+
+    fn batch_norm(
+        &mut self,
+        name: &str,
+        channels: usize,
+        activation: Activation,
+        input: &str,
+        output: &str,
+    ) -> Result<String, ExportError> {
+        let [weight, bias] = self.weight_and_bias(name)?;
+        let network = self.network;
+        let statistics = network.parameters().statistics(name)?;
+        let mean = self.constant(&format!("{name}.running_mean"), &[channels], &statistics.mean());
+        let variance = self.constant(&format!("{name}.running_var"), &[channels], &statistics.variance());
+        let read = [input, &weight, &bias, &mean, &variance];
+        let epsilon = vec![float("epsilon", statistics.constants().epsilon)];
+        Ok(self.activated("BatchNormalization", &read, output, epsilon, activation))
+    }
+
+    /// Adaptive mean pooling: products with a matrix of means from either side.
+    fn average_pool(&mut self, node: &Node, rows: usize, columns: usize, input: &str, output: &str) -> String {
+        let named = |what: &str| format!("{}.{what}", node.name);
+        let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
+            Some(&Size::Map { rows, columns, .. }) => (rows, columns),
+            _ => (1, 1),
+        };
+        let by_columns = self.constant(&named("columns"), &[width, columns], &means(width, columns, true));
+        let by_rows = self.constant(&named("rows"), &[rows, height], &means(height, rows, false));
+        let narrow = self.op("MatMul", &[input, &by_columns], &named("narrow"), Vec::new());
+        let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"), Vec::new());
+        self.op("Flatten", &[&pooled], output, vec![int("axis", 1)])
     }
 }
 
@@ -198,12 +216,9 @@ fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
     matrix
 }
 
+/// Attributes of a convolution or pooling.
 fn window(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
     vec![ints("kernel_shape", kernel, 2), ints("strides", stride, 2), ints("pads", padding, 4)]
-}
-
-fn pool(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
-    window(kernel, stride, padding)
 }
 
 fn float(name: &str, value: f32) -> proto::Attribute {

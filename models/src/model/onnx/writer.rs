@@ -75,6 +75,14 @@ impl Writer<'_> {
         Ok(self.constant(name, &shape, &values))
     }
 
+    /// Adds weight and bias of a layer. Returns their names.
+    ///
+    /// # Errors
+    /// Those of [`Writer::parameter`].
+    pub fn weight_and_bias(&mut self, layer: &str) -> Result<[String; 2], ExportError> {
+        Ok([self.parameter(&format!("{layer}.weight"))?, self.parameter(&format!("{layer}.bias"))?])
+    }
+
     pub fn activate(&mut self, function: Activation, input: &str, output: &str) -> String {
         match function {
             Activation::None => self.op("Identity", &[input], output, Vec::new()),

@@ -6,7 +6,7 @@ use radome_dsp::Occupancy;
 use super::error::AdaptError;
 use super::recording::{AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES};
 use crate::layer::{backward, softmax};
-use crate::metrics::{Metrics, most_probable};
+use crate::metrics::{Confusion, Metrics, add_confusion, most_probable};
 use crate::model::Scores;
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
@@ -31,9 +31,6 @@ const LEAST_GAIN: f64 = 1e-6;
 /// Frames of a forward pass without gradients.
 const BATCH: usize = 4096;
 
-/// Counts `[truth][label]`.
-type Confusion = [[u64; CLASSES]; CLASSES];
-
 /// Confusion of a model on labelled frames, for single frames and behind the filter.
 #[derive(Default)]
 pub(super) struct Confusions {
@@ -46,9 +43,8 @@ impl Confusions {
     pub(super) fn scores<'a>(recordings: impl Iterator<Item = &'a Confusions>) -> Scores {
         let mut all = Confusions::default();
         for recording in recordings {
-            for (sum, counts) in [(&mut all.by_frame, &recording.by_frame), (&mut all.filtered, &recording.filtered)] {
-                sum.iter_mut().flatten().zip(counts.iter().flatten()).for_each(|(sum, count)| *sum += count);
-            }
+            add_confusion(&mut all.by_frame, &recording.by_frame);
+            add_confusion(&mut all.filtered, &recording.filtered);
         }
         let score = |confusion| Metrics::from_confusion(confusion).balanced_accuracy;
         Scores { by_frame: score(all.by_frame), filtered: score(all.filtered) }
