@@ -141,9 +141,8 @@ impl Actor {
             weights.iter().map(|&(bone, weight)| (bone, weight, place)).collect()
         };
         let influences: Vec<_> = bound.weights.iter().zip(&bound.mesh.vertices).map(influence).collect();
-        let segment_of = segments(&bound, &standing, height_m);
         let mut actor = Actor {
-            skin: Arc::new(Skin::bound(&rest, &influences, segment_of)),
+            skin: Arc::new(Skin::bound(&rest, &influences, segments(&bound, &standing, height_m))),
             cycle: Cycle::through(&poses),
             standing,
             parts,
