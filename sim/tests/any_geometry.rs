@@ -32,10 +32,7 @@ const PLAN: &str = "floor = { material = \"plasterboard\", thickness_m = 0.0125 
 
 /// A scene with what stands in `[room]` and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, tables: &str, folder: &Path) -> Scene {
-    let hall = common::hall(tables);
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    let text = common::hall_with_room(room, tables);
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 

@@ -16,10 +16,7 @@ const HEIGHT_M: f64 = 2.6;
 
 /// A scene with what stands in `[room]` and somebody's steps. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, steps: &str, folder: &Path) -> Scene {
-    let hall = common::hall(&format!("[[people.actor]]\nstep = [{steps}]\n"));
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    let text = common::hall_with_room(room, &format!("[[people.actor]]\nstep = [{steps}]\n"));
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 

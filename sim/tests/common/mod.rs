@@ -76,6 +76,14 @@ high_pass_cutoff_hz = 20e3
     )
 }
 
+/// The hall with what stands in `[room]` instead, and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
+pub fn hall_with_room(room: &str, tables: &str) -> String {
+    let hall = hall(tables);
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]")
+}
+
 /// A scene from text.
 pub fn parse(text: &str) -> Scene {
     Scene::parse(text, Path::new("test.toml")).expect("valid scene")
