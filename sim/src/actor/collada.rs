@@ -10,7 +10,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 use roxmltree::{Document, Node as Element, ParsingOptions};
 
 use super::rig::{Between, Clip, Joint, Local, MOST_NODES, Node, Rig, Track, Values};
-use crate::fault::FileFault;
+use crate::fault::{FileFault, utf8};
 use crate::geometry::import::UpAxis;
 
 /// Deeper trees than this are refused.
@@ -72,10 +72,7 @@ struct Reader<'d, 'a> {
 /// Parses a COLLADA document.
 pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
     let export = "export the actor again as COLLADA 1.4, or as glTF 2.0";
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
-        FileFault::new(format!("line {line}"), "this is no UTF-8 text", export)
-    })?;
+    let text = utf8(bytes, export)?;
     if bytes.len() > LARGEST_BYTES {
         let problem = format!("it has {} bytes, expected {LARGEST_BYTES} at most", bytes.len());
         return Err(FileFault::new("file", problem, "export it again as binary glTF 2.0 (.glb)"));

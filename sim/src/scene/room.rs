@@ -15,7 +15,7 @@ use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 
 use super::check::{Fault, fault, surfaces};
-use super::{SceneError, line_of_key};
+use super::{SceneError, file_error};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
 use crate::field::image::Wall;
@@ -197,12 +197,7 @@ pub(super) fn read_meshes(
     let Some(first) = file.room.mesh.first() else {
         return Ok((Vec::new(), RoomMeshes { own_furniture, ..RoomMeshes::default() }));
     };
-    let of_room = |source: FileFault| SceneError::File {
-        path: path.to_owned(),
-        line: line_of_key(text, &first.file),
-        file: path.parent().unwrap_or(Path::new("")).join(&first.file),
-        source: Box::new(source),
-    };
+    let of_room = |source: FileFault| file_error(path, text, &first.file, source);
     let [low, high] = bounds(pieces.iter().flat_map(|p| &p.mesh.vertices));
     if !(0..3).all(|i| (SIZES_M[0]..=2.0 * SIZES_M[1]).contains(&(high - low)[i])) {
         let size = high - low;
@@ -261,7 +256,7 @@ fn six_walls(
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(&mesh.file);
-    let pieces = import_parts(mesh, folder, &file).and_then(|parts| {
+    let parts = import_parts(mesh, folder, &file).and_then(|parts| {
         let triangles: usize = parts.iter().map(|part| part.mesh.triangles.len()).sum();
         if triangles > MOST_TRIANGLES {
             let problem = format!("it has {triangles} triangles, expected {MOST_TRIANGLES} at most");
@@ -270,12 +265,7 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
         }
         parts.into_iter().map(|part| piece(mesh, &file, part)).collect()
     });
-    pieces.map_err(|source| SceneError::File {
-        path: path.to_owned(),
-        line: line_of_key(text, &mesh.file),
-        file: file.clone(),
-        source: Box::new(source),
-    })
+    parts.map_err(|source| file_error(path, text, &mesh.file, source))
 }
 
 /// The parts of a mesh file in metres, z up.
