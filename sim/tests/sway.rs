@@ -8,7 +8,7 @@ use num_complex::Complex64;
 use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
 
-use crate::common::{hall, map_db, parse, scene, simulator, statistics};
+use crate::common::{hall, map_db, parse, range_bin, scene, simulator, statistics};
 
 const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 
@@ -26,20 +26,9 @@ fn quiet(extra: &str) -> Scene {
     parse(&hall(extra).replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5"))
 }
 
-/// The first receiver's range bin at a distance in every chirp (Hann's window over the samples).
+/// The first receiver's range bin at a distance in every chirp.
 fn slow_time(scene: &Scene, frame: &Frame, range_m: f64) -> Vec<Complex64> {
-    let n = frame.shape.samples;
-    let bin = (range_m / scene.waveform().range_step_m(n)).round();
-    let chirp = |chirp: usize| {
-        let codes = frame.chirp(0, chirp).iter().enumerate();
-        codes
-            .map(|(i, &code)| {
-                let turn = TAU * i as f64 / n as f64;
-                Complex64::from_polar(f64::from(code) * (0.5 - 0.5 * turn.cos()), -bin * turn)
-            })
-            .sum::<Complex64>()
-    };
-    (0..frame.shape.chirps).map(chirp).collect()
+    range_bin(frame, (range_m / scene.waveform().range_step_m(frame.shape.samples)).round())
 }
 
 /// Phase that a range bin turns by from the first chirp of a frame to its last, by a straight line, rad.
@@ -199,14 +188,18 @@ fn vibration_of_the_radar_turns_all_echoes_alike() {
     assert!(product > 0.9 * rms(&near) * rms(&far), "{product}");
 }
 
+/// Posts 3 m and 6 m away and a quiet receiver whose clutter has more keys.
+fn two_posts(clutter: &str) -> Scene {
+    let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
+        .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
+        .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{clutter}"));
+    parse(&text)
+}
+
 /// A chip whose frequency settles within each frame turns echoes by their delay, the same in every frame.
 #[test]
 fn settling_turns_echoes_by_their_delay_in_every_frame() {
-    let key = "settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n";
-    let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
-        .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
-        .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{key}"));
-    let scene = parse(&text);
+    let scene = two_posts("settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n");
     let simulator = simulator(&scene, 1, None);
     for index in [0, 5] {
         let frame = simulator.render(index);
@@ -223,13 +216,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
 /// The gain wanders over seconds, and late chirps turn far echoes more than near ones.
 #[test]
 fn gain_drifts_and_chirps_jitter_as_asked() {
-    let with = |key: &str| {
-        let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
-            .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
-            .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{key}"));
-        parse(&text)
-    };
-    let drifting = with("gain_drift_per_10s = 0.1\n");
+    let drifting = two_posts("gain_drift_per_10s = 0.1\n");
     let changes: Vec<f64> = (0..24)
         .map(|seed| {
             let simulator = simulator(&drifting, seed, None);
@@ -239,7 +226,7 @@ fn gain_drifts_and_chirps_jitter_as_asked() {
         })
         .collect();
     assert!((0.05..0.2).contains(&rms(&changes)), "{changes:?}");
-    let jittering = with("chirp_jitter_s = 2e-8\n");
+    let jittering = two_posts("chirp_jitter_s = 2e-8\n");
     let frame = simulator(&jittering, 1, None).render(0);
     let w = jittering.waveform();
     for range_m in [3.0, 6.0] {

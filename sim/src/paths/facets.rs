@@ -33,11 +33,7 @@ impl Environment {
                 names.push(face.name.clone());
             }
         }
-        let small = surfaces.small.iter().flat_map(|part| {
-            let triangles = 0..part.mesh.triangles.len();
-            triangles.filter_map(move |triangle| part.mesh.corners(triangle))
-        });
-        let obstacles: Vec<[DVec3; 3]> = small.collect();
+        let obstacles: Vec<[DVec3; 3]> = surfaces.small.iter().flat_map(|part| part.mesh.all_corners()).collect();
         Ok((Environment::with_obstacles(facets, &obstacles, wavenumber_per_m)?, names))
     }
 }

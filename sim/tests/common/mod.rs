@@ -124,6 +124,15 @@ pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     map
 }
 
+/// A range bin of the first receiver in every chirp (Hann's window over the samples).
+pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
+    let n = frame.shape.samples;
+    let sample = |(i, &code): (usize, &u16)| {
+        Complex64::from_polar(f64::from(code) * hann(i, n), -bin * TAU * i as f64 / n as f64)
+    };
+    (0..frame.shape.chirps).map(|chirp| frame.chirp(0, chirp).iter().enumerate().map(sample).sum()).collect()
+}
+
 /// Mean and standard deviation.
 pub fn statistics(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
