@@ -507,7 +507,6 @@ impl Visits {
         path.walk_to(front, 0.6)
     }
 
-    /// Paces to and fro.
     fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         for _ in 0..draw(rng, self.file.pace_legs).round() as usize {
             let to = self.pace_point(rng);

@@ -2,7 +2,6 @@
 
 mod hard_cases;
 
-use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -15,10 +14,8 @@ use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundi
 use radome_sim::stage::Stage;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::common::{self, scene};
+use crate::common::{self, WAVENUMBER, scene};
 use crate::surfaces::rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
-
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 
 /// Somebody who walks through the room of most tests, away from its walls.
 const WALKER: &str =

@@ -26,9 +26,8 @@ use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::trace::{Ray, World};
 use rand::Rng;
 
+use crate::common::WAVENUMBER;
 use crate::surfaces::rooms::{faces, triangles};
-
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 
 /// Root of the mean square of what the fast way errs over that of the signal, dB.
 fn error_dbc(samples: usize, tones: &[Tone]) -> f64 {

@@ -8,11 +8,11 @@ use radome_sim::receiver::phase_noise::PhaseRates;
 use radome_sim::receiver::{ClutterDrift, PhaseNoise, Receiver};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::common::{hall, parse, range_bin, scene, simulator};
+use crate::common::{NOBODY, hall, parse, range_bin, scene, simulator};
 
 /// A board before a metal wall 2.4 m away; nothing else, and a quiet receiver that stands still.
 fn wall(clutter: &str, receiver: &str) -> Scene {
-    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+    let text = hall(NOBODY)
         .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [17.6, 10.0, 1.2]")
         .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
@@ -102,7 +102,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
         ) + "cross_section_dbsm = 0.0\n"
     };
     let scene = parse(
-        &hall(&(post(4.0) + &post(6.0) + "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n"))
+        &hall(&(post(4.0) + &post(6.0) + NOBODY))
             .replace("phase_drift_rad_per_10s = 0.0", "phase_drift_rad_per_10s = 0.3"),
     );
     let (mut squares, mut product) = ([0.0; 2], 0.0);

@@ -69,7 +69,6 @@ struct Reader<'d, 'a> {
     left: Cell<usize>,
 }
 
-/// Parses a COLLADA document.
 pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
     let export = "export the actor again as COLLADA 1.4, or as glTF 2.0";
     let text = utf8(bytes, export)?;

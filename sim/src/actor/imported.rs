@@ -271,7 +271,6 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
 struct Sampled {
     /// At even phases, the clip's way over the ground taken out.
     poses: Vec<Vec<Map>>,
-    /// The mean.
     standing: Vec<Map>,
 }
 

@@ -232,7 +232,6 @@ fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
     has_outward || !stands_on_another(flats, sides)
 }
 
-/// The edges that diffract.
 pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
     let sides = sides(flats);
     let mut groups = coincident(&sides);

@@ -73,7 +73,6 @@ pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Corners of the floor, m.
 pub(super) fn corners(plan: &PlanFile) -> Vec<DVec2> {
     plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
 }
@@ -83,7 +82,6 @@ pub(super) fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
     polygon::sides(&corners(plan)).collect()
 }
 
-/// Ends of a partition, m.
 pub(super) fn ends(partition: &PartitionFile) -> [DVec2; 2] {
     [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
 }

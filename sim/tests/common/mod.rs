@@ -8,6 +8,11 @@ use num_complex::Complex64;
 use radome_dsp::Frame;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+/// Wave number at 60 GHz, 1/m.
+pub const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+/// Nobody, and nothing beside the radar.
+pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+
 /// A fixture scene.
 pub fn scene(name: &str) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
@@ -87,6 +92,11 @@ pub fn hall_with_room(room: &str, tables: &str) -> String {
 /// A scene from text.
 pub fn parse(text: &str) -> Scene {
     Scene::parse(text, Path::new("test.toml")).expect("valid scene")
+}
+
+/// Message by which the text of a scene is refused.
+pub fn refusal(text: &str) -> String {
+    Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err(text).to_string()
 }
 
 fn hann(i: usize, n: usize) -> f64 {
