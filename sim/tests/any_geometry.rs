@@ -35,8 +35,7 @@ fn made(room: &str, tables: &str, folder: &Path) -> Scene {
 
 /// A fixture with something else in it.
 fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
-    let mut text = std::fs::read_to_string(&path).expect("fixture scene");
+    let (path, mut text) = common::fixture(name);
     for (from, to) in changes {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);

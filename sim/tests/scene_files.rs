@@ -106,9 +106,7 @@ mod hard_cases {
 
     /// A scene in a folder of its own, which names a receiver, a mesh or an actor.
     fn in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
-        let text =
-            std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room-mesh.toml"))
-                .expect("fixture");
+        let (_, text) = common::fixture("room-mesh");
         let people = if actor.is_empty() { "" } else { "[people]\nbody = \"mesh\"\n" };
         let text = text
             .replace("../receivers/paper-mesh.toml", receiver)

@@ -2,13 +2,12 @@
 //! people who disturb static echoes.
 
 use std::f64::consts::TAU;
-use std::path::Path;
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
 
-use crate::common::{NOBODY, hall, map_db, parse, range_bin, refusal, scene, simulator, statistics};
+use crate::common::{NOBODY, fixture, hall, map_db, parse, range_bin, refusal, scene, simulator, statistics};
 
 /// One scattering point this far ahead of the radar of [`hall`].
 fn post(range_m: f64, cross_section_dbsm: f64) -> String {
@@ -143,8 +142,7 @@ fn slow_over_noise_db(scene: &Scene) -> f64 {
 /// Halls of the training set with swaying reflectors: cells beside zero Doppler rise with their strength, from nothing.
 #[test]
 fn an_empty_hall_that_sways_has_slow_echoes() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let text = text.replace("passer_by_probability = 0.7", "passer_by_probability = 0.0");
     let level_db = |sway: &str| {
         let text = text.replace("[radar]\n", &format!("{sway}[radar]\n"));
@@ -291,8 +289,7 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
 /// Keys that ask for nothing change nothing, to the bit.
 #[test]
 fn neutral_keys_leave_frames_as_they_are() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let neutral = text
         .replace("[radar]\n", "[[room.sway]]\nreflectors = 0\n[[room.sway]]\nprobability = 0.0\n[radar]\n")
         .replace("[waveform]", "[radar.vibration]\namplitude_m = 0.0\n[waveform]")
@@ -315,8 +312,7 @@ fn neutral_keys_leave_frames_as_they_are() {
 /// Every key can be drawn.
 #[test]
 fn rooms_are_drawn_with_and_without_sway() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let text = text
         .replace("[radar]\n", "[[room.sway]]\n[radar]\n")
         .replace("[waveform]", "[radar.vibration]\n[waveform]")

@@ -89,8 +89,7 @@ fn who_is_beyond_a_wall_is_not_in_the_room() {
 /// The leaf of the half-open door stands in the line x + y = 5, from its hinge at (3.5, 1.5) 0.9 m into the room.
 #[test]
 fn nobody_walks_through_a_door_leaf() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
-    let text = std::fs::read_to_string(&path).expect("a fixture");
+    let (path, text) = common::fixture("half-open-door");
     let (before, _) = text.split_once("[[people.actor]]").expect("somebody");
     let text =
         format!("{before}[[people.actor]]\nstep = [{{ walk_to_m = [3.0, 1.2] }}, {{ walk_to_m = [3.0, 3.0] }}]\n");

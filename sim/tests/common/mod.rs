@@ -2,7 +2,7 @@
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use num_complex::Complex64;
 use radome_dsp::Frame;
@@ -15,8 +15,14 @@ pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0
 
 /// A fixture scene.
 pub fn scene(name: &str) -> Scene {
+    Scene::load(&fixture(name).0).expect("fixture scene")
+}
+
+/// Path and text of a fixture scene.
+pub fn fixture(name: &str) -> (PathBuf, String) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
-    Scene::load(&path).expect("fixture scene")
+    let text = std::fs::read_to_string(&path).expect("fixture scene");
+    (path, text)
 }
 
 /// A simulator of a scene.
