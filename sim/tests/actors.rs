@@ -13,7 +13,9 @@ use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::fault::FileFault;
 use radome_sim::geometry::import::UpAxis;
+use radome_sim::random::{Purpose, generator};
 use radome_skip::shared;
+use rand::Rng;
 
 use crate::common;
 
@@ -511,11 +513,8 @@ mod hard_cases {
     #[test]
     fn damaged_gltf_and_collada_never_panic() {
         let (gltf, collada) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes());
-        let mut state = 7u64;
-        let mut draw = |below: usize| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as usize % below
-        };
+        let mut rng = generator(7, Purpose::Build, [0, 0]);
+        let mut draw = |below: usize| rng.random_range(0..below);
         for (good, name) in [(&gltf, "a.gltf"), (&collada, "a.dae")] {
             for _ in 0..60 {
                 let mut bytes = good.clone();

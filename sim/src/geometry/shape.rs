@@ -116,7 +116,7 @@ pub fn ellipsoid(semi_axes_m: DVec3, edge_m: f64) -> Surface {
 /// Corners of an icosahedron with edges of 2, and its triangles, counter-clockwise seen from outside.
 pub(crate) fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     let g = 0.5 * (1.0 + 5f64.sqrt());
-    let mut corners = Vec::with_capacity(12);
+    let mut corners: Vec<DVec3> = Vec::with_capacity(12);
     for (x, y) in [(1.0, g), (-1.0, g), (1.0, -g), (-1.0, -g)] {
         corners.extend([DVec3::new(0.0, x, y), DVec3::new(x, y, 0.0), DVec3::new(y, 0.0, x)]);
     }
