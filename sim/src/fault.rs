@@ -26,3 +26,11 @@ impl FileFault {
         FileFault { place: place.into(), problem: problem.into(), hint: hint.into() }
     }
 }
+
+/// The text that a file is.
+pub(crate) fn utf8<'a>(bytes: &'a [u8], hint: &str) -> Result<&'a str, FileFault> {
+    std::str::from_utf8(bytes).map_err(|e| {
+        let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
+        FileFault::new(format!("line {line}"), "this is no UTF-8 text", hint)
+    })
+}

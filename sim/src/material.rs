@@ -42,13 +42,10 @@ pub enum Material {
 #[serde(deny_unknown_fields)]
 pub struct OwnMaterial {
     /// Relative permittivity `[real, loss]`: `real - j loss` at whatever frequency.
-    #[serde(default)]
     pub permittivity: Option<[f64; 2]>,
     /// Coefficients `[a, b, c, d]` of the recommendation.
-    #[serde(default)]
     pub p2040: Option<[f64; 4]>,
     /// Frequencies at which that holds, GHz. Everywhere if absent.
-    #[serde(default)]
     pub band_ghz: Option<[f64; 2]>,
 }
 

@@ -14,7 +14,9 @@ use crate::actor::wander;
 use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
 use crate::scene::ground::{blocks, walls};
-use crate::scene_file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
+use crate::scene_file::{
+    ActorFile, BedFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, StepFile, VisitsFile,
+};
 
 /// The people of a scene over all time.
 #[derive(Debug)]
@@ -123,6 +125,16 @@ fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
 const OUTSIDE_M: f64 = -0.75;
 const INSIDE_M: f64 = 0.6;
 
+/// A script on its way to a motion.
+struct Script<'a> {
+    file: &'a SceneFile,
+    ground: Option<&'a Ground>,
+    size_m: [f64; 2],
+    /// Direction in which the person looks at the beginning, rad.
+    facing_rad: f64,
+}
+
+/// The motion of somebody with a script.
 fn scripted(
     file: &SceneFile,
     ground: Option<&Ground>,
@@ -138,18 +150,9 @@ fn scripted(
     person.style.stride = actor.stride.unwrap_or(person.style.stride);
     person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
     let size_m = [file.room.size_m[0], file.room.size_m[1]];
-    let bed = |number: Option<usize>| {
-        file.bed.get(number.unwrap_or(0)).map(|bed| Bed {
-            position_m: bed.position_m,
-            heading_rad: bed.heading_deg.to_radians(),
-            height_m: bed.height_m,
-            edge_m: bed.edge_m,
-        })
-    };
-    let door = |number: usize| file.door.get(number);
-    let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let first = actor.step.first();
-    let (place, facing) = match first.and_then(|s| s.enter_door).and_then(door) {
+    let door = first.and_then(|s| s.enter_door).and_then(|number| file.door.get(number));
+    let (place, facing_rad) = match door {
         Some(door) => {
             let [nx, ny] = inward(size_m, door);
             (at_door(size_m, door, OUTSIDE_M, 0.0), ny.atan2(nx))
@@ -160,56 +163,84 @@ fn scripted(
             (place, (next[1] - place[1]).atan2(next[0] - place[0]))
         }
     };
-    let mut builder = MotionBuilder::new(person, actor.start_s, place, facing).turning_at(turn_rate);
-    let mut is_gone = false;
-    for (number, step) in actor.step.iter().enumerate() {
-        let speed = step.speed_m_per_s.unwrap_or(1.2);
-        if let (Some(to), true) = (step.walk_to_m, number > 0) {
-            builder = go(builder, ground, to, speed);
-        }
-        if let Some(duration_s) = step.stand_s {
-            builder = builder.stand(duration_s);
-        }
-        if let Some(duration_s) = step.sit_s {
-            builder = match step.seat.and_then(|s| file.seat.get(s)) {
-                Some(seat) if seat.back_m > 0.0 => {
-                    let heading = seat.heading_deg.to_radians();
-                    let before = ahead(seat.position_m, heading, seat.back_m);
-                    go(builder, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
-                }
-                Some(seat) => builder.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
-                None => builder.sit(facing, 0.45, duration_s),
-            };
-        }
-        if let Some(duration_s) = step.squat_s {
-            builder = builder.squat(step.depth_m.unwrap_or(0.45), duration_s);
-        }
-        if let (Some(duration_s), Some(bed)) = (step.lie_s, bed(step.bed)) {
-            builder = if number == 0 {
-                builder.lying(&bed, duration_s)
-            } else {
-                let before = bed.stand_m(&builder.person().build);
-                go(builder, ground, before, speed).lie(&bed, duration_s)
-            };
-        }
-        if let Some(degrees) = step.face_deg {
-            builder = builder.face(degrees.to_radians());
-        }
-        if let Some(door) = step.enter_door.and_then(door) {
-            builder = builder.walk_to(at_door(size_m, door, INSIDE_M, 0.0), speed);
-        }
-        if let Some(door) = step.leave_door.and_then(door) {
-            builder = go(builder, ground, at_door(size_m, door, INSIDE_M, 0.0), speed);
-            builder = builder.walk_to(at_door(size_m, door, OUTSIDE_M, 0.0), speed);
-            is_gone = true;
-        }
-    }
-    let mut motion = if is_gone { builder.leave() } else { builder.stay() };
+    let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
+    let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
+    let script = Script { file, ground, size_m, facing_rad };
+    let steps = actor.step.iter().enumerate();
+    let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
+    let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
+    let mut motion = if is_gone { path.leave() } else { path.stay() };
     // Who does not come in by a door waits where the script begins.
     if first.is_none_or(|s| s.enter_door.is_none()) {
         motion.start_s = f64::NEG_INFINITY;
     }
     motion
+}
+
+impl Script<'_> {
+    /// Goes on by a step, which may be the first.
+    fn follow(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
+        let speed = step.speed_m_per_s.unwrap_or(1.2);
+        let door = |number: usize| self.file.door.get(number);
+        if let (Some(to), false) = (step.walk_to_m, is_first) {
+            path = go(path, self.ground, to, speed);
+        }
+        if let Some(duration_s) = step.stand_s {
+            path = path.stand(duration_s);
+        }
+        if let Some(duration_s) = step.sit_s {
+            path = match step.seat.and_then(|number| self.file.seat.get(number)) {
+                Some(seat) if seat.back_m > 0.0 => sit_back(path, self.ground, seat, speed, duration_s),
+                Some(seat) => path.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
+                None => path.sit(self.facing_rad, 0.45, duration_s),
+            };
+        }
+        if let Some(duration_s) = step.squat_s {
+            path = path.squat(step.depth_m.unwrap_or(0.45), duration_s);
+        }
+        if let (Some(duration_s), Some(bed)) = (step.lie_s, self.file.bed.get(step.bed.unwrap_or(0)).map(bed)) {
+            path = if is_first {
+                path.lying(&bed, duration_s)
+            } else {
+                let before = bed.stand_m(&path.person().build);
+                go(path, self.ground, before, speed).lie(&bed, duration_s)
+            };
+        }
+        if let Some(degrees) = step.face_deg {
+            path = path.face(degrees.to_radians());
+        }
+        if let Some(door) = step.enter_door.and_then(door) {
+            path = path.walk_to(at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+        }
+        if let Some(door) = step.leave_door.and_then(door) {
+            path = go(path, self.ground, at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+            path = path.walk_to(at_door(self.size_m, door, OUTSIDE_M, 0.0), speed);
+        }
+        path
+    }
+}
+
+/// A bed, as one gets into it.
+fn bed(file: &BedFile) -> Bed {
+    Bed {
+        position_m: file.position_m,
+        heading_rad: file.heading_deg.to_radians(),
+        height_m: file.height_m,
+        edge_m: file.edge_m,
+    }
+}
+
+/// Walks to the place before a seat with a back, and sits there for a while.
+fn sit_back(
+    path: MotionBuilder,
+    ground: Option<&Ground>,
+    seat: &SeatFile,
+    speed: f64,
+    duration_s: f64,
+) -> MotionBuilder {
+    let heading = seat.heading_deg.to_radians();
+    let before = ahead(seat.position_m, heading, seat.back_m);
+    go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
 }
 
 /// Unit vector into a room at a door.
@@ -265,11 +296,23 @@ fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion>
     Some(motion)
 }
 
+/// Draws that people at a desk share.
+struct DeskDraws<'a> {
+    scene: &'a Scene,
+    desk: &'a DeskFile,
+    seed: u64,
+    /// Boresight on the ground plan, rad.
+    azimuth: f64,
+    level_db: f64,
+    double_bounce: f64,
+    double_bounce_offset_m: f64,
+}
+
+/// People who sit before the radar.
 fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
     let mut rng = generator(seed, Purpose::Desk, [0, 0]);
     let drawn = rng.random_range(0..=desk.max_people);
     let count = people.unwrap_or(drawn);
-    let radar = scene.radar_position();
     let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
     let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let [nearest, farthest] = desk.distance_m;
@@ -277,58 +320,70 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     let apart = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
     let apart = if count > 1 { rng.random_range(apart) } else { 0.0 };
     let first = draw(&mut rng, [nearest, (farthest - apart).max(nearest)]);
-    let distances = [first, first + apart];
-    let level_db = draw(&mut rng, desk.reflectivity_db);
-    let double_bounce = desk.double_bounce_db.map_or(0.0, |db| 10f64.powf(0.05 * draw(&mut rng, db)));
-    let double_bounce_offset_m = draw(&mut rng, desk.double_bounce_offset_m);
-    let mut all = Vec::new();
-    for slot in 0..count {
-        let mut rng = generator(seed, Purpose::Desk, [1, slot as u64]);
-        let distance = distances[slot.min(1)];
+    let draws = DeskDraws {
+        scene,
+        desk,
+        seed,
+        azimuth,
+        level_db: draw(&mut rng, desk.reflectivity_db),
+        double_bounce: desk.double_bounce_db.map_or(0.0, |db| 10f64.powf(0.05 * draw(&mut rng, db))),
+        double_bounce_offset_m: draw(&mut rng, desk.double_bounce_offset_m),
+    };
+    // Far off the boresight where there are two.
+    let least_off = if count > 1 { 0.6 } else { 0.0 };
+    let sits = |slot: usize| {
         let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
-        let angle = azimuth
-            + side
-                * desk.off_boresight_deg.to_radians()
-                * rng.random_range(if count > 1 { 0.6..1.0 } else { 0.0..1.0 });
+        draws.person(slot as u64, [first, first + apart][slot.min(1)], side, least_off)
+    };
+    (0..count).map(sits).collect()
+}
+
+impl DeskDraws<'_> {
+    /// The person of a slot, whose chest is at a distance from the radar, m, on a side of its boresight, and off that by a part of the
+    /// greatest angle or more.
+    fn person(&self, slot: u64, distance: f64, side: f64, least_off: f64) -> Motion {
+        let desk = self.desk;
+        let mut rng = generator(self.seed, Purpose::Desk, [1, slot]);
+        let angle = self.azimuth + side * desk.off_boresight_deg.to_radians() * rng.random_range(least_off..1.0);
         let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
-        let person = Person::draw(seed, [slot as u64, 1 << 20], height);
-        let mut person = with_gait(person, &scene.file().people, seed);
+        let person = Person::draw(self.seed, [slot, 1 << 20], height);
+        let mut person = with_gait(person, &self.scene.file().people, self.seed);
         person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
         person.at_ease();
-        let reflectivity = 10f64.powf(0.05 * (level_db + desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0)));
+        let scatter_db = desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0);
+        let reflectivity = 10f64.powf(0.05 * (self.level_db + scatter_db));
         person.cloth.iter_mut().for_each(|c| *c *= reflectivity);
         let mut arm = || (rng.random_range(-0.35..0.5), rng.random_range(-0.6..0.5));
         let arms_rad = [arm(), arm()];
-        let mut detours = generator(seed, Purpose::Desk, [4, slot as u64]);
-        let points = (0..desk.body_points)
-            .map(|_| BodyPoint {
-                place: DVec3::new(
-                    rng.random_range(-0.6..0.8),
-                    rng.random_range(-1.5..1.5),
-                    rng.random_range(-1.6..1.4),
-                ),
-                scatter_m: reflectivity
-                    * (10f64.powf(0.1 * draw(&mut rng, desk.body_point_dbsm)) / (4.0 * std::f64::consts::PI)).sqrt(),
-                detour_m: draw(&mut detours, desk.body_point_detour_m),
-            })
-            .collect();
         person.at_desk = Some(AtDesk {
-            double_bounce,
-            double_bounce_offset_m,
-            points,
+            double_bounce: self.double_bounce,
+            double_bounce_offset_m: self.double_bounce_offset_m,
+            points: self.body_points(slot, reflectivity, &mut rng),
             point_decay_db_per_m: draw(&mut rng, desk.body_point_decay_db_per_m),
             arms_rad,
             lean_rad: rng.random_range(-0.12..0.15),
         });
         // The chest's front surface is about this far before the hips.
         let hips = distance + 0.115 * person.build.girth;
+        let radar = self.scene.radar_position();
         let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];
         let facing = angle + std::f64::consts::PI + rng.random_range(-0.3..0.3);
         let mut motion = MotionBuilder::new(person, 0.0, place, facing).seated(0.45).stay();
         motion.start_s = f64::NEG_INFINITY;
-        all.push(motion);
+        motion
     }
-    all
+
+    /// Scattering points about the body of a slot.
+    fn body_points(&self, slot: u64, reflectivity: f64, rng: &mut Xoshiro256PlusPlus) -> Vec<BodyPoint> {
+        let mut detours = generator(self.seed, Purpose::Desk, [4, slot]);
+        let mut point = || BodyPoint {
+            place: DVec3::new(rng.random_range(-0.6..0.8), rng.random_range(-1.5..1.5), rng.random_range(-1.6..1.4)),
+            scatter_m: reflectivity
+                * (10f64.powf(0.1 * draw(rng, self.desk.body_point_dbsm)) / (4.0 * std::f64::consts::PI)).sqrt(),
+            detour_m: draw(&mut detours, self.desk.body_point_detour_m),
+        };
+        (0..self.desk.body_points).map(|_| point()).collect()
+    }
 }
 
 /// Draws of a place to pace to.
@@ -361,7 +416,7 @@ impl Visits {
         // A place that will not do is drawn again; where the room has none, the last one has to.
         for _ in 0..PLACES {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
-            if self.is_in_view(at) && self.ground.as_ref().is_none_or(|ground| ground.is_free(at)) {
+            if self.is_in_view(at) && self.is_free(at) {
                 break;
             }
         }
@@ -379,82 +434,100 @@ impl Visits {
             && self.file.pace_range_m.is_none_or(|[least, most]| (least..=most).contains(&along.hypot(across)))
     }
 
+    /// Walks to a place, around what stands in the way.
+    fn go(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
+        go(path, self.ground.as_ref(), to, speed)
+    }
+
+    /// Whether nothing stands at a place.
+    fn is_free(&self, at: [f64; 2]) -> bool {
+        self.ground.as_ref().is_none_or(|ground| ground.is_free(at))
+    }
+
+    /// A visit of a slot: in by a door, to a seat, to and fro, or through the room, and out again.
     fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
         let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
         let person = with_gait(person, &self.people, self.seed);
-        let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
-        let at_door = |door: &DoorFile, depth: f64, lateral: f64| at_door(self.size_m, door, depth, lateral);
-        let go = |path, to| go(path, self.ground.as_ref(), to, speed);
         let side = if slot.is_multiple_of(2) { 1.0 } else { -1.0 };
         let lateral = side * draw(rng, f.lateral_m);
-        let pick = rng.random_range(0..self.doors.len().max(1));
-        let other = if self.doors.len() > 1 {
-            (pick + 1 + rng.random_range(0..self.doors.len() - 1)) % self.doors.len()
-        } else {
-            pick
-        };
-        // `check` refuses visits without a door; a default keeps this total.
-        let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
-        let entry = self.doors.get(pick).unwrap_or(&fallback);
-        let exit = self.doors.get(other).unwrap_or(&fallback);
-        let outside = at_door(entry, OUTSIDE_M, lateral);
-        let [nx, ny] = inward(self.size_m, entry);
-        let mut path = MotionBuilder::new(person, begin_s, outside, ny.atan2(nx)).turning_at(turn_rate);
-        path = path.walk_to(at_door(entry, INSIDE_M, lateral), speed);
+        let [entry, exit] = self.entry_and_exit(rng);
+        let at_door = |door: &DoorFile, depth: f64| at_door(self.size_m, door, depth, lateral);
+        let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
+        let [nx, ny] = inward(self.size_m, &entry);
+        let path = MotionBuilder::new(person, begin_s, at_door(&entry, OUTSIDE_M), ny.atan2(nx)).turning_at(turn_rate);
+        let mut path = path.walk_to(at_door(&entry, INSIDE_M), speed);
 
         let sits = rng.random::<f64>() < f.sit_probability && !self.seats.is_empty();
         let paces = rng.random::<f64>() < f.pace_probability;
         let turns = rng.random::<f64>() < f.turn_probability;
         let pause_s = if rng.random::<f64>() < f.pause_probability { draw(rng, f.pause_s) } else { 0.0 };
-        let mut leave_by = exit;
+        let mut leave_by = &exit;
         if sits {
-            // Slots have their own seats, so that no two people share one.
-            let seat = self.seats.get(slot % self.seats.len()).copied();
-            if let Some(seat) = seat {
-                let heading = seat.heading_deg.to_radians();
-                let sit_s = draw(rng, f.sit_s);
-                if seat.back_m > 0.0 {
-                    let before = ahead(seat.position_m, heading, seat.back_m);
-                    path = go(path, before).sit_back(heading, seat.height_m, seat.back_m, sit_s);
-                } else {
-                    let front = ahead(seat.position_m, heading, 0.35);
-                    path = go(path, front).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
-                    path = path.walk_to(front, 0.6);
-                }
-            }
+            path = self.sit(path, slot, speed, rng);
         } else if paces {
-            for _ in 0..draw(rng, f.pace_legs).round() as usize {
-                let to = self.pace_point(rng);
-                path = go(path, to);
-                if rng.random::<f64>() < f.pause_probability {
-                    path = path.stand(draw(rng, f.pause_s));
-                }
+            path = self.pace(path, speed, rng);
+        } else if self.doors.len() > 1 {
+            let stop = self.stop(path.place(), at_door(&exit, INSIDE_M), rng);
+            if turns {
+                leave_by = &entry;
+            }
+            if turns || pause_s > 0.0 {
+                path = self.go(path, stop, speed).stand(pause_s);
             }
         } else {
-            let (from, to) = (path.place(), at_door(exit, INSIDE_M, lateral));
-            if self.doors.len() > 1 {
-                let mut stop = from;
-                for _ in 0..PLACES {
-                    let fraction = rng.random_range(0.3..0.8);
-                    stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
-                    if self.ground.as_ref().is_none_or(|ground| ground.is_free(stop)) {
-                        break;
-                    }
-                }
-                if turns {
-                    leave_by = entry;
-                    path = go(path, stop).stand(pause_s);
-                } else if pause_s > 0.0 {
-                    path = go(path, stop).stand(pause_s);
-                }
-            } else {
-                let to = self.pace_point(rng);
-                path = go(path, to).stand(pause_s);
+            let to = self.pace_point(rng);
+            path = self.go(path, to, speed).stand(pause_s);
+        }
+        path = self.go(path, at_door(leave_by, INSIDE_M), speed);
+        path.walk_to(at_door(leave_by, OUTSIDE_M), speed).leave()
+    }
+
+    /// Draws the doors by which somebody comes and, without turning round, goes: two where there are two.
+    fn entry_and_exit(&self, rng: &mut Xoshiro256PlusPlus) -> [DoorFile; 2] {
+        let count = self.doors.len();
+        let pick = rng.random_range(0..count.max(1));
+        let other = if count > 1 { (pick + 1 + rng.random_range(0..count - 1)) % count } else { pick };
+        // `check` refuses visits without a door; a default keeps this total.
+        let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
+        [pick, other].map(|number| self.doors.get(number).copied().unwrap_or(fallback))
+    }
+
+    /// Goes to the seat of a slot and sits there for a while. Slots have their own seats, so that no two people share one.
+    fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
+        let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
+        let sit_s = draw(rng, self.file.sit_s);
+        if seat.back_m > 0.0 {
+            return sit_back(path, self.ground.as_ref(), seat, speed, sit_s);
+        }
+        let heading = seat.heading_deg.to_radians();
+        let front = ahead(seat.position_m, heading, 0.35);
+        let path = self.go(path, front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
+        path.walk_to(front, 0.6)
+    }
+
+    fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
+        for _ in 0..draw(rng, self.file.pace_legs).round() as usize {
+            let to = self.pace_point(rng);
+            path = self.go(path, to, speed);
+            if rng.random::<f64>() < self.file.pause_probability {
+                path = path.stand(draw(rng, self.file.pause_s));
             }
         }
-        path = go(path, at_door(leave_by, INSIDE_M, lateral));
-        path.walk_to(at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
+        path
+    }
+
+    /// Draws a free place on the way through the room: the last one drawn where none is free.
+    fn stop(&self, from: [f64; 2], to: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+        let mut stop = from;
+        for _ in 0..PLACES {
+            let fraction = rng.random_range(0.3..0.8);
+            stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
+            if self.is_free(stop) {
+                break;
+            }
+        }
+        stop
     }
 }

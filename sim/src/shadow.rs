@@ -183,30 +183,19 @@ pub fn reaches(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
     })
 }
 
+/// Every leg of a folded path with every column.
+fn passages<'a>(polyline: &[DVec3], columns: &'a [Column]) -> impl Iterator<Item = (DVec3, DVec3, &'a Column)> {
+    polyline.array_windows::<2>().flat_map(move |&[a, b]| columns.iter().map(move |column| (a, b, column)))
+}
+
 /// Field left on a folded path past columns.
 pub fn along(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> f64 {
-    let mut weight = 1.0;
-    for leg in polyline.windows(2) {
-        if let [a, b] = leg {
-            for column in columns {
-                weight *= past(*a, *b, column, wavelength_m);
-            }
-        }
-    }
-    weight
+    passages(polyline, columns).map(|(a, b, column)| past(a, b, column, wavelength_m)).product()
 }
 
 /// The same past strips ([`past_strip`]).
 pub fn along_strips(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> Complex64 {
-    let mut field = Complex64::ONE;
-    for leg in polyline.windows(2) {
-        if let [a, b] = leg {
-            for column in columns {
-                field *= past_strip(*a, *b, column, wavelength_m);
-            }
-        }
-    }
-    field
+    passages(polyline, columns).map(|(a, b, column)| past_strip(a, b, column, wavelength_m)).product()
 }
 
 #[cfg(test)]

@@ -110,9 +110,7 @@ impl Simulator {
 
     /// One frame, whichever came before.
     pub fn render(&self, index: u64) -> Frame {
-        let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
-        self.inner.render_into(index, &mut frame);
-        frame
+        self.render_with_report(index).0
     }
 
     /// One frame whose first chirp is at a time of the scene that need not be a multiple of the frame interval, as boards' are

@@ -13,7 +13,9 @@ use radome_sim::actor::skin::EDGE_M;
 use radome_sim::actor::walking_mesh::WalkingMesh;
 use radome_sim::fault::FileFault;
 use radome_sim::geometry::import::UpAxis;
+use radome_sim::random::{Purpose, generator};
 use radome_skip::shared;
+use rand::Rng;
 
 use crate::common;
 
@@ -194,13 +196,22 @@ mod hard_cases {
         }
     }
 
+    /// Changes the glTF file of a person, which is refused then.
+    fn wrong(change: &dyn Fn(&mut biped::Gltf), expected: &[&str]) {
+        let mut file = biped::gltf(1.0);
+        change(&mut file);
+        refused(parse(&file.bytes(), "a.gltf"), expected);
+    }
+
+    /// Changes the COLLADA file of a person, which is refused then.
+    fn wrong_collada(from: &str, to: &str, expected: &[&str]) {
+        let good = biped::collada();
+        assert!(good.contains(from), "{from}");
+        refused(parse(good.replacen(from, to, 1).as_bytes(), "a.dae"), expected);
+    }
+
     #[test]
     fn gltf_actors_that_are_wrong_are_told_how() {
-        let wrong = |change: &dyn Fn(&mut biped::Gltf), expected: &[&str]| {
-            let mut file = biped::gltf(1.0);
-            change(&mut file);
-            refused(parse(&file.bytes(), "a.gltf"), expected);
-        };
         refused(parse(b"glTF nonsense", "a.glb"), &["glTF"]);
         refused(parse(b"", "a.fbx"), &["\"fbx\"", ".glb"]);
         wrong(
@@ -259,41 +270,31 @@ mod hard_cases {
 
     #[test]
     fn collada_actors_that_are_wrong_are_told_where() {
-        let good = biped::collada();
-        assert!(parse(good.as_bytes(), "a.dae").is_ok());
-        let wrong = |from: &str, to: &str, expected: &[&str]| {
-            assert!(good.contains(from), "{from}");
-            refused(parse(good.replacen(from, to, 1).as_bytes(), "a.dae"), expected);
-        };
+        assert!(parse(biped::collada().as_bytes(), "a.dae").is_ok());
         refused(parse(&[0xff, 0xfe], "a.dae"), &["line 1", "UTF-8"]);
-        wrong("</geometry>", "", &["line ", "no XML"]);
+        wrong_collada("</geometry>", "", &["line ", "no XML"]);
         refused(parse(b"<svg/>", "a.dae"), &["line 1", "\"svg\"", "COLLADA"]);
-        wrong("Z_UP", "X_UP", &["line 4", "X_UP", "Z_UP"]);
-        wrong("meter=\"0.01\"", "meter=\"0\"", &["line 3", "meter", "positive"]);
-        wrong("<instance_controller url=\"#skin\"/>", "", &["skin", "joints and weights"]);
-        wrong("<float_array>-18", "<float_array>NaN", &["line 6", "NaN", "finite"]);
-        wrong("<Name_array>hips", "<Name_array>pelvis", &["\"pelvis\"", "no node"]);
-        wrong(
+        wrong_collada("Z_UP", "X_UP", &["line 4", "X_UP", "Z_UP"]);
+        wrong_collada("meter=\"0.01\"", "meter=\"0\"", &["line 3", "meter", "positive"]);
+        wrong_collada("<instance_controller url=\"#skin\"/>", "", &["skin", "joints and weights"]);
+        wrong_collada("<float_array>-18", "<float_array>NaN", &["line 6", "NaN", "finite"]);
+        wrong_collada("<Name_array>hips", "<Name_array>pelvis", &["\"pelvis\"", "no node"]);
+        wrong_collada(
             "</float_array></source>\n<source id=\"weights\">",
             " 1</float_array></source>\n<source id=\"weights\">",
             &["113 numbers", "16 each"],
         );
-        wrong("<p>0 2 3", "<p>0 2 999", &["triangle 0", "999", "80"]);
-        wrong("<scale>1 1 1", "<scale>1 0 1", &["hips", "scale", "not zero"]);
-        wrong("<skin source=\"#mesh\"", "<skin source=\"#mash\"", &["#mash", "nowhere"]);
-        wrong("thigh_left/turn.ANGLE", "thigh_left/spin.ANGLE", &["spin", "no transform"]);
-        wrong("<translate sid=\"at\">", "<translate sid=\"at\">1 ", &["4 numbers", "expected 3"]);
-        wrong("<vcount>1 ", "<vcount>900 ", &["vcount asks for 979 weights", "160 indices"]);
+        wrong_collada("<p>0 2 3", "<p>0 2 999", &["triangle 0", "999", "80"]);
+        wrong_collada("<scale>1 1 1", "<scale>1 0 1", &["hips", "scale", "not zero"]);
+        wrong_collada("<skin source=\"#mesh\"", "<skin source=\"#mash\"", &["#mash", "nowhere"]);
+        wrong_collada("thigh_left/turn.ANGLE", "thigh_left/spin.ANGLE", &["spin", "no transform"]);
+        wrong_collada("<translate sid=\"at\">", "<translate sid=\"at\">1 ", &["4 numbers", "expected 3"]);
+        wrong_collada("<vcount>1 ", "<vcount>900 ", &["vcount asks for 979 weights", "160 indices"]);
     }
 
     /// Offsets and counts that no list has: they were added up, and asked memory for, before anything looked at them.
     #[test]
     fn collada_offsets_and_counts_beyond_the_lists_are_refused() {
-        let good = biped::collada();
-        let wrong = |from: &str, to: &str, expected: &[&str]| {
-            assert!(good.contains(from), "{from}");
-            refused(parse(good.replacen(from, to, 1).as_bytes(), "a.dae"), expected);
-        };
         let most = "18446744073709551615";
         let corner = "source=\"#corners\" offset=\"0\"";
         let joint = "source=\"#joint-names\" offset=\"0\"";
@@ -301,19 +302,19 @@ mod hard_cases {
         for (input, number) in [(corner, "0"), (joint, "0"), (weight, "1")] {
             for offset in [most, "18446744073709551614", "256", "-1", "nan"] {
                 let changed = input.replace(&format!("offset=\"{number}\""), &format!("offset=\"{offset}\""));
-                wrong(input, &changed, &["line ", offset, "expected 0 to 255"]);
+                wrong_collada(input, &changed, &["line ", offset, "expected 0 to 255"]);
             }
         }
-        wrong("<vcount>1 ", &format!("<vcount>{most} "), &["vcount asks for too many weights"]);
-        wrong("<vcount>1 ", "<vcount>9223372036854775807 ", &["vcount asks for 92233720368547758"]);
-        wrong("<v>0 0 ", &format!("<v>{most} 0 "), &["weights of vertex 0", "joint"]);
-        wrong("<p>0 2 3", &format!("<p>{most} 2 3"), &["triangle 0", "names vertex"]);
+        wrong_collada("<vcount>1 ", &format!("<vcount>{most} "), &["vcount asks for too many weights"]);
+        wrong_collada("<vcount>1 ", "<vcount>9223372036854775807 ", &["vcount asks for 92233720368547758"]);
+        wrong_collada("<v>0 0 ", &format!("<v>{most} 0 "), &["weights of vertex 0", "joint"]);
+        wrong_collada("<p>0 2 3", &format!("<p>{most} 2 3"), &["triangle 0", "names vertex"]);
         let deep = format!("{}{}", "<node>".repeat(400), "</node>".repeat(400));
-        wrong("<node id=\"person\">", &format!("{deep}<node id=\"person\">"), &["nested more than 256 deep"]);
+        wrong_collada("<node id=\"person\">", &format!("{deep}<node id=\"person\">"), &["nested more than 256 deep"]);
         let wide = "<node/>".repeat(5000);
-        wrong("<node id=\"person\">", &format!("{wide}<node id=\"person\">"), &["more than 4096 nodes"]);
+        wrong_collada("<node id=\"person\">", &format!("{wide}<node id=\"person\">"), &["more than 4096 nodes"]);
         let entities = "<!DOCTYPE a [<!ENTITY a \"aaaa\"><!ENTITY b \"&a;&a;&a;&a;\">]>\n<COLLADA";
-        wrong("<COLLADA", entities, &["no XML"]);
+        wrong_collada("<COLLADA", entities, &["no XML"]);
     }
 
     /// Buffers beside a glTF file lie beside it, and are files.
@@ -352,22 +353,17 @@ mod hard_cases {
     #[test]
     fn gltf_references_to_nothing_are_refused() {
         for (name, value) in [("path", serde_json::json!("turn")), ("node", serde_json::json!(99))] {
-            let mut file = biped::gltf(1.0);
-            file.json["animations"][0]["channels"][0]["target"][name] = value;
-            refused(parse(&file.bytes(), "a.gltf"), &["glTF", "animations[0].channels[0].target"]);
+            let change = |f: &mut biped::Gltf| f.json["animations"][0]["channels"][0]["target"][name] = value.clone();
+            wrong(&change, &["glTF", "animations[0].channels[0].target"]);
         }
-        let mut file = biped::gltf(1.0);
-        file.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = serde_json::json!(99);
-        refused(parse(&file.bytes(), "a.gltf"), &["glTF primitive 0", "accessor 99", "out of bounds"]);
+        wrong(
+            &|f| f.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = serde_json::json!(99),
+            &["glTF primitive 0", "accessor 99", "out of bounds"],
+        );
     }
 
     #[test]
     fn gltf_counts_beyond_the_file_are_refused() {
-        let wrong = |change: &dyn Fn(&mut biped::Gltf), expected: &[&str]| {
-            let mut file = biped::gltf(1.0);
-            change(&mut file);
-            refused(parse(&file.bytes(), "a.gltf"), expected);
-        };
         let most = serde_json::json!(u64::MAX);
         wrong(&|f| f.json["accessors"][0]["count"] = most.clone(), &["accessor 0", "reaches to byte"]);
         wrong(&|f| f.json["accessors"][0]["byteOffset"] = most.clone(), &["accessor 0", "reaches to byte"]);
@@ -517,11 +513,8 @@ mod hard_cases {
     #[test]
     fn damaged_gltf_and_collada_never_panic() {
         let (gltf, collada) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes());
-        let mut state = 7u64;
-        let mut draw = |below: usize| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as usize % below
-        };
+        let mut rng = generator(7, Purpose::Build, [0, 0]);
+        let mut draw = |below: usize| rng.random_range(0..below);
         for (good, name) in [(&gltf, "a.gltf"), (&collada, "a.dae")] {
             for _ in 0..60 {
                 let mut bytes = good.clone();

@@ -2,7 +2,6 @@
 
 mod hard_cases;
 
-use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -15,10 +14,8 @@ use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundi
 use radome_sim::stage::Stage;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::common::{self, scene};
+use crate::common::{self, WAVENUMBER, scene};
 use crate::surfaces::rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
-
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 
 /// Somebody who walks through the room of most tests, away from its walls.
 const WALKER: &str =
@@ -32,17 +29,13 @@ const PLAN: &str = "floor = { material = \"plasterboard\", thickness_m = 0.0125 
 
 /// A scene with what stands in `[room]` and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, tables: &str, folder: &Path) -> Scene {
-    let hall = common::hall(tables);
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    let text = common::hall_with_room(room, tables);
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 
 /// A fixture with something else in it.
 fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
-    let mut text = std::fs::read_to_string(&path).expect("fixture scene");
+    let (path, mut text) = common::fixture(name);
     for (from, to) in changes {
         assert!(text.contains(from), "{from}");
         text = text.replace(from, to);

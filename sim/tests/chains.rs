@@ -19,9 +19,8 @@ use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use rayon::prelude::*;
 
-use crate::common::{hall, parse};
+use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 const FRAME_S: f64 = 0.064;
 
 /// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the highlight's closed form.
@@ -193,7 +192,7 @@ fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
 /// The simulated echo of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
 #[test]
 fn the_simulators_echoes_are_the_closed_form() {
-    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+    let text = hall(NOBODY)
         .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");
     let scene = parse(&text);

@@ -26,7 +26,8 @@ use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::trace::{Ray, World};
 use rand::Rng;
 
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+use crate::common::WAVENUMBER;
+use crate::surfaces::rooms::{faces, triangles};
 
 /// Root of the mean square of what the fast way errs over that of the signal, dB.
 fn error_dbc(samples: usize, tones: &[Tone]) -> f64 {
@@ -82,7 +83,7 @@ fn a_million_phasors_over_120_db_add_up() {
 fn lengths_from_what_was_met_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
         let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
-        let mesh = inside_of(size_m);
+        let mesh = box_mesh(size_m);
         let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
         let world = World::new(mesh.clone(), &groups).expect("a good mesh");
         let mut rng = generator(9, Purpose::Build, [0, 0]);
@@ -107,17 +108,9 @@ fn lengths_from_what_was_met_are_exact() {
     }
 }
 
-/// A box of twelve triangles, seen from within.
-fn inside_of(size_m: DVec3) -> Mesh {
-    let mut mesh = Mesh::default();
-    for axis in 0..3 {
-        for side in [0.0, 1.0] {
-            let [n, u, v] = [0, 1, 2].map(|i| DVec3::AXES[(axis + i) % 3] * size_m);
-            let first = mesh.vertices.len() as u32;
-            mesh.vertices.extend([n * side, n * side + u, n * side + u + v, n * side + v]);
-            let [a, b, c, d] = [0, 1, 2, 3].map(|k| first + k);
-            mesh.triangles.extend(if side == 0.0 { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] });
-        }
-    }
-    mesh
+/// A box of twelve triangles.
+fn box_mesh(size_m: DVec3) -> Mesh {
+    let corners = triangles(&faces([0.0; 3], size_m.to_array()));
+    let vertices = corners.iter().flatten().map(|&corner| DVec3::from_array(corner)).collect();
+    Mesh { vertices, triangles: (0..12).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect() }
 }

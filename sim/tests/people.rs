@@ -2,7 +2,6 @@
 //! furniture.
 
 use std::f64::consts::{PI, TAU};
-use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -15,7 +14,7 @@ use radome_sim::program::Program;
 use radome_sim::scene_file::{BodyFile, SceneFile};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{hall, map_db, parse, scene, simulator};
+use crate::common::{hall, map_db, parse, refusal, scene, simulator};
 
 const HEIGHT_M: f64 = 1.75;
 const TURN_RAD_PER_S: f64 = 1.8;
@@ -379,10 +378,6 @@ fn people_show_in_the_shipped_scenes() {
 mod hard_cases {
     use super::*;
 
-    fn message(people: &str) -> String {
-        Scene::parse(&hall(people), Path::new("a/b.toml")).map(|_| ()).expect_err(people).to_string()
-    }
-
     #[test]
     fn scripts_that_make_no_sense_are_refused_by_key() {
         let script = |steps: &str| format!("[people]\nactor = [{{ height_m = 1.6, step = [{steps}] }}]\n");
@@ -398,7 +393,7 @@ mod hard_cases {
             (format!("{place}, {{ face_deg = nan }}"), "face_deg"),
             ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
         ] {
-            let message = message(&script(&steps));
+            let message = refusal(&hall(&script(&steps)));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         let door = "[[door]]\nposition_m = [0.0, 10.0]\n";
@@ -406,7 +401,7 @@ mod hard_cases {
             (format!("{place}, {{ enter_door = 0 }}"), "first step"),
             (format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {place}"), "last step"),
         ] {
-            let message = message(&format!("{door}{}", script(&steps)));
+            let message = refusal(&hall(&format!("{door}{}", script(&steps))));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         for (keys, expected) in [
@@ -415,7 +410,7 @@ mod hard_cases {
             ("stride = [1.2, 0.8]", "stride"),
             ("arm_swing = [0.0, nan]", "arm_swing"),
         ] {
-            let message = message(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n"));
+            let message = refusal(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n")));
             assert!(message.contains(expected), "{keys}: {message}");
         }
     }

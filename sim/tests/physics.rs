@@ -12,9 +12,7 @@ use radome_sim::stage::Stage;
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
 
-use crate::common::{self, hall, map_db, parse, peak, simulator, statistics};
-
-const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+use crate::common::{self, NOBODY, hall, map_db, parse, peak, simulator, statistics};
 
 fn walker(from: f64, to: f64, speed: f64) -> String {
     hall(&format!(

@@ -1,5 +1,6 @@
 //! Effects of the receiver on echoes: phase noise, and clutter that does not stand still.
 
+use num_complex::Complex64;
 use radome_dsp::Frame;
 use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::random::{Purpose, generator};
@@ -7,11 +8,11 @@ use radome_sim::receiver::phase_noise::PhaseRates;
 use radome_sim::receiver::{ClutterDrift, PhaseNoise, Receiver};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::common::{hall, parse, scene, simulator};
+use crate::common::{NOBODY, hall, parse, range_bin, scene, simulator};
 
 /// A board before a metal wall 2.4 m away; nothing else, and a quiet receiver that stands still.
 fn wall(clutter: &str, receiver: &str) -> Scene {
-    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+    let text = hall(NOBODY)
         .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [17.6, 10.0, 1.2]")
         .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
@@ -26,17 +27,9 @@ fn wall(clutter: &str, receiver: &str) -> Scene {
 
 /// Echo of a frame's mean chirp in the range bin at a distance (Hann's window): amplitude, and phase in rad.
 fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
-    let n = scene.waveform().request.samples_per_chirp;
-    let bin = (range_m / scene.waveform().range_step_m(n)).round();
-    let chirps = scene.waveform().request.chirps_per_frame;
-    let (mut re, mut im) = (0.0f64, 0.0f64);
-    for (i, code) in frame.codes.iter().take(chirps * n).enumerate() {
-        let turn = std::f64::consts::TAU * (i % n) as f64 / n as f64;
-        let x = f64::from(*code) * (0.5 - 0.5 * turn.cos());
-        re += x * (bin * turn).cos();
-        im -= x * (bin * turn).sin();
-    }
-    (re.hypot(im), im.atan2(re))
+    let bin = (range_m / scene.waveform().range_step_m(frame.shape.samples)).round();
+    let sum: Complex64 = range_bin(frame, bin).iter().sum();
+    (sum.norm(), sum.arg())
 }
 
 /// An angle within half a turn of zero.
@@ -109,7 +102,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
         ) + "cross_section_dbsm = 0.0\n"
     };
     let scene = parse(
-        &hall(&(post(4.0) + &post(6.0) + "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n"))
+        &hall(&(post(4.0) + &post(6.0) + NOBODY))
             .replace("phase_drift_rad_per_10s = 0.0", "phase_drift_rad_per_10s = 0.3"),
     );
     let (mut squares, mut product) = ([0.0; 2], 0.0);

@@ -9,9 +9,7 @@ use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, Wall, images, order};
 use radome_sim::field::pattern::Pattern;
 
-use crate::common;
-
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+use crate::common::{self, WAVENUMBER};
 
 fn complex(value: &serde_json::Value) -> Complex64 {
     Complex64::new(value[0].as_f64().expect("re"), value[1].as_f64().expect("im"))

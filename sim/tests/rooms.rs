@@ -8,29 +8,11 @@ use radome_sim::field::image::Wall;
 use radome_sim::material::Material;
 
 use crate::common;
-
-type Quad = [[f64; 3]; 4];
+use crate::surfaces::rooms::{self, Quad, faces};
 
 /// A text STL of quadrilaterals, in so many units a metre.
 fn stl(quads: &[Quad], per_metre: f64) -> String {
-    let mut text = String::from("solid part\n");
-    for [a, b, c, d] in quads {
-        for triangle in [[a, b, c], [a, c, d]] {
-            text += "facet normal 0 0 0\nouter loop\n";
-            for v in triangle {
-                let [x, y, z] = v.map(|c| c * per_metre);
-                writeln!(text, "vertex {x} {y} {z}").expect("text");
-            }
-            text += "endloop\nendfacet\n";
-        }
-    }
-    text + "endsolid part\n"
-}
-
-/// The faces of a box: low and high x, y, z.
-fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
-    let at = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
-    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
+    rooms::stl(&rooms::triangles(quads), per_metre)
 }
 
 const MESHES: &str = r#"
@@ -76,11 +58,7 @@ fn folder() -> tempfile::TempDir {
 
 /// A scene in that folder.
 fn scene(folder: &tempfile::TempDir, meshes: &str) -> Result<Scene, radome_sim::SceneError> {
-    let hall = common::hall("[people.desk]\nmax_people = 0\n");
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{meshes}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
-    Scene::parse(&text, &folder.path().join("scene.toml"))
+    rooms::parse(meshes, "", folder.path())
 }
 
 #[test]

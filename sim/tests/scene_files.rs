@@ -4,13 +4,7 @@ use std::path::Path;
 
 use radome_sim::{Receiver, Scene, SceneError, load_receiver};
 
-use crate::common::{self, hall};
-
-const NOBODY: &str = "[people.desk]\nmax_people = 0\n";
-
-fn message(text: &str) -> String {
-    Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err("a fault").to_string()
-}
+use crate::common::{self, NOBODY, hall, refusal};
 
 fn line_of(text: &str, needle: &str) -> usize {
     text.lines().position(|l| l.contains(needle)).expect("written") + 1
@@ -60,7 +54,7 @@ mod hard_cases {
         let text = hall(NOBODY)
             .replace("azimuth", "azimut")
             .replace("position_m = [1.0, 10.0, 1.2]", "posiiton_m = [1.0, 10.0, 1.2]");
-        let message = message(&text);
+        let message = refusal(&text);
         let line = line_of(&text, "posiiton_m");
         assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{message}");
         assert!(message.contains("posiiton_m") && message.contains("position_m"), "{message}");
@@ -88,7 +82,7 @@ mod hard_cases {
         for (from, to, at, expected) in cases {
             let text = hall(NOBODY).replacen(from, to, 1);
             assert_ne!(text, hall(NOBODY), "{from}");
-            let message = message(&text);
+            let message = refusal(&text);
             let line = line_of(&text, at);
             assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{to}: {message} (line {line})");
             assert!(message.contains(expected), "{to}: {message}");
@@ -105,16 +99,14 @@ mod hard_cases {
             ("[people]\nactor = [{ step = [{ walk_to_m = [1.0, 1.0] }, { sit_s = 3.0, seat = 2 }] }]\n", "[[seat]]"),
             ("[[door]]\nposition_m = [3.0, 3.0]\n[people.visits]\n", "wall"),
         ] {
-            let message = message(&hall(people));
+            let message = refusal(&hall(people));
             assert!(message.contains(expected), "{people}: {message}");
         }
     }
 
     /// A scene in a folder of its own, which names a receiver, a mesh or an actor.
     fn in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
-        let text =
-            std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room-mesh.toml"))
-                .expect("fixture");
+        let (_, text) = common::fixture("room-mesh");
         let people = if actor.is_empty() { "" } else { "[people]\nbody = \"mesh\"\n" };
         let text = text
             .replace("../receivers/paper-mesh.toml", receiver)
@@ -205,8 +197,8 @@ mod hard_cases {
         let to = text.find("[room]").expect("room");
         let text = format!("{}{}", &text[..from], &text[to..])
             .replace("name = \"hall\"", "name = \"hall\"\nreceiver = \"none.toml\"");
-        assert!(message(&text).contains("a/none.toml"), "{}", message(&text));
-        assert!(message("").contains("a/b.toml:1"));
-        assert!(message("\u{0}\u{1}[[[").contains("a/b.toml:1"));
+        assert!(refusal(&text).contains("a/none.toml"), "{}", refusal(&text));
+        assert!(refusal("").contains("a/b.toml:1"));
+        assert!(refusal("\u{0}\u{1}[[[").contains("a/b.toml:1"));
     }
 }

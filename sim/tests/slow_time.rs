@@ -15,7 +15,7 @@ use radome_sim::stage::Stage;
 use radome_sim::synthesis::{Tone, exact_chirp};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{hall, parse, scene, simulator};
+use crate::common::{NOBODY, hall, parse, scene, simulator};
 
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
@@ -141,7 +141,7 @@ fn rms_db(map: &[f64], reference: &[f64]) -> f64 {
 /// behind who lifts a shank: the highlight runs all along it within the frame, and its amplitude bends as much as its delay.
 #[test]
 fn a_walkers_map_takes_two_keys_and_not_one() {
-    let scene = parse(&hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n"));
+    let scene = parse(&hall(NOBODY));
     let stage = Stage::new(&scene, 0, 20.0);
     eprintln!(
         "rms dB over pixels within {DEPTH_DB} dB of the peak, {CHIRPS} chirps of {INTERVAL_S} s, walk at 1.2 m/s:"

@@ -240,9 +240,6 @@ fn a_mirror_is_finite_at_its_caustic() {
         assert!(error.abs() < 0.01, "{row}: {error} dB");
         assert_eq!(Method::automatic(&mirror, true), Method::Facets);
     }
-    let focus = setup(Some(1.0), 0.0, 0.0, Wall::Conductor);
-    let error = db(solve(&mirror, &focus, Method::Facets, None, 0.02).sigma_m2) - known_db(&mirror, &focus);
-    assert!(error.abs() < 0.1, "{error}");
 }
 
 /// Files know nothing but triangles: a ball of them is a ball, a corner a corner, and who stands behind another is not seen.
@@ -312,18 +309,6 @@ mod hard_cases {
             let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - known_db(&mirror, &s);
             assert!(error.abs() < 0.1, "step {step}, {automatic:?}: {error} dB");
         }
-    }
-
-    /// Dihedral, near: its two orders bend away from each other's phase, and 2 m away 4.9 dB of the far-field value are gone.
-    #[test]
-    fn a_dihedral_is_weaker_near_than_far() {
-        let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
-        let at = |range| {
-            let s = setup(range, 45.0, 0.0, Wall::Conductor);
-            db(solve(&dihedral, &s, Method::Images, None, 0.01).sigma_m2)
-        };
-        let lost = at(Some(2.0)) - at(None);
-        assert!((lost + 4.9).abs() < 0.3, "{lost} dB");
     }
 
     /// Facet integral near specular: a plate turned through its specular direction by steps down to 1e-16 rad is smooth.

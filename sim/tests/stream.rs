@@ -1,11 +1,12 @@
 //! Streams of frames: determinism, threads, keys in slow time, fixture scenes.
 
+use num_complex::Complex64;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_sim::actor::motion::{MotionBuilder, Person};
 use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::{SimulateOptions, Simulator};
 
-use crate::common::{map_db, scene, simulator, statistics};
+use crate::common::{map_db, range_bin, scene, simulator, statistics};
 
 fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
@@ -72,7 +73,7 @@ fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
                 Key {
                     delay_s: 2.0 * highlight.distances_m.0 / c,
                     delay_rate: -2.0 * highlight.towards.0.dot(velocity) / c,
-                    amplitude: num_complex::Complex64::ONE,
+                    amplitude: Complex64::ONE,
                 }
             };
             let (step, apart_s) = (active_s / 2.0, 1e-3);
@@ -173,25 +174,8 @@ fn breathing_is_seen_over_half_a_minute() {
     let w = scene.waveform();
     let bin =
         (2.0 * simulator.people(0)[0].range_m * w.slope_hz_per_s / 299_792_458.0 / w.sample_rate_hz * 64.0).round();
-    let phases: Vec<num_complex::Complex64> = (0..400)
-        .map(|i| {
-            let frame = simulator.render(i);
-            (0..8)
-                .flat_map(|chirp| {
-                    frame
-                        .chirp(0, chirp)
-                        .iter()
-                        .enumerate()
-                        .map(move |(n, &code)| {
-                            let turn = -std::f64::consts::TAU * (bin - 3.0) * n as f64 / 64.0;
-                            let window = 0.5 - 0.5 * (std::f64::consts::TAU * n as f64 / 64.0).cos();
-                            num_complex::Complex64::from_polar(f64::from(code) * window, turn)
-                        })
-                        .collect::<Vec<_>>()
-                })
-                .sum()
-        })
-        .collect();
+    let phases: Vec<Complex64> =
+        (0..400).map(|i| range_bin(&simulator.render(i), bin - 3.0).iter().take(8).sum()).collect();
     // Centimetres are several turns at 60 GHz: unwrap, then look for the rate.
     let mut unwrapped = vec![0.0];
     for pair in phases.windows(2) {
@@ -201,8 +185,8 @@ fn breathing_is_seen_over_half_a_minute() {
     let (mean, sigma) = statistics(&unwrapped);
     let at = |hz: f64| -> f64 {
         let step = std::f64::consts::TAU * hz * w.frame_interval_s();
-        let turned = |i: usize| num_complex::Complex64::from_polar(unwrapped[i] - mean, -step * i as f64);
-        (0..unwrapped.len()).map(turned).sum::<num_complex::Complex64>().norm()
+        let turned = |i: usize| Complex64::from_polar(unwrapped[i] - mean, -step * i as f64);
+        (0..unwrapped.len()).map(turned).sum::<Complex64>().norm()
     };
     let strongest =
         |low: f64, high: f64| (0..60).map(|i| at(low + (high - low) * f64::from(i) / 59.0)).fold(0.0, f64::max);

@@ -2,15 +2,12 @@
 //! people who disturb static echoes.
 
 use std::f64::consts::TAU;
-use std::path::Path;
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
 
-use crate::common::{hall, map_db, parse, scene, simulator, statistics};
-
-const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+use crate::common::{NOBODY, fixture, hall, map_db, parse, range_bin, refusal, scene, simulator, statistics};
 
 /// One scattering point this far ahead of the radar of [`hall`].
 fn post(range_m: f64, cross_section_dbsm: f64) -> String {
@@ -26,20 +23,9 @@ fn quiet(extra: &str) -> Scene {
     parse(&hall(extra).replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5"))
 }
 
-/// The first receiver's range bin at a distance in every chirp (Hann's window over the samples).
+/// The first receiver's range bin at a distance in every chirp.
 fn slow_time(scene: &Scene, frame: &Frame, range_m: f64) -> Vec<Complex64> {
-    let n = frame.shape.samples;
-    let bin = (range_m / scene.waveform().range_step_m(n)).round();
-    let chirp = |chirp: usize| {
-        let codes = frame.chirp(0, chirp).iter().enumerate();
-        codes
-            .map(|(i, &code)| {
-                let turn = TAU * i as f64 / n as f64;
-                Complex64::from_polar(f64::from(code) * (0.5 - 0.5 * turn.cos()), -bin * turn)
-            })
-            .sum::<Complex64>()
-    };
-    (0..frame.shape.chirps).map(chirp).collect()
+    range_bin(frame, (range_m / scene.waveform().range_step_m(frame.shape.samples)).round())
 }
 
 /// Phase that a range bin turns by from the first chirp of a frame to its last, by a straight line, rad.
@@ -156,8 +142,7 @@ fn slow_over_noise_db(scene: &Scene) -> f64 {
 /// Halls of the training set with swaying reflectors: cells beside zero Doppler rise with their strength, from nothing.
 #[test]
 fn an_empty_hall_that_sways_has_slow_echoes() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let text = text.replace("passer_by_probability = 0.7", "passer_by_probability = 0.0");
     let level_db = |sway: &str| {
         let text = text.replace("[radar]\n", &format!("{sway}[radar]\n"));
@@ -199,14 +184,18 @@ fn vibration_of_the_radar_turns_all_echoes_alike() {
     assert!(product > 0.9 * rms(&near) * rms(&far), "{product}");
 }
 
+/// Posts 3 m and 6 m away and a quiet receiver whose clutter has more keys.
+fn two_posts(clutter: &str) -> Scene {
+    let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
+        .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
+        .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{clutter}"));
+    parse(&text)
+}
+
 /// A chip whose frequency settles within each frame turns echoes by their delay, the same in every frame.
 #[test]
 fn settling_turns_echoes_by_their_delay_in_every_frame() {
-    let key = "settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n";
-    let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
-        .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
-        .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{key}"));
-    let scene = parse(&text);
+    let scene = two_posts("settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n");
     let simulator = simulator(&scene, 1, None);
     for index in [0, 5] {
         let frame = simulator.render(index);
@@ -223,13 +212,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
 /// The gain wanders over seconds, and late chirps turn far echoes more than near ones.
 #[test]
 fn gain_drifts_and_chirps_jitter_as_asked() {
-    let with = |key: &str| {
-        let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
-            .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
-            .replace("[receiver.clutter]\n", &format!("[receiver.clutter]\n{key}"));
-        parse(&text)
-    };
-    let drifting = with("gain_drift_per_10s = 0.1\n");
+    let drifting = two_posts("gain_drift_per_10s = 0.1\n");
     let changes: Vec<f64> = (0..24)
         .map(|seed| {
             let simulator = simulator(&drifting, seed, None);
@@ -239,7 +222,7 @@ fn gain_drifts_and_chirps_jitter_as_asked() {
         })
         .collect();
     assert!((0.05..0.2).contains(&rms(&changes)), "{changes:?}");
-    let jittering = with("chirp_jitter_s = 2e-8\n");
+    let jittering = two_posts("chirp_jitter_s = 2e-8\n");
     let frame = simulator(&jittering, 1, None).render(0);
     let w = jittering.waveform();
     for range_m in [3.0, 6.0] {
@@ -306,8 +289,7 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
 /// Keys that ask for nothing change nothing, to the bit.
 #[test]
 fn neutral_keys_leave_frames_as_they_are() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let neutral = text
         .replace("[radar]\n", "[[room.sway]]\nreflectors = 0\n[[room.sway]]\nprobability = 0.0\n[radar]\n")
         .replace("[waveform]", "[radar.vibration]\namplitude_m = 0.0\n[waveform]")
@@ -330,8 +312,7 @@ fn neutral_keys_leave_frames_as_they_are() {
 /// Every key can be drawn.
 #[test]
 fn rooms_are_drawn_with_and_without_sway() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/hall.toml");
-    let text = std::fs::read_to_string(&path).expect("fixture");
+    let (path, text) = fixture("hall");
     let text = text
         .replace("[radar]\n", "[[room.sway]]\n[radar]\n")
         .replace("[waveform]", "[radar.vibration]\n[waveform]")
@@ -379,8 +360,7 @@ mod hard_cases {
             ("[radar.vibration]\nfrequency_hz = 0.0\n", "frequency_hz", "200 Hz"),
         ];
         for (extra, key, expected) in cases {
-            let text = hall(&format!("{extra}{NOBODY}"));
-            let message = Scene::parse(&text, Path::new("a/b.toml")).map(|_| ()).expect_err(extra).to_string();
+            let message = refusal(&hall(&format!("{extra}{NOBODY}")));
             assert!(message.starts_with("a/b.toml:"), "{message}");
             assert!(message.contains(key) && message.contains(expected), "{extra}: {message}");
         }
@@ -393,8 +373,7 @@ mod hard_cases {
             ("clutter", "gain_drift_per_10s = nan", "gain_drift_per_10s"),
         ] {
             let table = format!("[receiver.{table}]\n");
-            let text = hall(NOBODY).replace(&table, &format!("{table}{line}\n"));
-            let message = Scene::parse(&text, Path::new("a/b.toml")).map(|_| ()).expect_err(line).to_string();
+            let message = refusal(&hall(NOBODY).replace(&table, &format!("{table}{line}\n")));
             assert!(message.contains(key), "{line}: {message}");
         }
     }

@@ -15,9 +15,8 @@ use radome_sim::field::pattern::Pattern;
 use radome_sim::material::Material;
 use radome_sim::stage::Stage;
 
-use crate::common::{hall, parse};
+use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
-const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 const THICKNESS_M: f64 = 0.0125;
 
 /// A board's transmission in place of the air that it displaces, wave by wave: in, across, and each pair of reflections inside
@@ -81,7 +80,7 @@ fn a_torso_behind_plasterboard_is_two_transmissions_weaker() {
 
 fn scene(material: &str, transmission: bool) -> Scene {
     let wall = format!("x_high = {{ material = \"{material}\", thickness_m = {THICKNESS_M} }}");
-    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+    let text = hall(NOBODY)
         .replace("size_m = [20.0, 20.0, 3.0]", &format!("transmission = {transmission}\nsize_m = [4.0, 20.0, 3.0]"))
         .replace("x_high = { material = \"open\" }", &wall);
     parse(&text)

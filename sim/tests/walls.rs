@@ -16,10 +16,7 @@ const HEIGHT_M: f64 = 2.6;
 
 /// A scene with what stands in `[room]` and somebody's steps. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, steps: &str, folder: &Path) -> Scene {
-    let hall = common::hall(&format!("[[people.actor]]\nstep = [{steps}]\n"));
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    let text = common::hall_with_room(room, &format!("[[people.actor]]\nstep = [{steps}]\n"));
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 
@@ -92,8 +89,7 @@ fn who_is_beyond_a_wall_is_not_in_the_room() {
 /// The leaf of the half-open door stands in the line x + y = 5, from its hinge at (3.5, 1.5) 0.9 m into the room.
 #[test]
 fn nobody_walks_through_a_door_leaf() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
-    let text = std::fs::read_to_string(&path).expect("a fixture");
+    let (path, text) = common::fixture("half-open-door");
     let (before, _) = text.split_once("[[people.actor]]").expect("somebody");
     let text =
         format!("{before}[[people.actor]]\nstep = [{{ walk_to_m = [3.0, 1.2] }}, {{ walk_to_m = [3.0, 3.0] }}]\n");

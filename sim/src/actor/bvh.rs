@@ -136,45 +136,7 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
         return Err(BvhError { line: 1, problem, expected: format!("{LARGEST_BYTES} at most") });
     }
     let mut words = Words::new(text);
-    words.expect("HIERARCHY")?;
-    words.expect("ROOT")?;
-    let mut joints: Vec<BvhJoint> = Vec::new();
-    // Joints whose braces are open.
-    let mut open: Vec<usize> = Vec::new();
-    let mut name = joint_name(&mut words);
-    loop {
-        if joints.len() >= MOST_JOINTS {
-            return Err(words.fault(format!("at most {MOST_JOINTS} joints")));
-        }
-        words.expect("{")?;
-        let end_site = name.is_empty();
-        let offset = words.offset()?;
-        let channels = if end_site { Vec::new() } else { channels(&mut words)? };
-        joints.push(BvhJoint { name: std::mem::take(&mut name), parent: open.last().copied(), offset, channels });
-        open.push(joints.len() - 1);
-        if end_site {
-            words.expect("}")?;
-            open.pop();
-        }
-        while words.peek() == Some("}") && !open.is_empty() {
-            words.at += 1;
-            open.pop();
-        }
-        if open.is_empty() {
-            break;
-        }
-        match words.next("JOINT, End Site or }")? {
-            word if word.eq_ignore_ascii_case("JOINT") => name = joint_name(&mut words),
-            word if word.eq_ignore_ascii_case("End") => words.expect("Site")?,
-            _ => {
-                words.at -= 1;
-                return Err(words.fault("JOINT, End Site or }"));
-            }
-        }
-        if name.is_empty() && words.peek() != Some("{") {
-            return Err(words.fault("{"));
-        }
-    }
+    let joints = hierarchy(&mut words)?;
     words.expect("MOTION")?;
     words.expect("Frames:")?;
     let count = words.count("the number of frames")?;
@@ -186,6 +148,55 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
         return Err(words.fault("0.0001 to 1 s from frame to frame"));
     }
     let wide: usize = joints.iter().map(|j| j.channels.len()).sum();
+    let frames = frames(&mut words, count, wide)?;
+    Ok(Bvh { joints, frame_time_s, frames })
+}
+
+/// The joints, parents first.
+fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
+    words.expect("HIERARCHY")?;
+    words.expect("ROOT")?;
+    let mut joints: Vec<BvhJoint> = Vec::new();
+    // Joints whose braces are open.
+    let mut open: Vec<usize> = Vec::new();
+    let mut name = joint_name(words);
+    loop {
+        if joints.len() >= MOST_JOINTS {
+            return Err(words.fault(format!("at most {MOST_JOINTS} joints")));
+        }
+        words.expect("{")?;
+        let end_site = name.is_empty();
+        let offset = words.offset()?;
+        let channels = if end_site { Vec::new() } else { channels(words)? };
+        joints.push(BvhJoint { name: std::mem::take(&mut name), parent: open.last().copied(), offset, channels });
+        open.push(joints.len() - 1);
+        if end_site {
+            words.expect("}")?;
+            open.pop();
+        }
+        while words.peek() == Some("}") && !open.is_empty() {
+            words.at += 1;
+            open.pop();
+        }
+        if open.is_empty() {
+            return Ok(joints);
+        }
+        match words.next("JOINT, End Site or }")? {
+            word if word.eq_ignore_ascii_case("JOINT") => name = joint_name(words),
+            word if word.eq_ignore_ascii_case("End") => words.expect("Site")?,
+            _ => {
+                words.at -= 1;
+                return Err(words.fault("JOINT, End Site or }"));
+            }
+        }
+        if name.is_empty() && words.peek() != Some("{") {
+            return Err(words.fault("{"));
+        }
+    }
+}
+
+/// So many frames of so many numbers, one a line; the text ends behind them.
+fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>, BvhError> {
     if count.saturating_mul(wide) > MOST_NUMBERS {
         return Err(words.fault(format!("at most {MOST_NUMBERS} numbers in all")));
     }
@@ -211,7 +222,7 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
     if words.peek().is_some() {
         return Err(words.fault(format!("the end of the file after {count} frames of {wide} numbers")));
     }
-    Ok(Bvh { joints, frame_time_s, frames })
+    Ok(frames)
 }
 
 /// Names may have blanks in them.

@@ -76,8 +76,7 @@ impl BodyClip {
 
     fn from_bvh(bvh: &Bvh, up: UpAxis, asked: Option<[f64; 2]>) -> Result<Self, FileFault> {
         let sides = [side(bvh, "left", "l")?, side(bvh, "right", "r")?];
-        let upright = |frame| -> Vec<DVec3> { bvh.places(frame).into_iter().map(|p| up.to_z_up(p)).collect() };
-        let rest = upright(None);
+        let rest = upright(bvh, up, None);
         let length = |a: usize, b: usize| rest[a].distance(rest[b]);
         let legs: [f64; 2] =
             [0, 1].map(|s| length(sides[s].thigh, sides[s].shank) + length(sides[s].shank, sides[s].foot));
@@ -86,37 +85,11 @@ impl BodyClip {
             let hint = "check the OFFSETs of the joints of the legs: the skeleton may have been scaled to nothing";
             return Err(FileFault::new("HIERARCHY", format!("its legs are {leg} long, expected a length"), hint));
         }
-        let step = (SAMPLE_S / bvh.frame_time_s).floor().max(1.0) as usize;
-        let samples = bvh.frames.len().div_ceil(step);
-        if samples.saturating_mul(bvh.joints.len()) > MOST_PLACES {
-            let problem =
-                format!("{} joints over {samples} samples, expected {MOST_PLACES} places at most", bvh.joints.len());
-            return Err(FileFault::new("MOTION", problem, "cut the clip to a minute in which somebody walks"));
-        }
-        let places: Vec<Vec<DVec3>> = (0..bvh.frames.len()).step_by(step).map(|f| upright(Some(f))).collect();
-        let step_s = step as f64 * bvh.frame_time_s;
+        let (places, step_s) = sampled(bvh, up)?;
         let [begin, end] = span(&places, step_s, asked)?;
-        // What legs do on the way decides; the hips' own way is taken out.
-        let hips = |p: &[DVec3]| 0.5 * (p[sides[0].thigh] + p[sides[1].thigh]);
         let count = end - begin;
-        let level = DVec3::new(1.0, 1.0, 0.0);
-        let (first, last) = (hips(&places[begin]), hips(&places[end]));
-        let drift = (last - first) * level;
-        let phase = |k: usize| k as f64 / count as f64;
-        let sway = |k: usize| hips(&places[begin + k]) - drift * phase(k);
-        let centre = (0..count).map(sway).sum::<DVec3>() / count as f64 * level;
         let rest_pitch = sides.each_ref().map(|s| pitch(rest[s.toe] - rest[s.foot]));
-        let pose = |k: usize| -> Vec<Map> {
-            let mut frames = frames(&places[begin + k], &sides, rest_pitch);
-            frames.hips = (sway(k) - centre) / leg;
-            to_maps(&frames)
-        };
-        let mut poses: Vec<Vec<Map>> = (0..count).map(pose).collect();
-        // What the ends differ by is shared out.
-        let seam: Vec<Map> = pose(count).iter().zip(&poses[0]).map(|(&b, &a)| b - a).collect();
-        for (k, pose) in poses.iter_mut().enumerate() {
-            pose.iter_mut().zip(&seam).for_each(|(m, &s)| *m = *m - s * phase(k));
-        }
+        let mut poses = closed(&places[begin..=end], &sides, rest_pitch, leg);
         // On a body of 1.75 m, in lengths of its legs.
         let build = Build { height_m: 1.75, girth: 1.0 };
         let unit_m = leg_m(&build);
@@ -226,6 +199,46 @@ fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
 /// Feet are turned up in steps so large, and by no more than so many of them.
 const LIFT_RAD: f64 = 0.02;
 const MOST_LIFTS: u32 = 40;
+
+/// Places of the joints in a frame, z up; when nothing is turned, without one.
+fn upright(bvh: &Bvh, up: UpAxis, frame: Option<usize>) -> Vec<DVec3> {
+    bvh.places(frame).into_iter().map(|p| up.to_z_up(p)).collect()
+}
+
+/// Places of the joints over a clip, and the time from one sample to the next, s.
+fn sampled(bvh: &Bvh, up: UpAxis) -> Result<(Vec<Vec<DVec3>>, f64), FileFault> {
+    let step = (SAMPLE_S / bvh.frame_time_s).floor().max(1.0) as usize;
+    let (samples, joints) = (bvh.frames.len().div_ceil(step), bvh.joints.len());
+    if samples.saturating_mul(joints) > MOST_PLACES {
+        let problem = format!("{joints} joints over {samples} samples, expected {MOST_PLACES} places at most");
+        return Err(FileFault::new("MOTION", problem, "cut the clip to a minute in which somebody walks"));
+    }
+    let places = (0..bvh.frames.len()).step_by(step).map(|f| upright(bvh, up, Some(f))).collect();
+    Ok((places, step as f64 * bvh.frame_time_s))
+}
+
+/// Maps of the parts over a cycle, from its first sample to the one before the last. What legs do on the way decides: the hips' own
+/// way is taken out, and what the ends differ by is shared out.
+fn closed(places: &[Vec<DVec3>], sides: &[Side; 2], rest_pitch: [f64; 2], leg: f64) -> Vec<Vec<Map>> {
+    let hips = |p: &[DVec3]| 0.5 * (p[sides[0].thigh] + p[sides[1].thigh]);
+    let count = places.len() - 1;
+    let level = DVec3::new(1.0, 1.0, 0.0);
+    let drift = (hips(&places[count]) - hips(&places[0])) * level;
+    let phase = |k: usize| k as f64 / count as f64;
+    let sway = |k: usize| hips(&places[k]) - drift * phase(k);
+    let centre = (0..count).map(sway).sum::<DVec3>() / count as f64 * level;
+    let pose = |k: usize| -> Vec<Map> {
+        let mut frames = frames(&places[k], sides, rest_pitch);
+        frames.hips = (sway(k) - centre) / leg;
+        to_maps(&frames)
+    };
+    let mut poses: Vec<Vec<Map>> = (0..count).map(pose).collect();
+    let seam: Vec<Map> = pose(count).iter().zip(&poses[0]).map(|(&b, &a)| b - a).collect();
+    for (k, pose) in poses.iter_mut().enumerate() {
+        pose.iter_mut().zip(&seam).for_each(|(m, &s)| *m = *m - s * phase(k));
+    }
+    poses
+}
 
 /// First and last sample of a cycle.
 fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[usize; 2], FileFault> {

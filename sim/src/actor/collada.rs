@@ -10,7 +10,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 use roxmltree::{Document, Node as Element, ParsingOptions};
 
 use super::rig::{Between, Clip, Joint, Local, MOST_NODES, Node, Rig, Track, Values};
-use crate::fault::FileFault;
+use crate::fault::{FileFault, utf8};
 use crate::geometry::import::UpAxis;
 
 /// Deeper trees than this are refused.
@@ -69,13 +69,9 @@ struct Reader<'d, 'a> {
     left: Cell<usize>,
 }
 
-/// Parses a COLLADA document.
 pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
     let export = "export the actor again as COLLADA 1.4, or as glTF 2.0";
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
-        FileFault::new(format!("line {line}"), "this is no UTF-8 text", export)
-    })?;
+    let text = utf8(bytes, export)?;
     if bytes.len() > LARGEST_BYTES {
         let problem = format!("it has {} bytes, expected {LARGEST_BYTES} at most", bytes.len());
         return Err(FileFault::new("file", problem, "export it again as binary glTF 2.0 (.glb)"));
@@ -97,34 +93,20 @@ pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
     let mut rig = Rig { metres: 1.0, up: UpAxis::Y, ..Rig::default() };
     for element in root.descendants() {
         match element.tag_name().name() {
-            "unit" => {
-                let metres = element.attribute("meter").unwrap_or("1").parse::<f64>().ok();
-                rig.metres = metres.filter(|m| *m > 0.0 && m.is_finite()).ok_or_else(|| {
-                    reader.fault(
-                        element,
-                        format!("meter is {:?}, expected a positive number", element.attribute("meter")),
-                    )
-                })?;
-            }
-            "up_axis" => {
-                rig.up = match element.text().unwrap_or_default().trim() {
-                    "Y_UP" => UpAxis::Y,
-                    "Z_UP" => UpAxis::Z,
-                    other => return Err(reader.fault(element, format!("up_axis is {other:?}, expected Y_UP or Z_UP"))),
-                };
-            }
+            "unit" => rig.metres = reader.metres(element)?,
+            "up_axis" => rig.up = reader.up_axis(element)?,
             _ => {}
         }
     }
     let mut places = Vec::new();
     for scene in reader.all("visual_scene") {
-        for node in scene.children().filter(|c| c.has_tag_name_of("node")) {
+        for node in scene.children().filter(|c| c.has_tag_name("node")) {
             reader.add_node(&mut rig, &mut places, node, None, 0)?;
         }
     }
     for controller in reader.all("instance_controller") {
         let url = controller.attribute("url").unwrap_or_default();
-        let skin = reader.target(controller, url)?.descendants().find(|d| d.has_tag_name_of("skin"));
+        let skin = reader.target(controller, url)?.descendants().find(|d| d.has_tag_name("skin"));
         let skin = skin.ok_or_else(|| reader.fault(controller, format!("{url:?} has no skin, expected one")))?;
         reader.add_skin(&mut rig, &places, skin)?;
     }
@@ -132,15 +114,14 @@ pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
     Ok(rig)
 }
 
-/// Names without their space.
-trait Tagged {
-    fn has_tag_name_of(&self, name: &str) -> bool;
+/// The first child of a name.
+fn child<'d, 'a>(of: Element<'d, 'a>, name: &str) -> Option<Element<'d, 'a>> {
+    of.children().find(|c| c.has_tag_name(name))
 }
 
-impl Tagged for Element<'_, '_> {
-    fn has_tag_name_of(&self, name: &str) -> bool {
-        self.tag_name().name() == name
-    }
+/// The first input of some meaning.
+fn input<'d, 'a>(of: Element<'d, 'a>, semantic: &str) -> Option<Element<'d, 'a>> {
+    of.children().find(|c| c.has_tag_name("input") && c.attribute("semantic") == Some(semantic))
 }
 
 impl<'d, 'a> Reader<'d, 'a> {
@@ -150,7 +131,7 @@ impl<'d, 'a> Reader<'d, 'a> {
     }
 
     fn all(&self, name: &'static str) -> impl Iterator<Item = Element<'d, 'a>> {
-        self.doc.descendants().filter(move |d| d.has_tag_name_of(name))
+        self.doc.descendants().filter(move |d| d.has_tag_name(name))
     }
 
     /// Counts words that are about to be read; there is an end to them.
@@ -178,32 +159,58 @@ impl<'d, 'a> Reader<'d, 'a> {
             .ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
     }
 
-    fn numbers(&self, element: Element) -> Result<Vec<f64>, FileFault> {
-        let number = |word: &str| {
-            word.parse::<f64>().ok().filter(|n| n.is_finite()).ok_or_else(|| {
-                self.fault(element, format!("{word:?} in {:?}, expected finite numbers", element.tag_name().name()))
-            })
-        };
+    /// Metres in one of a unit.
+    fn metres(&self, unit: Element) -> Result<f64, FileFault> {
+        let given = unit.attribute("meter");
+        let metres = given.unwrap_or("1").parse::<f64>().ok().filter(|m| *m > 0.0 && m.is_finite());
+        metres.ok_or_else(|| self.fault(unit, format!("meter is {given:?}, expected a positive number")))
+    }
+
+    fn up_axis(&self, element: Element) -> Result<UpAxis, FileFault> {
+        match element.text().unwrap_or_default().trim() {
+            "Y_UP" => Ok(UpAxis::Y),
+            "Z_UP" => Ok(UpAxis::Z),
+            other => Err(self.fault(element, format!("up_axis is {other:?}, expected Y_UP or Z_UP"))),
+        }
+    }
+
+    /// The first child of a name; a problem without one.
+    fn needed<'e, 'x>(
+        &self,
+        of: Element<'e, 'x>,
+        name: &str,
+        problem: impl Into<String>,
+    ) -> Result<Element<'e, 'x>, FileFault> {
+        child(of, name).ok_or_else(|| self.fault(of, problem))
+    }
+
+    /// The words of an element's text, parsed.
+    fn words<T>(
+        &self,
+        element: Element,
+        expected: &str,
+        parse: impl Fn(&str) -> Option<T>,
+    ) -> Result<Vec<T>, FileFault> {
         let text = element.text().unwrap_or_default();
         self.spend(element, text.split_whitespace().count())?;
-        text.split_whitespace().map(number).collect()
+        let parsed = |word: &str| {
+            let problem = || format!("{word:?} in {:?}, expected {expected}", element.tag_name().name());
+            parse(word).ok_or_else(|| self.fault(element, problem()))
+        };
+        text.split_whitespace().map(parsed).collect()
+    }
+
+    fn numbers(&self, element: Element) -> Result<Vec<f64>, FileFault> {
+        self.words(element, "finite numbers", |word| word.parse().ok().filter(|n: &f64| n.is_finite()))
     }
 
     fn counts(&self, element: Element) -> Result<Vec<usize>, FileFault> {
-        let number = |word: &str| {
-            let problem =
-                || self.fault(element, format!("{word:?} in {:?}, expected indices", element.tag_name().name()));
-            word.parse::<usize>().map_err(|_| problem())
-        };
-        let text = element.text().unwrap_or_default();
-        self.spend(element, text.split_whitespace().count())?;
-        text.split_whitespace().map(number).collect()
+        self.words(element, "indices", |word| word.parse().ok())
     }
 
     /// The source that an input of some meaning names.
     fn source(&self, of: Element, semantic: &str) -> Result<Element<'d, 'a>, FileFault> {
-        let input = of.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
-        let input = input.ok_or_else(|| {
+        let input = input(of, semantic).ok_or_else(|| {
             self.fault(of, format!("{:?} has no input of the semantic {semantic}", of.tag_name().name()))
         })?;
         self.target(input, input.attribute("source").unwrap_or_default())
@@ -211,17 +218,14 @@ impl<'d, 'a> Reader<'d, 'a> {
 
     /// Numbers of a source.
     fn floats(&self, source: Element) -> Result<Vec<f64>, FileFault> {
-        let array = source.children().find(|c| c.has_tag_name_of("float_array"));
-        self.numbers(array.ok_or_else(|| self.fault(source, "the source has no float_array, expected one"))?)
+        self.numbers(self.needed(source, "float_array", "the source has no float_array, expected one")?)
     }
 
     fn names(&self, source: Element) -> Result<Vec<String>, FileFault> {
-        let is_names = |c: &Element| c.has_tag_name_of("Name_array") || c.has_tag_name_of("IDREF_array");
-        let array =
-            source.children().find(is_names).ok_or_else(|| self.fault(source, "the source has no Name_array"))?;
-        let text = array.text().unwrap_or_default();
-        self.spend(array, text.split_whitespace().count())?;
-        Ok(text.split_whitespace().map(str::to_owned).collect())
+        let is_names = |c: &Element| c.has_tag_name("Name_array") || c.has_tag_name("IDREF_array");
+        let array = source.children().find(is_names);
+        let array = array.ok_or_else(|| self.fault(source, "the source has no Name_array"))?;
+        self.words(array, "names", |word| Some(word.to_owned()))
     }
 
     /// Adds a node and what is below it.
@@ -264,17 +268,15 @@ impl<'d, 'a> Reader<'d, 'a> {
         let index = rig.nodes.len();
         rig.nodes.push(Node { name, parent, local: Local::from_matrix(matrix(&steps)) });
         places.push(Place { id: words("id"), sid: words("sid"), steps });
-        for child in node.children().filter(|c| c.has_tag_name_of("node")) {
+        for child in node.children().filter(|c| c.has_tag_name("node")) {
             self.add_node(rig, places, child, Some(index), depth + 1)?;
         }
         Ok(())
     }
 
     fn add_skin(&self, rig: &mut Rig, places: &[Place], skin: Element) -> Result<(), FileFault> {
-        let child = |name: &str| skin.children().find(|c| c.has_tag_name_of(name));
-        let needs =
-            |name: &str| child(name).ok_or_else(|| self.fault(skin, format!("the skin has no {name}, expected one")));
-        let shape = match child("bind_shape_matrix") {
+        let needs = |name: &str| self.needed(skin, name, format!("the skin has no {name}, expected one"));
+        let shape = match child(skin, "bind_shape_matrix") {
             Some(element) => {
                 let numbers: [f64; 16] = self
                     .numbers(element)?
@@ -284,41 +286,49 @@ impl<'d, 'a> Reader<'d, 'a> {
             }
             None => DMat4::IDENTITY,
         };
-        let joints = needs("joints")?;
+        let (first, start) = (rig.joints.len(), rig.vertices.len());
+        self.add_joints(rig, places, needs("joints")?)?;
+        let weights = needs("vertex_weights")?;
+        self.add_weights(rig, weights, first)?;
+        let geometry = self.target(skin, skin.attribute("source").unwrap_or_default())?;
+        self.add_geometry(rig, geometry, shape)?;
+        if rig.vertices.len() != rig.weights.len() {
+            let problem =
+                format!("{} vertices, but weights for {}", rig.vertices.len() - start, rig.weights.len() - start);
+            return Err(self.fault(weights, problem));
+        }
+        Ok(())
+    }
+
+    fn add_joints(&self, rig: &mut Rig, places: &[Place], joints: Element) -> Result<(), FileFault> {
         let names = self.names(self.source(joints, "JOINT")?)?;
         let inverse = self.floats(self.source(joints, "INV_BIND_MATRIX")?)?;
-        if inverse.len() != 16 * names.len() {
-            let problem = format!(
-                "{} numbers of inverse bind matrices for {} joints, expected 16 each",
-                inverse.len(),
-                names.len()
-            );
+        let (found, count) = (inverse.len(), names.len());
+        if found != 16 * count {
+            let problem = format!("{found} numbers of inverse bind matrices for {count} joints, expected 16 each");
             return Err(self.fault(joints, problem));
         }
-        let first = rig.joints.len();
         for (name, matrix) in names.iter().zip(inverse.as_chunks::<16>().0) {
             let by_sid = places.iter().position(|p| p.sid == *name);
             let node = by_sid.or_else(|| places.iter().position(|p| p.id == *name));
             let node = node.ok_or_else(|| self.fault(joints, format!("joint {name:?} is no node of the scene")))?;
             rig.joints.push(Joint { node, inverse_bind: DMat4::from_cols_array(matrix).transpose() });
         }
-        // Weights by vertex.
-        let weights = needs("vertex_weights")?;
-        let input = |semantic: &str| {
-            let found =
-                weights.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
-            let offset = found.map(|input| self.offset(input)).transpose()?.flatten();
+        Ok(())
+    }
+
+    /// Adds the weights of vertices whose joints are counted from the first of the skin.
+    fn add_weights(&self, rig: &mut Rig, weights: Element, first: usize) -> Result<(), FileFault> {
+        let at = |semantic: &str| {
+            let offset = input(weights, semantic).map(|input| self.offset(input)).transpose()?.flatten();
             offset.ok_or_else(|| self.fault(weights, format!("vertex_weights has no input {semantic} with an offset")))
         };
-        let (joint_at, weight_at) = (input("JOINT")?, input("WEIGHT")?);
+        let (joint_at, weight_at) = (at("JOINT")?, at("WEIGHT")?);
         let of = self.floats(self.source(weights, "WEIGHT")?)?;
-        let list = |name: &str| {
-            let element = weights.children().find(|c| c.has_tag_name_of(name));
-            self.counts(element.ok_or_else(|| self.fault(weights, format!("vertex_weights has no {name}")))?)
-        };
+        let list = |name: &str| self.counts(self.needed(weights, name, format!("vertex_weights has no {name}"))?);
         let (counts, indices) = (list("vcount")?, list("v")?);
         let mut stride = 1 + joint_at.max(weight_at);
-        for input in weights.children().filter(|c| c.has_tag_name_of("input")) {
+        for input in weights.children().filter(|c| c.has_tag_name("input")) {
             stride = stride.max(1 + self.offset(input)?.unwrap_or(0));
         }
         let named = counts.iter().try_fold(0usize, |sum, &count| sum.checked_add(count));
@@ -331,14 +341,12 @@ impl<'d, 'a> Reader<'d, 'a> {
             return Err(self.fault(weights, problem));
         }
         let mut at = 0;
-        let start = rig.vertices.len();
-        for count in counts {
+        for (vertex, count) in counts.into_iter().enumerate() {
             let mut all = Vec::with_capacity(count);
             for _ in 0..count {
                 let pair = (indices.get(at + joint_at), indices.get(at + weight_at).and_then(|&i| of.get(i)));
                 let (Some(&joint), Some(&weight)) = pair else {
-                    let problem =
-                        format!("weights of vertex {} name numbers that are not there", rig.weights.len() - start);
+                    let problem = format!("weights of vertex {vertex} name numbers that are not there");
                     return Err(self.fault(weights, problem));
                 };
                 all.push((first.saturating_add(joint), weight));
@@ -346,28 +354,18 @@ impl<'d, 'a> Reader<'d, 'a> {
             }
             rig.weights.push(all);
         }
-        let geometry = self.target(skin, skin.attribute("source").unwrap_or_default())?;
-        self.add_geometry(rig, geometry, shape)?;
-        if rig.vertices.len() != rig.weights.len() {
-            let problem =
-                format!("{} vertices, but weights for {}", rig.vertices.len() - start, rig.weights.len() - start);
-            return Err(self.fault(weights, problem));
-        }
         Ok(())
     }
 
     fn add_geometry(&self, rig: &mut Rig, geometry: Element, shape: DMat4) -> Result<(), FileFault> {
-        let mesh = geometry.children().find(|c| c.has_tag_name_of("mesh"));
-        let mesh = mesh.ok_or_else(|| self.fault(geometry, "the geometry is no mesh, expected one"))?;
-        let vertices = mesh.children().find(|c| c.has_tag_name_of("vertices"));
-        let vertices = vertices.ok_or_else(|| self.fault(mesh, "the mesh has no vertices"))?;
+        let mesh = self.needed(geometry, "mesh", "the geometry is no mesh, expected one")?;
+        let vertices = self.needed(mesh, "vertices", "the mesh has no vertices")?;
         let start = rig.vertices.len() as u32;
         let floats = self.floats(self.source(vertices, "POSITION")?)?;
         rig.vertices.extend(floats.as_chunks::<3>().0.iter().map(|&p| shape.transform_point3(DVec3::from(p))));
         for faces in mesh.children().filter(|c| ["triangles", "polylist", "polygons"].contains(&c.tag_name().name())) {
-            let inputs = || faces.children().filter(|c| c.has_tag_name_of("input"));
             let (mut stride, mut at) = (1, None);
-            for input in inputs() {
+            for input in faces.children().filter(|c| c.has_tag_name("input")) {
                 let offset = self.offset(input)?.unwrap_or(0);
                 stride = stride.max(1 + offset);
                 if at.is_none() && input.attribute("semantic") == Some("VERTEX") {
@@ -375,12 +373,9 @@ impl<'d, 'a> Reader<'d, 'a> {
                 }
             }
             let at = at.ok_or_else(|| self.fault(faces, "the faces have no input VERTEX"))?;
-            let polygons = faces.has_tag_name_of("polygons");
-            let counts = match faces.children().find(|c| c.has_tag_name_of("vcount")) {
-                Some(element) => Some(self.counts(element)?),
-                None => None,
-            };
-            let lists = || faces.children().filter(|c| c.has_tag_name_of("p"));
+            let polygons = faces.has_tag_name("polygons");
+            let counts = child(faces, "vcount").map(|element| self.counts(element)).transpose()?;
+            let lists = || faces.children().filter(|c| c.has_tag_name("p"));
             if counts.is_some() && lists().count() > 1 {
                 return Err(self.fault(faces, "faces with vcount have several lists of indices, expected one"));
             }
@@ -426,32 +421,8 @@ impl<'d, 'a> Reader<'d, 'a> {
             let target = channel.attribute("target").unwrap_or_default();
             let Some((node, path)) = target.split_once('/') else { continue };
             let Some(&index) = by_id.get(node) else { continue };
-            let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
-            let Some(step) = places[index].steps.iter().position(|s| s.sid == sid) else {
-                return Err(self.fault(channel, format!("{target:?} names no transform of the node")));
-            };
-            let all = places[index].steps[step].numbers.len();
-            let (member, width) = match member {
-                None => (0, all),
-                Some("X") => (0, 1),
-                Some("Y") => (1, 1),
-                Some("Z") => (2, 1),
-                Some("ANGLE") => (3, 1),
-                Some(other) => {
-                    return Err(self.fault(channel, format!("{other:?} is animated, expected X, Y, Z or ANGLE")));
-                }
-            };
-            let sampler = self.target(channel, channel.attribute("source").unwrap_or_default())?;
-            let times_s = self.floats(self.source(sampler, "INPUT")?)?;
-            let values = self.floats(self.source(sampler, "OUTPUT")?)?;
-            if times_s.is_empty() || values.len() != width * times_s.len() || member + width > all {
-                let problem = format!("{} numbers for {} keys, expected {width} each", values.len(), times_s.len());
-                return Err(self.fault(sampler, problem));
-            }
-            let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
-            let stepped = between.first().is_some_and(|b| b == "STEP");
             let of_node = curves.entry(index).or_default();
-            of_node.push(Curve { step, member, width, times_s, values, stepped });
+            of_node.push(self.curve(channel, target, path, &places[index].steps)?);
             let keys: usize = of_node.iter().map(|curve| curve.times_s.len()).sum();
             if of_node.len() > MOST_CURVES || keys > MOST_KEYS {
                 let problem = format!(
@@ -460,35 +431,65 @@ impl<'d, 'a> Reader<'d, 'a> {
                 return Err(self.fault(channel, problem));
             }
         }
-        if curves.is_empty() {
-            return Ok(());
+        if !curves.is_empty() {
+            let tracks = curves.iter().flat_map(|(&node, curves)| tracks(node, &places[node].steps, curves));
+            rig.clips.push(Clip { name: "animation".to_owned(), tracks: tracks.collect() });
         }
-        let mut clip = Clip { name: "animation".to_owned(), tracks: Vec::new() };
-        for (node, curves) in curves {
-            let mut times_s: Vec<f64> = curves.iter().flat_map(|c| &c.times_s).copied().collect();
-            times_s.sort_by(f64::total_cmp);
-            times_s.dedup_by(|a, b| *a - *b < 1e-6);
-            let at = |time_s: f64| {
-                let mut steps = places[node].steps.clone();
-                for curve in &curves {
-                    let values = curve.at(time_s);
-                    let slots = steps
-                        .get_mut(curve.step)
-                        .and_then(|s| s.numbers.get_mut(curve.member..curve.member + curve.width));
-                    slots.into_iter().flatten().zip(values).for_each(|(slot, value)| *slot = value);
-                }
-                Local::from_matrix(matrix(&steps))
-            };
-            let locals: Vec<Local> = times_s.iter().map(|&t| at(t)).collect();
-            let between = if curves.iter().all(|c| c.stepped) { Between::Step } else { Between::Linear };
-            let track = |values| Track { node, between, times_s: times_s.clone(), values };
-            clip.tracks.push(track(Values::Translation(locals.iter().map(|l| l.translation).collect())));
-            clip.tracks.push(track(Values::Rotation(locals.iter().map(|l| l.rotation).collect())));
-            clip.tracks.push(track(Values::Scale(locals.iter().map(|l| l.scale).collect())));
-        }
-        rig.clips.push(clip);
         Ok(())
     }
+
+    /// The curve of a channel over one of a node's transforms, which the path names.
+    fn curve(&self, channel: Element, target: &str, path: &str, steps: &[Step]) -> Result<Curve, FileFault> {
+        let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
+        let Some(step) = steps.iter().position(|s| s.sid == sid) else {
+            return Err(self.fault(channel, format!("{target:?} names no transform of the node")));
+        };
+        let all = steps[step].numbers.len();
+        let (member, width) = match member {
+            None => (0, all),
+            Some("X") => (0, 1),
+            Some("Y") => (1, 1),
+            Some("Z") => (2, 1),
+            Some("ANGLE") => (3, 1),
+            Some(other) => {
+                return Err(self.fault(channel, format!("{other:?} is animated, expected X, Y, Z or ANGLE")));
+            }
+        };
+        let sampler = self.target(channel, channel.attribute("source").unwrap_or_default())?;
+        let times_s = self.floats(self.source(sampler, "INPUT")?)?;
+        let values = self.floats(self.source(sampler, "OUTPUT")?)?;
+        if times_s.is_empty() || values.len() != width * times_s.len() || member + width > all {
+            let problem = format!("{} numbers for {} keys, expected {width} each", values.len(), times_s.len());
+            return Err(self.fault(sampler, problem));
+        }
+        let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
+        let stepped = between.first().is_some_and(|b| b == "STEP");
+        Ok(Curve { step, member, width, times_s, values, stepped })
+    }
+}
+
+/// Tracks of a node whose transforms follow curves: keys of all of them together.
+fn tracks(node: usize, steps: &[Step], curves: &[Curve]) -> [Track; 3] {
+    let mut times_s: Vec<f64> = curves.iter().flat_map(|c| &c.times_s).copied().collect();
+    times_s.sort_by(f64::total_cmp);
+    times_s.dedup_by(|a, b| *a - *b < 1e-6);
+    let at = |time_s: f64| {
+        let mut steps = steps.to_vec();
+        for curve in curves {
+            let slots = steps.get_mut(curve.step);
+            let slots = slots.and_then(|s| s.numbers.get_mut(curve.member..curve.member + curve.width));
+            slots.into_iter().flatten().zip(curve.at(time_s)).for_each(|(slot, value)| *slot = value);
+        }
+        Local::from_matrix(matrix(&steps))
+    };
+    let locals: Vec<Local> = times_s.iter().map(|&t| at(t)).collect();
+    let between = if curves.iter().all(|c| c.stepped) { Between::Step } else { Between::Linear };
+    let values = [
+        Values::Translation(locals.iter().map(|l| l.translation).collect()),
+        Values::Rotation(locals.iter().map(|l| l.rotation).collect()),
+        Values::Scale(locals.iter().map(|l| l.scale).collect()),
+    ];
+    values.map(|values| Track { node, between, times_s: times_s.clone(), values })
 }
 
 impl Curve {

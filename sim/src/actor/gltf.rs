@@ -36,68 +36,83 @@ pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Rig, FileFault> 
         rig.nodes.push(Node { name, parent: parent.map(|p| number[p]), local });
     }
     for node in file.document.nodes() {
-        let (Some(mesh), Some(skin)) = (node.mesh(), node.skin()) else {
-            if node.mesh().is_some() {
-                tracing::warn!(node = node.name(), "a mesh without a skin is left out of the actor");
-            }
-            continue;
-        };
-        let first = rig.joints.len();
-        let what = format!("skin {}", skin.index());
-        let inverse: Option<Vec<DMat4>> = match skin.inverse_bind_matrices() {
-            Some(accessor) => {
-                let rows = file.rows(&accessor, &format!("inverse bind matrices of {what}"))?;
-                Some(rows.of::<16>().map(|m| DMat4::from_cols_array(&m)).collect())
-            }
-            None => None,
-        };
-        for (i, joint) in skin.joints().enumerate() {
-            let inverse_bind = match &inverse {
-                Some(all) => *all.get(i).ok_or_else(|| {
-                    let problem = format!("{} inverse bind matrices for {} joints", all.len(), skin.joints().count());
-                    FileFault::new(&what, problem, "bind the mesh to its skeleton anew and export again")
-                })?,
-                None => DMat4::IDENTITY,
-            };
-            rig.joints.push(Joint { node: number[joint.index()], inverse_bind });
-        }
-        for primitive in mesh.primitives() {
-            let what = format!("primitive {} of mesh {:?}", primitive.index(), mesh.name().unwrap_or_default());
-            let part = file.triangles(&primitive, &what)?;
-            add_primitive(&mut rig, &file, &primitive, &what, part, first)?;
+        match (node.mesh(), node.skin()) {
+            (Some(mesh), Some(skin)) => add_skin(&mut rig, &file, &mesh, &skin, &number)?,
+            (Some(_), None) => tracing::warn!(node = node.name(), "a mesh without a skin is left out of the actor"),
+            (None, _) => {}
         }
     }
     for animation in file.document.animations() {
-        let name = animation.name().map_or_else(|| format!("animation {}", animation.index()), str::to_owned);
-        let mut clip = Clip { name, tracks: Vec::new() };
-        for channel in animation.channels() {
-            let (node, sampler) = (channel.target().node(), channel.sampler());
-            let what = format!("{:?}", clip.name);
-            let times_s = file.rows(&sampler.input(), &format!("key times of {what}"))?.numbers;
-            let output = file.rows(&sampler.output(), &format!("keys of {what}"))?;
-            let wide = |width: usize| {
-                let hint = "bake the animation to key frames and export again";
-                let problem = format!("{} numbers a key, expected {width}", output.width);
-                if output.width == width { Ok(()) } else { Err(FileFault::new(&what, problem, hint)) }
-            };
-            let values = match channel.target().property() {
-                Property::Translation => wide(3).map(|()| Values::Translation(output.vectors()))?,
-                Property::Scale => wide(3).map(|()| Values::Scale(output.vectors()))?,
-                Property::Rotation => {
-                    wide(4).map(|()| Values::Rotation(output.of::<4>().map(DQuat::from_array).collect()))?
-                }
-                Property::MorphTargetWeights => continue,
-            };
-            let between = match sampler.interpolation() {
-                Interpolation::Step => Between::Step,
-                Interpolation::Linear => Between::Linear,
-                Interpolation::CubicSpline => Between::Cubic,
-            };
-            clip.tracks.push(Track { node: number[node.index()], between, times_s, values });
-        }
-        rig.clips.push(clip);
+        rig.clips.push(clip(&file, &animation, &number)?);
     }
     Ok(rig)
+}
+
+/// Adds a skinned mesh; `number` tells where each of the file's nodes is among the rig's.
+fn add_skin(
+    rig: &mut Rig,
+    file: &GltfFile,
+    mesh: &gltf::Mesh,
+    skin: &gltf::Skin,
+    number: &[usize],
+) -> Result<(), FileFault> {
+    let first = rig.joints.len();
+    let what = format!("skin {}", skin.index());
+    let inverse: Option<Vec<DMat4>> = match skin.inverse_bind_matrices() {
+        Some(accessor) => {
+            let rows = file.rows(&accessor, &format!("inverse bind matrices of {what}"))?;
+            Some(rows.of::<16>().map(|m| DMat4::from_cols_array(&m)).collect())
+        }
+        None => None,
+    };
+    for (i, joint) in skin.joints().enumerate() {
+        let inverse_bind = match &inverse {
+            Some(all) => *all.get(i).ok_or_else(|| {
+                let problem = format!("{} inverse bind matrices for {} joints", all.len(), skin.joints().count());
+                FileFault::new(&what, problem, "bind the mesh to its skeleton anew and export again")
+            })?,
+            None => DMat4::IDENTITY,
+        };
+        rig.joints.push(Joint { node: number[joint.index()], inverse_bind });
+    }
+    for primitive in mesh.primitives() {
+        let what = format!("primitive {} of mesh {:?}", primitive.index(), mesh.name().unwrap_or_default());
+        let part = file.triangles(&primitive, &what)?;
+        add_primitive(rig, file, &primitive, &what, part, first)?;
+    }
+    Ok(())
+}
+
+/// The clip of an animation; `number` tells where each of the file's nodes is among the rig's.
+fn clip(file: &GltfFile, animation: &gltf::Animation, number: &[usize]) -> Result<Clip, FileFault> {
+    let name = animation.name().map_or_else(|| format!("animation {}", animation.index()), str::to_owned);
+    let mut clip = Clip { name, tracks: Vec::new() };
+    for channel in animation.channels() {
+        let (node, sampler) = (channel.target().node(), channel.sampler());
+        let what = format!("{:?}", clip.name);
+        let times_s = file.rows(&sampler.input(), &format!("key times of {what}"))?.numbers;
+        let output = file.rows(&sampler.output(), &format!("keys of {what}"))?;
+        let wide = |width: usize| {
+            let hint = "bake the animation to key frames and export again";
+            let problem = format!("{} numbers a key, expected {width}", output.width);
+            if output.width == width { Ok(()) } else { Err(FileFault::new(&what, problem, hint)) }
+        };
+        let values = match channel.target().property() {
+            Property::Translation => wide(3).map(|()| Values::Translation(output.vectors()))?,
+            Property::Scale => wide(3).map(|()| Values::Scale(output.vectors()))?,
+            Property::Rotation => {
+                wide(4).map(|()| Values::Rotation(output.of::<4>().map(DQuat::from_array).collect()))?
+            }
+            Property::MorphTargetWeights => continue,
+        };
+        let between = match sampler.interpolation() {
+            Interpolation::Step => Between::Step,
+            Interpolation::Linear => Between::Linear,
+            Interpolation::CubicSpline => Between::Cubic,
+        };
+        clip.tracks.push(Track { node: number[node.index()], between, times_s, values });
+    }
+    Ok(clip)
 }
 
 fn add_primitive(

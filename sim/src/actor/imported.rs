@@ -136,24 +136,13 @@ impl Actor {
         let mesh = Mesh { vertices: rig.vertices.clone(), triangles: rig.triangles.clone() };
         let bound = refine(&mesh, &rig.weights, &standing)?;
         let parts = parts(&bound, &standing, height_m);
-        let rest = Mesh { vertices: bound.posed(&standing), triangles: bound.mesh.triangles.clone() };
-        let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
-        rest.check().map_err(|error| FileFault::new("skin", format!("where the actor stands, {error}"), hint))?;
-        if rest.triangles.is_empty() {
-            return Err(FileFault::new("skin", "it has no triangle with an area, expected a closed surface", hint));
-        }
-        if let Some(bone) = poses.iter().find_map(|pose| pose.iter().position(|map| !map.is_finite())) {
-            return Err(FileFault::new("skin", format!("a key of its clip puts bone {bone} nowhere"), hint));
-        }
-        let influences: Vec<Vec<(usize, f64, DVec3)>> = bound
-            .weights
-            .iter()
-            .zip(&bound.mesh.vertices)
-            .map(|(weights, &place)| weights.iter().map(|&(bone, weight)| (bone, weight, place)).collect())
-            .collect();
-        let segment_of = segments(&bound, &standing, height_m);
+        let rest = rest(&bound, &standing, &poses)?;
+        let influence = |(weights, &place): (&Vec<(usize, f64)>, &DVec3)| -> Vec<(usize, f64, DVec3)> {
+            weights.iter().map(|&(bone, weight)| (bone, weight, place)).collect()
+        };
+        let influences: Vec<_> = bound.weights.iter().zip(&bound.mesh.vertices).map(influence).collect();
         let mut actor = Actor {
-            skin: Arc::new(Skin::bound(&rest, &influences, segment_of)),
+            skin: Arc::new(Skin::bound(&rest, &influences, segments(&bound, &standing, height_m))),
             cycle: Cycle::through(&poses),
             standing,
             parts,
@@ -282,7 +271,6 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
 struct Sampled {
     /// At even phases, the clip's way over the ground taken out.
     poses: Vec<Vec<Map>>,
-    /// The mean.
     standing: Vec<Map>,
 }
 
@@ -331,6 +319,20 @@ fn turn(maps: &mut [Map], by: DMat3, then: DVec3) {
     for map in maps {
         *map = Map { centre: by * map.centre + then, stretch: by * map.stretch };
     }
+}
+
+/// The mesh of who stands, where all poses have places.
+fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh, FileFault> {
+    let rest = Mesh { vertices: bound.posed(standing), triangles: bound.mesh.triangles.clone() };
+    let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
+    rest.check().map_err(|error| FileFault::new("skin", format!("where the actor stands, {error}"), hint))?;
+    if rest.triangles.is_empty() {
+        return Err(FileFault::new("skin", "it has no triangle with an area, expected a closed surface", hint));
+    }
+    if let Some(bone) = poses.iter().find_map(|pose| pose.iter().position(|map| !map.is_finite())) {
+        return Err(FileFault::new("skin", format!("a key of its clip puts bone {bone} nowhere"), hint));
+    }
+    Ok(rest)
 }
 
 /// Bottom and height of the skin in a pose.

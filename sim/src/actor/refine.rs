@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::rig::MOST_TRIANGLES;
 use super::skin::{EDGE_M, Map};
 use crate::fault::FileFault;
-use crate::geometry::{Mesh, bulge, edges, one_ring_normals, weld};
+use crate::geometry::{Mesh, bulge, edges, one_ring_normals, split, weld};
 
 /// Edges longer than this are halved, m: a little over the target, so that those about it are left alone.
 const LONGEST_M: f64 = 1.4 * EDGE_M;
@@ -168,27 +168,7 @@ fn halve(bound: &mut BoundMesh, pose: &[Map]) -> bool {
     let mut triangles = Vec::with_capacity(2 * bound.mesh.triangles.len());
     for &[a, b, c] in &bound.mesh.triangles {
         let middle = |a: u32, b: u32| middles.get(&(a.min(b), a.max(b))).copied();
-        // Turned so that the first side is halved, and with two of them the last is not.
-        let sides = [middle(a, b), middle(b, c), middle(c, a)];
-        let turn = match sides.map(|s| s.is_some()) {
-            [true, _, false] | [true, true, true] => 0,
-            [_, true, _] if sides[0].is_none() => 1,
-            [_, _, true] => 2,
-            _ => 0,
-        };
-        let corner = |i: usize| [a, b, c][(i + turn) % 3];
-        let (a, b, c) = (corner(0), corner(1), corner(2));
-        match [middle(a, b), middle(b, c), middle(c, a)] {
-            [Some(ab), Some(bc), Some(ca)] => {
-                triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
-            }
-            [Some(ab), Some(bc), None] if far(ab, c) < far(a, bc) => {
-                triangles.extend([[ab, b, bc], [a, ab, c], [ab, bc, c]]);
-            }
-            [Some(ab), Some(bc), None] => triangles.extend([[ab, b, bc], [a, ab, bc], [a, bc, c]]),
-            [Some(ab), None, _] => triangles.extend([[a, ab, c], [ab, b, c]]),
-            _ => triangles.push([a, b, c]),
-        }
+        triangles.extend(split([a, b, c], [middle(a, b), middle(b, c), middle(c, a)], far));
     }
     bound.mesh.triangles = triangles;
     true

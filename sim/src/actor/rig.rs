@@ -4,6 +4,8 @@
 //! A vertex `p` is at `sum w_j G_j B_j p`, with `G_j` the joint's transform in the file's world and `B_j` its inverse bind matrix
 //! (glTF 2.0, section 3.7.3). All in the file's own unit and axes.
 
+use std::ops::{Add, Mul};
+
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
 use super::skin::Map;
@@ -12,6 +14,8 @@ use crate::geometry::import::UpAxis;
 
 /// Weights of a vertex sum to one within this, or the file is damaged; exporters round to bytes.
 const WEIGHT_TOLERANCE: f64 = 0.05;
+/// Remedy for what is damaged.
+const EXPORT: &str = "export it again from the program it was made with, applying all transforms";
 
 /// Nodes, and joints of all skins, at most: actors have a hundred.
 pub(super) const MOST_NODES: usize = 4096;
@@ -135,13 +139,17 @@ impl Track {
         (before, if b > a { ((time_s - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 })
     }
 
-    fn vector(&self, values: &[DVec3], time_s: f64) -> Option<DVec3> {
+    /// Value at a time; `between` goes a part of the way from one key's to the next one's.
+    fn value<T>(&self, values: &[T], time_s: f64, between: impl Fn(T, T, f64) -> T) -> Option<T>
+    where
+        T: Copy + Add<Output = T> + Mul<f64, Output = T>,
+    {
         let (key, u) = self.place(time_s);
         let at = |i: usize| values.get(i).copied();
         Some(match self.between {
             Between::Step => at(if u >= 1.0 { key + 1 } else { key })?,
             Between::Linear if u == 0.0 => at(key)?,
-            Between::Linear => at(key)?.lerp(at(key + 1)?, u),
+            Between::Linear => between(at(key)?, at(key + 1)?, u),
             Between::Cubic if self.times_s.len() < 2 => at(1)?,
             Between::Cubic => {
                 let [a, out, into, b] = [at(3 * key + 1)?, at(3 * key + 2)?, at(3 * key + 3)?, at(3 * key + 4)?];
@@ -149,23 +157,6 @@ impl Track {
                 a * h00 + out * h10 + b * h01 + into * h11
             }
         })
-    }
-
-    fn rotation(&self, values: &[DQuat], time_s: f64) -> Option<DQuat> {
-        let (key, u) = self.place(time_s);
-        let at = |i: usize| values.get(i).copied();
-        let found = match self.between {
-            Between::Step => at(if u >= 1.0 { key + 1 } else { key })?,
-            Between::Linear if u == 0.0 => at(key)?,
-            Between::Linear => at(key)?.slerp(at(key + 1)?, u),
-            Between::Cubic if self.times_s.len() < 2 => at(1)?,
-            Between::Cubic => {
-                let [a, out, into, b] = [at(3 * key + 1)?, at(3 * key + 2)?, at(3 * key + 3)?, at(3 * key + 4)?];
-                let [h00, h10, h01, h11] = self.hermite(key, u);
-                a * h00 + out * h10 + b * h01 + into * h11
-            }
-        };
-        Some(found.normalize())
     }
 
     /// Weights of the value and tangent at the key, and at the next.
@@ -182,45 +173,59 @@ impl Rig {
     /// # Errors
     /// [`FileFault`] for the first part that is out of range or too large.
     pub fn check(&mut self) -> Result<(), FileFault> {
-        let export = "export it again from the program it was made with, applying all transforms";
+        self.check_sizes()?;
+        self.check_skin()?;
+        self.check_skeleton()?;
+        self.normalise_weights()?;
+        self.check_clips()
+    }
+
+    /// Refuses a file without a skin, and more of anything than a person needs.
+    fn check_sizes(&self) -> Result<(), FileFault> {
         if self.joints.is_empty() || self.vertices.is_empty() {
             let hint = "export a mesh that is bound to an armature, with the option for skinning";
             return Err(FileFault::new("skin", "no mesh of the file has a skin, expected joints and weights", hint));
         }
-        if self.triangles.is_empty() {
-            return Err(FileFault::new("skin", "the skinned mesh has no triangle", export));
+        let (triangles, vertices) = (self.triangles.len(), self.vertices.len());
+        if triangles == 0 {
+            return Err(FileFault::new("skin", "the skinned mesh has no triangle", EXPORT));
         }
         // Seams have a vertex for each side: corners are never fewer than vertices that are used.
-        if self.triangles.len() > MOST_TRIANGLES || self.vertices.len() > 3 * MOST_TRIANGLES {
+        if triangles > MOST_TRIANGLES || vertices > 3 * MOST_TRIANGLES {
             let problem = format!(
-                "it has {} triangles and {} vertices, expected {MOST_TRIANGLES} triangles at most",
-                self.triangles.len(),
-                self.vertices.len()
+                "it has {triangles} triangles and {vertices} vertices, expected {MOST_TRIANGLES} triangles at most"
             );
             return Err(FileFault::new("skin", problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
         }
-        if self.nodes.len() > MOST_NODES || self.joints.len() > MOST_NODES {
-            let problem = format!(
-                "it has {} nodes and {} joints, expected {MOST_NODES} of each at most",
-                self.nodes.len(),
-                self.joints.len()
-            );
+        let (nodes, joints) = (self.nodes.len(), self.joints.len());
+        if nodes > MOST_NODES || joints > MOST_NODES {
+            let problem = format!("it has {nodes} nodes and {joints} joints, expected {MOST_NODES} of each at most");
             return Err(FileFault::new("skeleton", problem, "export only the actor and its armature"));
         }
+        Ok(())
+    }
+
+    /// Refuses vertices without a place and triangles without a vertex.
+    fn check_skin(&self) -> Result<(), FileFault> {
         if let Some(i) = self.vertices.iter().position(|v| !v.is_finite()) {
             let problem = format!("vertex {i} is at {}, expected finite numbers", self.vertices[i]);
-            return Err(FileFault::new("skin", problem, export));
+            return Err(FileFault::new("skin", problem, EXPORT));
         }
         for (t, corners) in self.triangles.iter().enumerate() {
             if let Some(v) = corners.iter().find(|&&v| v as usize >= self.vertices.len()) {
                 let problem = format!("triangle {t} names vertex {v} of {}", self.vertices.len());
-                return Err(FileFault::new("skin", problem, export));
+                return Err(FileFault::new("skin", problem, EXPORT));
             }
         }
+        Ok(())
+    }
+
+    /// Refuses nodes that cannot be placed and joints whose skin cannot.
+    fn check_skeleton(&self) -> Result<(), FileFault> {
         for (i, node) in self.nodes.iter().enumerate() {
             let place = format!("node {:?}", node.name);
             if node.parent.is_some_and(|p| p >= i) {
-                return Err(FileFault::new(place, "its parent comes after it", export));
+                return Err(FileFault::new(place, "its parent comes after it", EXPORT));
             }
             let Local { translation, rotation, scale } = node.local;
             if (0..3).any(|axis| scale[axis].abs() < 1e-9) {
@@ -228,40 +233,46 @@ impl Rig {
                 return Err(FileFault::new(place, problem, "apply or reset the scale of this node and export again"));
             }
             if !(translation.is_finite() && rotation.is_finite() && scale.is_finite()) {
-                return Err(FileFault::new(place, "its transform has a number that is not finite", export));
+                return Err(FileFault::new(place, "its transform has a number that is not finite", EXPORT));
             }
         }
         for (j, joint) in self.joints.iter().enumerate() {
+            let place = format!("joint {j}");
             let Some(node) = self.nodes.get(joint.node) else {
-                let problem = format!("it is node {}, of {}", joint.node, self.nodes.len());
-                return Err(FileFault::new(format!("joint {j}"), problem, export));
+                return Err(FileFault::new(
+                    place,
+                    format!("it is node {}, of {}", joint.node, self.nodes.len()),
+                    EXPORT,
+                ));
             };
             let determinant = joint.inverse_bind.determinant();
             if !(determinant.is_finite() && determinant.abs() > 1e-30) {
                 let problem = format!("the inverse bind matrix of {:?} cannot be inverted", node.name);
-                return Err(FileFault::new(format!("joint {j}"), problem, "bind the mesh to its skeleton anew"));
+                return Err(FileFault::new(place, problem, "bind the mesh to its skeleton anew"));
             }
         }
+        Ok(())
+    }
+
+    /// Brings the weights of every vertex to a sum of one.
+    fn normalise_weights(&mut self) -> Result<(), FileFault> {
         for (v, weights) in self.weights.iter_mut().enumerate() {
             let place = || format!("weights of vertex {v}");
             if let Some((joint, _)) = weights.iter().find(|(joint, _)| *joint >= self.joints.len()) {
                 let problem = format!("joint {joint} is named, but the skin has {}", self.joints.len());
-                return Err(FileFault::new(place(), problem, export));
+                return Err(FileFault::new(place(), problem, EXPORT));
             }
             weights.retain(|(_, weight)| *weight != 0.0);
             let sum = weights.iter().fold(0.0, |sum, (_, weight)| sum + weight);
             let good = weights.iter().all(|(_, w)| *w > 0.0) && (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
             if !good {
                 let problem = format!("they sum to {sum}, expected positive ones that sum to 1");
-                return Err(FileFault::new(
-                    place(),
-                    problem,
-                    "normalise all weights, and bind every vertex to a joint",
-                ));
+                let hint = "normalise all weights, and bind every vertex to a joint";
+                return Err(FileFault::new(place(), problem, hint));
             }
             weights.iter_mut().for_each(|(_, weight)| *weight /= sum);
         }
-        self.check_clips()
+        Ok(())
     }
 
     fn check_clips(&self) -> Result<(), FileFault> {
@@ -306,9 +317,14 @@ impl Rig {
         for track in &clip.tracks {
             let Some(local) = locals.get_mut(track.node) else { continue };
             match &track.values {
-                Values::Translation(v) => local.translation = track.vector(v, time_s).unwrap_or(local.translation),
-                Values::Rotation(q) => local.rotation = track.rotation(q, time_s).unwrap_or(local.rotation),
-                Values::Scale(v) => local.scale = track.vector(v, time_s).unwrap_or(local.scale),
+                Values::Translation(v) => {
+                    local.translation = track.value(v, time_s, DVec3::lerp).unwrap_or(local.translation);
+                }
+                Values::Rotation(q) => {
+                    let rotation = track.value(q, time_s, DQuat::slerp);
+                    local.rotation = rotation.map_or(local.rotation, DQuat::normalize);
+                }
+                Values::Scale(v) => local.scale = track.value(v, time_s, DVec3::lerp).unwrap_or(local.scale),
             }
         }
         locals
@@ -363,7 +379,7 @@ mod tests {
     fn keys_are_joined_as_the_format_says() {
         let ends = || Values::Translation(vec![DVec3::ZERO, DVec3::X]);
         let at = |track: &Track, t: f64| match &track.values {
-            Values::Translation(v) => track.vector(v, t).expect("keys").x,
+            Values::Translation(v) => track.value(v, t, DVec3::lerp).expect("keys").x,
             _ => f64::NAN,
         };
         let (step, linear) = (track(Between::Step, ends()), track(Between::Linear, ends()));
@@ -382,7 +398,7 @@ mod tests {
         let (a, b) = (DQuat::from_rotation_z(0.2), -DQuat::from_rotation_z(1.0));
         let turn = track(Between::Linear, Values::Rotation(vec![a, b]));
         let Values::Rotation(values) = &turn.values else { unreachable!() };
-        let middle = turn.rotation(values, 1.0).expect("keys");
+        let middle = turn.value(values, 1.0, DQuat::slerp).expect("keys");
         assert!(middle.dot(DQuat::from_rotation_z(0.6)).abs() > 1.0 - 1e-12);
     }
 }

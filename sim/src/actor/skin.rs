@@ -303,7 +303,6 @@ fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
     curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
 }
 
-/// Edges of a mesh.
 fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
     let edge =
         |edge: &Edge| SkinEdge { vertices: edge.vertices, triangles: [edge.left, edge.right.unwrap_or(edge.left)] };

@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
+use super::polygon::{doubled_area, sides};
 use super::{Mesh, edges};
 
 /// Coplanar triangles that cover each other by more than this are reported, m^2: two surfaces at one place are both lit.
@@ -77,21 +78,21 @@ fn common_area_m2(mesh: &Mesh, first: u32, second: u32) -> f64 {
     let flat = |c: DVec3| DVec2::new((c - p[0]).dot(u), (c - p[0]).dot(v));
     let mut shape: Vec<DVec2> = q.map(flat).to_vec();
     let window = p.map(flat);
-    for (from, to) in [(window[0], window[1]), (window[1], window[2]), (window[2], window[0])] {
+    for [from, to] in sides(&window) {
         let inside = |c: DVec2| (to - from).perp_dot(c - from) * normal.dot(u.cross(v));
         let mut kept = Vec::with_capacity(shape.len() + 1);
-        for (a, b) in shape.iter().zip(shape.iter().cycle().skip(1)) {
-            let (da, db) = (inside(*a), inside(*b));
+        for [a, b] in sides(&shape) {
+            let (da, db) = (inside(a), inside(b));
             if da >= 0.0 {
-                kept.push(*a);
+                kept.push(a);
             }
             if (da > 0.0 && db < 0.0) || (da < 0.0 && db > 0.0) {
-                kept.push(a.lerp(*b, da / (da - db)));
+                kept.push(a.lerp(b, da / (da - db)));
             }
         }
         shape = kept;
     }
-    0.5 * shape.iter().zip(shape.iter().cycle().skip(1)).map(|(a, b)| a.perp_dot(*b)).sum::<f64>().abs()
+    0.5 * doubled_area(&shape).abs()
 }
 
 #[cfg(test)]

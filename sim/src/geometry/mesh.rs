@@ -78,17 +78,19 @@ impl Mesh {
         Some([vertex(a)?, vertex(b)?, vertex(c)?])
     }
 
+    /// Corners of all triangles, m.
+    pub fn all_corners(&self) -> impl Iterator<Item = [DVec3; 3]> {
+        (0..self.triangles.len()).filter_map(|t| self.corners(t))
+    }
+
     /// Sum of the triangles' areas, m^2.
     pub fn area_m2(&self) -> f64 {
-        (0..self.triangles.len())
-            .filter_map(|t| self.corners(t))
-            .map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0)
-            .sum()
+        self.all_corners().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
     }
 
     /// Signed volume, m^3: positive for a closed mesh whose triangles face outwards (divergence theorem).
     pub fn volume_m3(&self) -> f64 {
-        (0..self.triangles.len()).filter_map(|t| self.corners(t)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
+        self.all_corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
     }
 }
 

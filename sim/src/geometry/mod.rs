@@ -27,5 +27,5 @@ pub use orient::oriented;
 pub use planar_polygon::{Clearance, PlanarPolygon};
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;
-pub(crate) use surface::{bulge, halfway};
+pub(crate) use surface::{bulge, halfway, split};
 pub use weld::{Welded, weld};

@@ -103,10 +103,7 @@ impl PlanarPolygon {
 
     /// Ends of the edges, m: those of the outline, then those of the holes. The polygon lies to the left of each.
     pub fn edges(&self) -> impl Iterator<Item = [DVec3; 2]> {
-        self.loops().flat_map(|corners| {
-            let next = corners.iter().cycle().skip(1);
-            corners.iter().zip(next).map(|(&a, &b)| [a, b])
-        })
+        self.loops().flat_map(polygon::sides)
     }
 
     /// Unit vector in the plane from an edge into the polygon; zero where there is no such edge.

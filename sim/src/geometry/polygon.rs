@@ -21,10 +21,27 @@ pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> 
     if kept.len() < 3 { Vec::new() } else { kept }
 }
 
+/// Ends of the sides of a closed outline.
+pub(crate) fn sides<T: Copy>(outline: &[T]) -> impl Iterator<Item = [T; 2]> {
+    outline.iter().zip(outline.iter().cycle().skip(1)).map(|(&a, &b)| [a, b])
+}
+
+/// Twice the signed area of a closed outline, positive counter-clockwise.
+pub(crate) fn doubled_area(outline: &[DVec2]) -> f64 {
+    sides(outline).map(|[a, b]| a.perp_dot(b)).sum()
+}
+
+/// Distance of a point from a line between two points.
+pub(crate) fn distance_to_line(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
+    let along = b - a;
+    let part = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    point.distance(a + along * part)
+}
+
 /// Whether a point lies within a closed outline, by the number of sides that it has on one hand.
 pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     let mut inside = false;
-    for (a, b) in outline.iter().zip(outline.iter().cycle().skip(1)) {
+    for [a, b] in sides(outline) {
         if (a.y > p.y) != (b.y > p.y) && p.x < a.x + (p.y - a.y) / (b.y - a.y) * (b.x - a.x) {
             inside = !inside;
         }

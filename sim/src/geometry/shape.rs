@@ -113,15 +113,28 @@ pub fn ellipsoid(semi_axes_m: DVec3, edge_m: f64) -> Surface {
     icosphere(semi_axes_m, (triangles / 20.0).sqrt().round().clamp(1.0, 512.0) as usize)
 }
 
-/// An ellipsoid from an icosahedron whose edges are cut into `cuts` pieces: `20 cuts^2` triangles.
-pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
-    let cuts = cuts.max(1);
+/// Corners of an icosahedron with edges of 2, and its triangles, counter-clockwise seen from outside.
+pub(crate) fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     let g = 0.5 * (1.0 + 5f64.sqrt());
-    let mut corners = Vec::with_capacity(12);
+    let mut corners: Vec<DVec3> = Vec::with_capacity(12);
     for (x, y) in [(1.0, g), (-1.0, g), (1.0, -g), (-1.0, -g)] {
         corners.extend([DVec3::new(0.0, x, y), DVec3::new(x, y, 0.0), DVec3::new(y, 0.0, x)]);
     }
-    let near = |a: DVec3, b: DVec3| (a.distance(b) - 2.0).abs() < 1e-6;
+    let near = |i: usize, j: usize| (corners[i].distance(corners[j]) - 2.0).abs() < 1e-6;
+    let mut triangles = Vec::with_capacity(20);
+    for (i, j) in (0..12).flat_map(|i| (i + 1..12).map(move |j| (i, j))).filter(|&(i, j)| near(i, j)) {
+        for k in (j + 1..12).filter(|&k| near(j, k) && near(k, i)) {
+            let is_left = corners[i].dot(corners[j].cross(corners[k])) > 0.0;
+            triangles.push(if is_left { [i, j, k] } else { [i, k, j] });
+        }
+    }
+    (corners, triangles)
+}
+
+/// An ellipsoid from an icosahedron whose edges are cut into `cuts` pieces: `20 cuts^2` triangles.
+pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
+    let cuts = cuts.max(1);
+    let (corners, faces) = icosahedron();
     let mut surface = Surface::default();
     let mut known: HashMap<[i64; 3], u32> = HashMap::new();
     let mut vertex = |point: DVec3| {
@@ -135,24 +148,17 @@ pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
         })
     };
     let mut triangles = Vec::with_capacity(20 * cuts * cuts);
-    for (i, &a) in corners.iter().enumerate() {
-        for (j, &b) in corners.iter().enumerate().skip(i + 1) {
-            for &c in corners.iter().skip(j + 1) {
-                if !(near(a, b) && near(b, c) && near(c, a)) {
-                    continue;
-                }
-                let (b, c) = if a.dot(b.cross(c)) > 0.0 { (b, c) } else { (c, b) };
-                let mut at = |u: usize, v: usize| {
-                    let (u, v, w) = (u as f64, v as f64, (cuts - u - v) as f64);
-                    vertex((a * w + b * u + c * v) / cuts as f64)
-                };
-                for u in 0..cuts {
-                    for v in 0..cuts - u {
-                        triangles.push([at(u, v), at(u + 1, v), at(u, v + 1)]);
-                        if u + v + 1 < cuts {
-                            triangles.push([at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)]);
-                        }
-                    }
+    for face in faces {
+        let [a, b, c] = face.map(|corner| corners[corner]);
+        let mut at = |u: usize, v: usize| {
+            let (u, v, w) = (u as f64, v as f64, (cuts - u - v) as f64);
+            vertex((a * w + b * u + c * v) / cuts as f64)
+        };
+        for u in 0..cuts {
+            for v in 0..cuts - u {
+                triangles.push([at(u, v), at(u + 1, v), at(u, v + 1)]);
+                if u + v + 1 < cuts {
+                    triangles.push([at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)]);
                 }
             }
         }

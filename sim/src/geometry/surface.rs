@@ -100,6 +100,25 @@ pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (
     (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - lean).normalize_or(normal_a))
 }
 
+/// Parts of a triangle some of whose sides (from the first corner to the second, and so on) are cut at their middles. Of the two
+/// ways to divide a quadrangle the one with the shorter diagonal is taken.
+pub(crate) fn split<T: Copy>(corners: [T; 3], middles: [Option<T>; 3], distance: impl Fn(T, T) -> f64) -> Vec<[T; 3]> {
+    // Turned so that the first side is cut, and with two of them the last is not.
+    let turn = match middles.map(|middle| middle.is_some()) {
+        [true, _, false] | [true, true, true] | [false, false, false] => 0,
+        [false, true, _] => 1,
+        [_, false, true] => 2,
+    };
+    let [a, b, c] = [0, 1, 2].map(|i| corners[(i + turn) % 3]);
+    match [0, 1, 2].map(|i| middles[(i + turn) % 3]) {
+        [Some(ab), Some(bc), Some(ca)] => vec![[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]],
+        [Some(ab), Some(bc), None] if distance(ab, c) < distance(a, bc) => vec![[ab, b, bc], [a, ab, c], [ab, bc, c]],
+        [Some(ab), Some(bc), None] => vec![[ab, b, bc], [a, ab, bc], [a, bc, c]],
+        [Some(ab), None, _] => vec![[a, ab, c], [ab, b, c]],
+        _ => vec![[a, b, c]],
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use glam::DVec3;

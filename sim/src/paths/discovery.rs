@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use super::environment::Environment;
 use super::flat::{FacetId, Flat};
+use crate::geometry::shape::icosahedron;
 
 /// Most reflections of a path.
 pub const MAX_ORDER: usize = 6;
@@ -265,7 +266,7 @@ struct Launch<'a> {
 
 impl<'a> Launch<'a> {
     fn new(environment: &'a Environment, origin: DVec3, mount: Option<FacetId>, options: &LaunchOptions) -> Self {
-        let (directions, triangles) = icosahedron();
+        let (directions, triangles) = turned_icosahedron();
         let mut launch = Launch {
             environment,
             origin,
@@ -391,45 +392,8 @@ struct Traced {
 }
 
 /// Corners and triangles of an icosahedron, turned so that it has no plane in common with rooms.
-fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
-    let golden = 0.5 * (1.0 + 5f64.sqrt());
+fn turned_icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     let turn = DMat3::from_rotation_z(0.377) * DMat3::from_rotation_x(0.611) * DMat3::from_rotation_y(0.213);
-    let corners = [
-        [-1.0, golden, 0.0],
-        [1.0, golden, 0.0],
-        [-1.0, -golden, 0.0],
-        [1.0, -golden, 0.0],
-        [0.0, -1.0, golden],
-        [0.0, 1.0, golden],
-        [0.0, -1.0, -golden],
-        [0.0, 1.0, -golden],
-        [golden, 0.0, -1.0],
-        [golden, 0.0, 1.0],
-        [-golden, 0.0, -1.0],
-        [-golden, 0.0, 1.0],
-    ];
-    let directions = corners.iter().map(|c| (turn * DVec3::from_array(*c)).normalize()).collect();
-    let triangles = vec![
-        [0, 11, 5],
-        [0, 5, 1],
-        [0, 1, 7],
-        [0, 7, 10],
-        [0, 10, 11],
-        [1, 5, 9],
-        [5, 11, 4],
-        [11, 10, 2],
-        [10, 7, 6],
-        [7, 1, 8],
-        [3, 9, 4],
-        [3, 4, 2],
-        [3, 2, 6],
-        [3, 6, 8],
-        [3, 8, 9],
-        [4, 9, 5],
-        [2, 4, 11],
-        [6, 2, 10],
-        [8, 6, 7],
-        [9, 8, 1],
-    ];
-    (directions, triangles)
+    let (corners, triangles) = icosahedron();
+    (corners.into_iter().map(|corner| (turn * corner).normalize()).collect(), triangles)
 }

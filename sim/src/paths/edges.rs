@@ -4,6 +4,7 @@
 use glam::DVec3;
 
 use super::flat::{FacetId, Flat};
+use crate::geometry::polygon;
 
 /// Points nearer to a plane than this lie on it, m.
 pub(super) const SAME_M: f64 = 1e-6;
@@ -123,7 +124,7 @@ fn sides(flats: &[Flat]) -> Vec<Side> {
     let mut all = Vec::new();
     for (number, flat) in flats.iter().enumerate().filter(|(_, flat)| flat.reflects()) {
         let mut add = |corners: &[DVec3], inward_sign: f64, given: &[bool]| {
-            for (i, (&a, &b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
+            for (i, [a, b]) in polygon::sides(corners).enumerate() {
                 let inwards = flat.normal.cross((b - a).normalize_or_zero()) * inward_sign;
                 all.push(Side { facet: number as FacetId, ends: [a, b], inwards, given: given.get(i).copied() });
             }
@@ -231,7 +232,6 @@ fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
     has_outward || !stands_on_another(flats, sides)
 }
 
-/// The edges that diffract.
 pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
     let sides = sides(flats);
     let mut groups = coincident(&sides);

@@ -33,11 +33,7 @@ impl Environment {
                 names.push(face.name.clone());
             }
         }
-        let small = surfaces.small.iter().flat_map(|part| {
-            let triangles = 0..part.mesh.triangles.len();
-            triangles.filter_map(move |triangle| part.mesh.corners(triangle))
-        });
-        let obstacles: Vec<[DVec3; 3]> = small.collect();
+        let obstacles: Vec<[DVec3; 3]> = surfaces.small.iter().flat_map(|part| part.mesh.all_corners()).collect();
         Ok((Environment::with_obstacles(facets, &obstacles, wavenumber_per_m)?, names))
     }
 }
@@ -112,6 +108,7 @@ fn turned(facet: &Facet) -> Facet {
 mod tests {
     use super::*;
     use crate::field::image::Wall;
+    use crate::geometry::polygon;
 
     /// The back of a facet has the same sides.
     #[test]
@@ -121,9 +118,7 @@ mod tests {
         let facet = Facet { corners, holes: Vec::new(), wall: Wall::Conductor, soft_edges };
         let back = turned(&facet);
         let sides = |facet: &Facet| -> Vec<([DVec3; 2], bool)> {
-            let next = facet.corners.iter().cycle().skip(1);
-            let ends = facet.corners.iter().zip(next).map(|(a, b)| [*a, *b]);
-            ends.zip(facet.soft_edges.iter().copied()).collect()
+            polygon::sides(&facet.corners).zip(facet.soft_edges.iter().copied()).collect()
         };
         for ([a, b], is_soft) in sides(&facet) {
             assert!(sides(&back).contains(&([b, a], is_soft)), "{a} {b}: {back:?}");

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use glam::{DMat3, DVec2, DVec3};
 use thiserror::Error;
 
-use super::triangulate::{doubled_area, triangulate};
+use super::triangulate::triangulate;
 use crate::field::image::{BoxRoom, Wall};
 use crate::field::wall::WallTable;
-use crate::geometry::polygon::{self, encloses};
+use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
 use crate::trace::WorldError;
 
 /// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
@@ -178,7 +178,8 @@ impl Flat {
     pub fn contains(&self, point: DVec3) -> bool {
         let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
         let within = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
-        within || std::iter::once(&self.outline).chain(&self.holes).any(|sides| distance_m(sides, p) < SEAM_M)
+        let mut all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
+        within || all.any(|side| distance_to_line(p, side) < SEAM_M)
     }
 
     /// Whether a point of the plane lies farther than a distance, m, from the ball around the facet.
@@ -218,14 +219,4 @@ impl WallTables {
         self.known.push((wall, Arc::clone(&table)));
         table
     }
-}
-
-/// Distance of a point from the sides of a closed outline, m.
-fn distance_m(outline: &[DVec2], p: DVec2) -> f64 {
-    let to_side = |(a, b): (&DVec2, &DVec2)| {
-        let side = *b - *a;
-        let part = ((p - *a).dot(side) / side.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        p.distance(*a + side * part)
-    };
-    outline.iter().zip(outline.iter().cycle().skip(1)).map(to_side).fold(f64::INFINITY, f64::min)
 }

@@ -6,6 +6,7 @@ use rand::Rng;
 
 use super::environment::Facet;
 use crate::field::image::Wall;
+use crate::geometry::polygon::sides;
 
 /// A slab of plasterboard, brick or concrete, by number.
 pub(super) fn slab(number: usize) -> Wall {
@@ -15,9 +16,9 @@ pub(super) fn slab(number: usize) -> Wall {
 
 /// A room over a counter-clockwise outline, its walls first, then floor and ceiling.
 pub(super) fn extruded(outline: &[DVec2], height_m: f64) -> Vec<Facet> {
-    let sides = outline.iter().zip(outline.iter().cycle().skip(1)).enumerate();
-    let mut facets: Vec<Facet> = sides
-        .map(|(i, (a, b))| {
+    let mut facets: Vec<Facet> = sides(outline)
+        .enumerate()
+        .map(|(i, [a, b])| {
             let corners = [b.extend(0.0), a.extend(0.0), a.extend(height_m), b.extend(height_m)];
             Facet::new(corners.to_vec(), slab(i))
         })
@@ -50,11 +51,4 @@ pub(super) fn l_shape(rng: &mut impl Rng) -> Vec<DVec2> {
     let [left, right, low, high]: [f64; 4] = std::array::from_fn(|_| rng.random_range(2.0..5.0));
     let (x, y) = (rng.random_range(-1.5..-0.3), rng.random_range(0.3..1.5));
     [[-left, -low], [right, -low], [right, high], [x, high], [x, y], [-left, y]].map(DVec2::from_array).to_vec()
-}
-
-/// Whether a point lies within an outline, by the angle that it turns through as seen from there.
-pub(super) fn holds(outline: &[DVec2], point: DVec2) -> bool {
-    let turned: f64 =
-        outline.iter().zip(outline.iter().cycle().skip(1)).map(|(a, b)| (*a - point).angle_to(*b - point)).sum();
-    turned.abs() > std::f64::consts::PI
 }

@@ -8,10 +8,11 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::exhaustive::all_sequences;
-use super::rooms::{extruded, holds, l_shape, sheet, slab, star};
+use super::rooms::{extruded, l_shape, sheet, slab, star};
 use super::{Environment, Facet, ImagePaths, LaunchOptions};
 use crate::field::image::{BoxRoom, Element, Wall, images};
 use crate::field::pattern::Pattern;
+use crate::geometry::polygon::encloses;
 use crate::shadow::half_plane;
 
 /// Wavenumber at 60 GHz, 1/m.
@@ -240,7 +241,7 @@ fn rays_miss_less_than_40_db_of_the_power() {
         let (mut of_room, mut of_unseen) = (0.0, 0.0);
         for _ in 0..10 {
             let place = DVec2::new(rng.random_range(-5.0..5.0), rng.random_range(-5.0..5.0));
-            if !holds(&outline, place) || place.length() < 0.5 {
+            if !encloses(&outline, place) || place.length() < 0.5 {
                 continue;
             }
             let point = place.extend(rng.random_range(0.3..2.0));

@@ -2,15 +2,11 @@
 
 use glam::DVec2;
 
+use crate::geometry::polygon::{doubled_area, sides};
+
 /// Twice the signed area of a triangle, positive counter-clockwise.
 fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
     (b - a).perp_dot(c - a)
-}
-
-/// Twice the signed area of a closed outline, positive counter-clockwise.
-pub(super) fn doubled_area(outline: &[DVec2]) -> f64 {
-    let next = outline.iter().cycle().skip(1);
-    outline.iter().zip(next).map(|(a, b)| a.perp_dot(*b)).sum()
 }
 
 /// Triangulates a polygon. Indices count the outline's corners first and then those of the holes, in order; triangles are
@@ -51,7 +47,7 @@ fn bridged(points: &[DVec2], outline: &[DVec2], holes: &[Vec<DVec2>]) -> Option<
 fn shortest_bridge(points: &[DVec2], ring: &[usize], holes: &[Vec<usize>]) -> Option<(usize, usize, usize)> {
     let sides: Vec<(DVec2, DVec2)> = std::iter::once(ring)
         .chain(holes.iter().map(Vec::as_slice))
-        .flat_map(|loop_| loop_.iter().zip(loop_.iter().cycle().skip(1)).map(move |(&a, &b)| (points[a], points[b])))
+        .flat_map(|corners| sides(corners).map(move |[a, b]| (points[a], points[b])))
         .collect();
     let mut best: Option<(f64, (usize, usize, usize))> = None;
     for (number, hole) in holes.iter().enumerate() {

@@ -13,7 +13,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use crate::field::triangle;
-use crate::geometry::{Surface, halfway};
+use crate::geometry::{Surface, halfway, split};
 
 /// Integrand at a point of the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,39 +110,12 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         let (ab, cut_ab) = self.middle(a, b, depth);
         let (bc, cut_bc) = self.middle(b, c, depth);
         let (ca, cut_ca) = self.middle(c, a, depth);
-        let next = depth + 1;
-        match (cut_ab, cut_bc, cut_ca) {
-            (false, false, false) => self.leaf([a, b, c], [&ab, &bc, &ca]),
-            (true, true, true) => {
-                self.facet([a, &ab, &ca], next);
-                self.facet([&ab, b, &bc], next);
-                self.facet([&ca, &bc, c], next);
-                self.facet([&ab, &bc, &ca], next);
-            }
-            (true, false, false) => self.halves(a, b, c, &ab, next),
-            (false, true, false) => self.halves(b, c, a, &bc, next),
-            (false, false, true) => self.halves(c, a, b, &ca, next),
-            (true, true, false) => self.thirds(b, c, a, &bc, &ab, next),
-            (false, true, true) => self.thirds(c, a, b, &ca, &bc, next),
-            (true, false, true) => self.thirds(a, b, c, &ab, &ca, next),
+        if !(cut_ab || cut_bc || cut_ca) {
+            return self.leaf([a, b, c], [&ab, &bc, &ca]);
         }
-    }
-
-    /// One edge cut, from a to b.
-    fn halves(&mut self, a: &Corner, b: &Corner, c: &Corner, ab: &Corner, depth: u32) {
-        self.facet([a, ab, c], depth);
-        self.facet([ab, b, c], depth);
-    }
-
-    /// Both edges at a cut.
-    fn thirds(&mut self, a: &Corner, b: &Corner, c: &Corner, ab: &Corner, ca: &Corner, depth: u32) {
-        self.facet([a, ab, ca], depth);
-        if ab.point.distance_squared(c.point) < b.point.distance_squared(ca.point) {
-            self.facet([ab, b, c], depth);
-            self.facet([ab, c, ca], depth);
-        } else {
-            self.facet([ab, b, ca], depth);
-            self.facet([b, c, ca], depth);
+        let middles = [cut_ab.then_some(&ab), cut_bc.then_some(&bc), cut_ca.then_some(&ca)];
+        for part in split([a, b, c], middles, |p, q| p.point.distance_squared(q.point)) {
+            self.facet(part, depth + 1);
         }
     }
 

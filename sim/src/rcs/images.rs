@@ -146,10 +146,10 @@ fn through_window(polygon: Vec<DVec3>, window: &[DVec3], terminal: &Terminal) ->
     let middle = polygon::centroid(window);
     let away = if terminal.side(middle, normal) > 0.0 { -normal } else { normal };
     let mut left = polygon::clipped(&polygon, middle, away);
-    for (a, b) in window.iter().zip(window.iter().cycle().skip(1)) {
-        let side = (*b - *a).cross(terminal.leg(*a).towards);
-        let inwards = if side.dot(middle - *a) < 0.0 { -side } else { side };
-        left = polygon::clipped(&left, *a, inwards);
+    for [a, b] in polygon::sides(window) {
+        let side = (b - a).cross(terminal.leg(a).towards);
+        let inwards = if side.dot(middle - a) < 0.0 { -side } else { side };
+        left = polygon::clipped(&left, a, inwards);
     }
     left
 }

@@ -372,7 +372,6 @@ fn check_sizes(target: &Target) -> Result<f64, RcsError> {
     }
 }
 
-/// The target as a mesh.
 fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
     if let Some(edge_m) = edge_m {
         check("the edge of the mesh", edge_m, "m", 1e-5, 10.0)?;

@@ -360,14 +360,10 @@ impl Receiver {
         }
     }
 
-    /// The first value that is no physical constant, as (key, value, what was expected).
-    pub fn first_fault(&self) -> Option<(&'static str, String, &'static str)> {
-        let fault = |key, value: String, expected| Some((key, value, expected));
-        if self.format != RECEIVER_FORMAT {
-            return fault("format", self.format.to_string(), "format = 1, the only version that this program reads");
-        }
+    /// Constants with their keys, and the least and the greatest value of each.
+    fn ranged(&self) -> [(&'static str, f64, f64, f64); 36] {
         let (antenna, noise, clutter, drift) = (&self.antenna, &self.noise, &self.clutter, &self.drift);
-        let ranged = [
+        [
             ("transmit_power_dbm", self.transmit_power_dbm, -60.0, 60.0),
             ("transmit_power_step_db", self.transmit_power_step_db, 0.0, 10.0),
             ("conversion_gain_db", self.conversion_gain_db, -60.0, 60.0),
@@ -404,8 +400,16 @@ impl Receiver {
             ("dc_lsb_per_s", drift.dc_lsb_per_s, -1e3, 1e3),
             ("dc_limit_lsb", drift.dc_limit_lsb, 0.0, 4096.0),
             ("dc_jitter_lsb", drift.dc_jitter_lsb, 0.0, 1e3),
-        ];
-        for (key, value, min, max) in ranged {
+        ]
+    }
+
+    /// The first value that is no physical constant, as (key, value, what was expected).
+    pub fn first_fault(&self) -> Option<(&'static str, String, &'static str)> {
+        let fault = |key, value: String, expected| Some((key, value, expected));
+        if self.format != RECEIVER_FORMAT {
+            return fault("format", self.format.to_string(), "format = 1, the only version that this program reads");
+        }
+        for (key, value, min, max) in self.ranged() {
             if !(value >= min && value <= max) {
                 return fault(key, value.to_string(), "a finite number within physical bounds (see the schema)");
             }
@@ -439,7 +443,7 @@ impl Receiver {
                 }
             }
         }
-        for psd in self.rx.iter().map(|rx| &rx.psd_lsb2).chain([&noise.psd_lsb2]).flatten() {
+        for psd in self.rx.iter().map(|rx| &rx.psd_lsb2).chain([&self.noise.psd_lsb2]).flatten() {
             if psd.len() < 5 || psd.iter().any(|v| !(*v >= 0.0 && *v < 1e9)) {
                 return fault("psd_lsb2", format!("{} values", psd.len()), "N/2 + 1 finite densities of at least 0");
             }

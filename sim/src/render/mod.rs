@@ -4,14 +4,13 @@
 use std::sync::{Arc, Mutex};
 
 use radome_dsp::{Frame, FrameShape, Waveform};
-use rand::Rng;
 
 use crate::actor::motion::Motion;
 use crate::echo::diffuse;
 use crate::echo::skin::SkinnedPerson;
 use crate::field::curved_triangle::Integrator;
 use crate::program::Program;
-use crate::random::{Purpose, generator};
+use crate::random::{Purpose, draw, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::leakage_chirp_lsb;
 use crate::receiver::noise::{NoiseShaper, channel_density_lsb2};
@@ -100,10 +99,8 @@ impl Renderer {
         let (noise_db, leakage_jitter) = match &scene.file().people.desk {
             Some(desk) => {
                 let mut rng = generator(options.seed, Purpose::Desk, [3, 0]);
-                let [low, high] = desk.noise_db;
-                let noise_db = low + (high - low) * rng.random::<f64>();
-                let [low, high] = desk.leakage_jitter_factor.map(f64::ln);
-                (noise_db, (low + (high - low) * rng.random::<f64>()).exp())
+                let noise_db = draw(&mut rng, desk.noise_db);
+                (noise_db, draw(&mut rng, desk.leakage_jitter_factor.map(f64::ln)).exp())
             }
             None => (0.0, 1.0),
         };

@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{SceneError, line_of_key};
+use super::{SceneError, file_error};
 use crate::actor::clip::BodyClip;
 use crate::actor::imported::{Actor, ActorOptions};
 use crate::actor::motion::Steps;
 use crate::bounded_file::{MESH_LIMIT_BYTES, named_by_spec, read};
-use crate::fault::FileFault;
+use crate::fault::{FileFault, utf8};
 use crate::geometry::import::UpAxis;
 use crate::scene_file::{ActorFile, SceneFile};
 
@@ -24,25 +24,12 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
     let Some(name) = &actor.file else { return Ok(Steps::Gait) };
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(name);
-    let fault = |source: FileFault| SceneError::File {
-        path: path.to_owned(),
-        line: line_of_key(text, name),
-        file: file.clone(),
-        source: Box::new(source),
-    };
+    let fault = |source: FileFault| file_error(path, text, name, source);
     let bytes = named_by_spec(folder, Path::new(name))
         .and_then(|file| read(&file, MESH_LIMIT_BYTES))
         .map_err(|e| fault(FileFault::unreadable(&e)))?;
     if name.to_lowercase().ends_with(".bvh") {
-        let text = std::str::from_utf8(&bytes).map_err(|e| {
-            let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
-            let hint = "BVH files are plain text: export the clip again";
-            fault(FileFault {
-                place: format!("line {line}"),
-                problem: "this is no text".to_owned(),
-                hint: hint.to_owned(),
-            })
-        })?;
+        let text = utf8(&bytes, "BVH files are plain text: export the clip again").map_err(fault)?;
         let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(fault)?;
         tracing::info!(
             file = %file.display(),

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
-use crate::material::{Material, OPEN};
+use crate::material::{Material, OPEN, OwnMaterial};
 use crate::scene_file::{
-    ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile, SurfaceFile, SwayFile, VibrationFile,
-    WanderFile,
+    ActorFile, BodyFile, DeskFile, DoorFile, FurnitureFile, RadarFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile,
+    StepFile, SurfaceFile, SwayFile, VibrationFile, VisitsFile, WanderFile,
 };
 
 /// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
@@ -16,6 +16,8 @@ const MOST_TABLES: f64 = 1000.0;
 const MOST_PEOPLE: f64 = 8.0;
 /// Steps of one person's script at most.
 const MOST_STEPS: f64 = 10_000.0;
+/// Unit of a spread of frequencies.
+const BANDWIDTH_UNIT: &str = "(standard deviation of the frequencies' logarithm)";
 
 /// A value that makes no sense.
 pub(super) struct Fault {
@@ -58,6 +60,29 @@ fn interval(key: &'static str, [low, high]: [f64; 2], min: f64, max: f64, unit: 
     fault(key, [low, high], format!("[least, largest] within {min} to {max} {unit}"))
 }
 
+/// Checks probabilities, each with its key.
+fn probabilities<const N: usize>(all: [(&'static str, f64); N]) -> Result<(), Fault> {
+    all.into_iter().try_for_each(|(key, probability)| within(key, probability, 0.0, 1.0, "(probability)"))
+}
+
+/// Refuses a place outside of a room of a size.
+fn in_room(key: &'static str, place: &[f64], size: [f64; 3]) -> Result<(), Fault> {
+    if place.iter().zip(size).all(|(&p, s)| p >= 0.0 && p <= s) {
+        return Ok(());
+    }
+    fault(key, place, format!("a place in the room {size:?}"))
+}
+
+/// Refuses the index of a table that is not there.
+fn index(key: &'static str, number: Option<usize>, table: &str, count: usize) -> Result<(), Fault> {
+    match number {
+        Some(number) if number >= count => {
+            fault(key, number, format!("an index below the number of [[{table}]] tables, {count}"))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The six surfaces by key.
 pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     [
@@ -70,27 +95,9 @@ pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     ]
 }
 
-/// The scene's own materials, and what a room is made of: before its meshes are read.
+/// Checks the scene's own materials, and what a room is made of: before its meshes are read.
 pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
-    for (name, own) in &file.materials {
-        if Material::named(name).is_some() {
-            return fault("materials", name, "another name: this one is the table's");
-        }
-        if own.permittivity.is_some() == own.p2040.is_some() {
-            return fault("materials", name, "either permittivity = [real, loss] or p2040 = [a, b, c, d]");
-        }
-        if let Some([real, loss]) = own.permittivity {
-            within("permittivity", real, 1.0, 1000.0, "(real part)")?;
-            within("permittivity", loss, 0.0, 1e6, "(loss: the imaginary part, counted positive)")?;
-        }
-        if let Some([a, b, c, d]) = own.p2040 {
-            within("p2040", a, 1.0, 1000.0, "(a)")?;
-            within("p2040", b, -5.0, 5.0, "(b)")?;
-            within("p2040", c, 0.0, 1e6, "(c)")?;
-            within("p2040", d, -5.0, 5.0, "(d)")?;
-        }
-        interval("band_ghz", own.band_ghz.unwrap_or([1.0, 100.0]), 0.0, 1e4, "GHz")?;
-    }
+    file.materials.iter().try_for_each(|(name, own)| check_own_material(name, own))?;
     for furniture in &file.furniture {
         within("thickness_m", furniture.thickness_m, 0.0, 10.0, "m")?;
         furniture.material.iter().try_for_each(|name| check_material(file, "material", name))?;
@@ -99,26 +106,7 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     if room.plan.is_some() && !room.mesh.is_empty() {
         return fault("plan", "given", "either [room.plan] or [[room.mesh]]");
     }
-    for (key, surface) in surfaces(room) {
-        let is_of_plan = room.plan.is_some() && !["floor", "ceiling"].contains(&key);
-        match (room.mesh.is_empty() && !is_of_plan, surface.material.as_str()) {
-            (true, "") => {
-                let expected =
-                    "{ material = \"...\", thickness_m = ... }, or [room.plan] or [[room.mesh]] for the walls";
-                return fault(key, "missing", expected);
-            }
-            (true, material) => check_material(file, key, material)?,
-            (false, "") => {}
-            (false, _) if is_of_plan => {
-                return fault(key, &surface.material, "none beside [room.plan]: upright walls come from the plan");
-            }
-            // Surfaces that the meshes lack.
-            (false, OPEN) => {}
-            (false, material) => {
-                return fault(key, material, "none beside [[room.mesh]]: walls come from the meshes, or are \"open\"");
-            }
-        }
-    }
+    surfaces(room).into_iter().try_for_each(|(key, surface)| check_surface(file, key, &surface.material))?;
     if !room.mesh.is_empty() && room.size_m != [0.0; 3] {
         return fault("size_m", room.size_m, "none beside [[room.mesh]]: the size comes from the meshes");
     }
@@ -131,6 +119,45 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
+/// Checks a material that the scene defines.
+fn check_own_material(name: &str, own: &OwnMaterial) -> Result<(), Fault> {
+    if Material::named(name).is_some() {
+        return fault("materials", name, "another name: this one is the table's");
+    }
+    if own.permittivity.is_some() == own.p2040.is_some() {
+        return fault("materials", name, "either permittivity = [real, loss] or p2040 = [a, b, c, d]");
+    }
+    if let Some([real, loss]) = own.permittivity {
+        within("permittivity", real, 1.0, 1000.0, "(real part)")?;
+        within("permittivity", loss, 0.0, 1e6, "(loss: the imaginary part, counted positive)")?;
+    }
+    if let Some([a, b, c, d]) = own.p2040 {
+        within("p2040", a, 1.0, 1000.0, "(a)")?;
+        within("p2040", b, -5.0, 5.0, "(b)")?;
+        within("p2040", c, 0.0, 1e6, "(c)")?;
+        within("p2040", d, -5.0, 5.0, "(d)")?;
+    }
+    interval("band_ghz", own.band_ghz.unwrap_or([1.0, 100.0]), 0.0, 1e4, "GHz")
+}
+
+/// Checks the material of one of the six surfaces: given in a box, absent where a plan or meshes have the walls.
+fn check_surface(file: &SceneFile, key: &'static str, material: &str) -> Result<(), Fault> {
+    let room = &file.room;
+    let is_of_plan = room.plan.is_some() && !["floor", "ceiling"].contains(&key);
+    match (room.mesh.is_empty() && !is_of_plan, material) {
+        (true, "") => {
+            let expected = "{ material = \"...\", thickness_m = ... }, or [room.plan] or [[room.mesh]] for the walls";
+            fault(key, "missing", expected)
+        }
+        (true, material) => check_material(file, key, material),
+        (false, "") => Ok(()),
+        (false, _) if is_of_plan => fault(key, material, "none beside [room.plan]: upright walls come from the plan"),
+        // Surfaces that the meshes lack.
+        (false, OPEN) => Ok(()),
+        (false, _) => fault(key, material, "none beside [[room.mesh]]: walls come from the meshes, or are \"open\""),
+    }
+}
+
 pub(super) fn check_material(file: &SceneFile, key: &'static str, name: &str) -> Result<(), Fault> {
     if Material::named(name).is_some() || file.materials.contains_key(name) {
         return Ok(());
@@ -140,14 +167,40 @@ pub(super) fn check_material(file: &SceneFile, key: &'static str, name: &str) ->
     fault(key, name, format!("one of {table}, or of the scene's own [materials.NAME], which are {own:?}"))
 }
 
+/// Checks a whole scene whose room has its size.
 pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     if file.format != SCENE_FORMAT {
         return fault("format", file.format, "1, the only version that this program reads");
     }
-    let room = &file.room;
-    let size = room.size_m;
-    if !size.iter().all(|&s| (0.5..=100.0).contains(&s)) {
-        return fault("size_m", size, "three lengths from 0.5 to 100 m");
+    let size = file.room.size_m;
+    check_room(&file.room)?;
+    check_position(&file.radar, size)?;
+    let tables = [
+        ("furniture", file.furniture.len()),
+        ("sway", file.room.sway.len()),
+        ("seat", file.seat.len()),
+        ("bed", file.bed.len()),
+        ("door", file.door.len()),
+    ];
+    tables.into_iter().try_for_each(|(key, count)| within(key, count as f64, 0.0, MOST_TABLES, "tables"))?;
+    check_mounting(&file.radar)?;
+    file.room.sway.iter().try_for_each(|sway| check_sway(sway, size))?;
+    file.furniture.iter().try_for_each(|furniture| check_furniture(furniture, size))?;
+    for seat in &file.seat {
+        check_resting_place("seat", &seat.position_m, seat.heading_deg, seat.height_m, size)?;
+        within("back_m", seat.back_m, 0.0, 0.45, "m (no more than thighs are long)")?;
+    }
+    for bed in &file.bed {
+        check_resting_place("bed", &bed.position_m, bed.heading_deg, bed.height_m, size)?;
+        within("edge_m", bed.edge_m.abs(), 0.2, 2.0, "m, to the left of the heading or, negative, to the right")?;
+    }
+    file.door.iter().try_for_each(|door| check_door(door, size))?;
+    check_people(file)
+}
+
+fn check_room(room: &RoomFile) -> Result<(), Fault> {
+    if !room.size_m.iter().all(|s| (0.5..=100.0).contains(s)) {
+        return fault("size_m", room.size_m, "three lengths from 0.5 to 100 m");
     }
     if room.plan.is_some() && room.solver == Some(SolverFile::Images) {
         return fault("solver", "images", "\"rays\", or none, beside [room.plan]");
@@ -157,75 +210,28 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     within("diffuse_share", room.diffuse_share, 0.0, 0.5, "of the power")?;
     within("diffuse_points", f64::from(room.diffuse_points), 1.0, 1024.0, "points")?;
     within("diffuse_bounces", f64::from(room.diffuse_bounces), 1.0, 16.0, "walls")?;
-    for (_, surface) in surfaces(room) {
-        within("thickness_m", surface.thickness_m, 0.0, 10.0, "m")?;
+    let mut thicknesses_m = surfaces(room).into_iter().map(|(_, surface)| surface.thickness_m);
+    thicknesses_m.try_for_each(|thickness_m| within("thickness_m", thickness_m, 0.0, 10.0, "m"))
+}
+
+/// Refuses a radar that is in a wall of the box around the room, or outside.
+fn check_position(radar: &RadarFile, size: [f64; 3]) -> Result<(), Fault> {
+    if radar.position_m.iter().zip(size).all(|(&p, s)| p >= 0.01 && p <= s - 0.01) {
+        return Ok(());
     }
-    let radar = &file.radar;
-    let inside = |p: f64, size: f64| p >= 0.01 && p <= size - 0.01;
-    if !radar.position_m.iter().zip(size).all(|(&p, s)| inside(p, s)) {
-        return fault(
-            "position_m",
-            radar.position_m,
-            format!("a place in the room, 1 cm or more from its walls {size:?}"),
-        );
-    }
-    let tables = [
-        ("furniture", file.furniture.len()),
-        ("sway", room.sway.len()),
-        ("seat", file.seat.len()),
-        ("bed", file.bed.len()),
-        ("door", file.door.len()),
-    ];
-    for (key, count) in tables {
-        within(key, count as f64, 0.0, MOST_TABLES, "tables")?;
-    }
+    fault("position_m", radar.position_m, format!("a place in the room, 1 cm or more from its walls {size:?}"))
+}
+
+/// Checks where the radar looks, and its vibration.
+fn check_mounting(radar: &RadarFile) -> Result<(), Fault> {
     within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
     within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
     if let Some(VibrationFile { amplitude_m, frequency_hz, bandwidth }) = radar.vibration {
         within("amplitude_m", amplitude_m, 0.0, 0.01, "m")?;
         within("frequency_hz", frequency_hz, 0.01, 200.0, "Hz")?;
-        within("bandwidth", bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
+        within("bandwidth", bandwidth, 0.0, 1.0, BANDWIDTH_UNIT)?;
     }
-    room.sway.iter().try_for_each(|sway| check_sway(sway, size))?;
-    for f in &file.furniture {
-        let fits = (0..3)
-            .all(|i| f.position_m[i] >= 0.0 && f.size_m[i] >= 0.0 && f.position_m[i] + f.size_m[i] <= size[i] + 1e-9);
-        if !fits {
-            return fault("furniture", (&f.name, f.position_m, f.size_m), format!("a box within the room {size:?}"));
-        }
-        within("cross_section_dbsm", f.cross_section_dbsm(), -100.0, 60.0, "dBsm")?;
-        within("points", f.points as f64, 1.0, 64.0, "points")?;
-    }
-    for seat in &file.seat {
-        if !(0..2).all(|i| seat.position_m[i] >= 0.0 && seat.position_m[i] <= size[i]) {
-            return fault("seat", seat.position_m, format!("a place in the room {size:?}"));
-        }
-        within("heading_deg", seat.heading_deg, -360.0, 360.0, "degrees")?;
-        within("height_m", seat.height_m, 0.2, 1.0, "m")?;
-        within("back_m", seat.back_m, 0.0, 0.45, "m (no more than thighs are long)")?;
-    }
-    for bed in &file.bed {
-        if !(0..2).all(|i| bed.position_m[i] >= 0.0 && bed.position_m[i] <= size[i]) {
-            return fault("bed", bed.position_m, format!("a place in the room {size:?}"));
-        }
-        within("heading_deg", bed.heading_deg, -360.0, 360.0, "degrees")?;
-        within("height_m", bed.height_m, 0.2, 1.0, "m")?;
-        within("edge_m", bed.edge_m.abs(), 0.2, 2.0, "m, to the left of the heading or, negative, to the right")?;
-    }
-    for door in &file.door {
-        let [x, y] = door.position_m;
-        let on_x = (x.abs() < 1e-6 || (x - size[0]).abs() < 1e-6) && y > 0.0 && y < size[1];
-        let on_y = (y.abs() < 1e-6 || (y - size[1]).abs() < 1e-6) && x > 0.0 && x < size[0];
-        if on_x == on_y {
-            return fault(
-                "door",
-                door.position_m,
-                format!("a place on one upright wall: x is 0 or {}, or y is 0 or {}", size[0], size[1]),
-            );
-        }
-        within("width_m", door.width_m, 0.4, 10.0, "m")?;
-    }
-    check_people(file)
+    Ok(())
 }
 
 fn check_sway(sway: &SwayFile, size: [f64; 3]) -> Result<(), Fault> {
@@ -235,13 +241,42 @@ fn check_sway(sway: &SwayFile, size: [f64; 3]) -> Result<(), Fault> {
     within("spread_db", sway.spread_db, 0.0, 60.0, "dB")?;
     interval("amplitude_m", sway.amplitude_m, 1e-7, 0.5, "m")?;
     interval("frequency_hz", sway.frequency_hz, 0.01, 200.0, "Hz")?;
-    within("bandwidth", sway.bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
-    if let Some(position_m) = sway.position_m
-        && !position_m.iter().zip(size).all(|(&p, s)| p >= 0.0 && p <= s)
-    {
-        return fault("position_m", position_m, format!("a place in the room {size:?}"));
+    within("bandwidth", sway.bandwidth, 0.0, 1.0, BANDWIDTH_UNIT)?;
+    sway.position_m.iter().try_for_each(|position_m| in_room("position_m", position_m, size))
+}
+
+fn check_furniture(furniture: &FurnitureFile, size: [f64; 3]) -> Result<(), Fault> {
+    let FurnitureFile { name, position_m, size_m, .. } = furniture;
+    let fits = (0..3).all(|i| position_m[i] >= 0.0 && size_m[i] >= 0.0 && position_m[i] + size_m[i] <= size[i] + 1e-9);
+    if !fits {
+        return fault("furniture", (name, position_m, size_m), format!("a box within the room {size:?}"));
     }
-    Ok(())
+    within("cross_section_dbsm", furniture.cross_section_dbsm(), -100.0, 60.0, "dBsm")?;
+    within("points", furniture.points as f64, 1.0, 64.0, "points")
+}
+
+/// Checks place, heading and height of a seat or a bed.
+fn check_resting_place(
+    key: &'static str,
+    position_m: &[f64],
+    heading_deg: f64,
+    height_m: f64,
+    size: [f64; 3],
+) -> Result<(), Fault> {
+    in_room(key, position_m, size)?;
+    within("heading_deg", heading_deg, -360.0, 360.0, "degrees")?;
+    within("height_m", height_m, 0.2, 1.0, "m")
+}
+
+fn check_door(door: &DoorFile, [width_m, depth_m, _]: [f64; 3]) -> Result<(), Fault> {
+    let [x, y] = door.position_m;
+    let on_x = (x.abs() < 1e-6 || (x - width_m).abs() < 1e-6) && y > 0.0 && y < depth_m;
+    let on_y = (y.abs() < 1e-6 || (y - depth_m).abs() < 1e-6) && x > 0.0 && x < width_m;
+    if on_x == on_y {
+        let expected = format!("a place on one upright wall: x is 0 or {width_m}, or y is 0 or {depth_m}");
+        return fault("door", door.position_m, expected);
+    }
+    within("width_m", door.width_m, 0.4, 10.0, "m")
 }
 
 /// Checks options that exclude an actor's file, and those that need one.
@@ -266,11 +301,8 @@ fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
         };
     }
     if body != BodyFile::Mesh {
-        return fault(
-            "file",
-            file,
-            "body = \"mesh\" in [people] with it: an actor from a file has a skin and no ellipsoids",
-        );
+        let expected = "body = \"mesh\" in [people] with it: an actor from a file has a skin and no ellipsoids";
+        return fault("file", file, expected);
     }
     for step in &actor.step {
         let given = [("sit_s", step.sit_s), ("squat_s", step.squat_s), ("lie_s", step.lie_s)];
@@ -283,186 +315,160 @@ fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
 
 fn check_people(file: &SceneFile) -> Result<(), Fault> {
     let people = &file.people;
-    let programs = usize::from(!people.actor.is_empty())
-        + usize::from(people.visits.is_some())
-        + usize::from(people.wander.is_some())
-        + usize::from(people.desk.is_some());
+    let programs = [!people.actor.is_empty(), people.visits.is_some(), people.wander.is_some(), people.desk.is_some()];
+    let programs = programs.into_iter().filter(|&is_given| is_given).count();
     if programs != 1 {
-        return fault(
-            "people",
-            programs,
-            "exactly one of [[people.actor]], [people.visits], [people.wander], [people.desk]",
-        );
+        let expected = "exactly one of [[people.actor]], [people.visits], [people.wander], [people.desk]";
+        return fault("people", programs, expected);
     }
     within("turn_rate_deg_per_s", people.turn_rate_deg_per_s.unwrap_or(120.0), 10.0, 720.0, "degrees/s")?;
     within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
     interval("stride", people.stride, 0.5, 1.5, "of the average")?;
     interval("arm_swing", people.arm_swing, 0.0, 3.0, "of the average")?;
     within("actor", people.actor.len() as f64, 0.0, MOST_PEOPLE, "people")?;
-    for actor in &people.actor {
-        within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
-        check_actor_file(people.body, actor)?;
-        within("start_s", actor.start_s, -1e6, 1e9, "s")?;
-        within("step", actor.step.len() as f64, 0.0, MOST_STEPS, "steps")?;
-        if actor.step.first().is_none_or(|s| s.walk_to_m.is_none() && s.enter_door.is_none() && s.lie_s.is_none()) {
-            return fault(
-                "step",
-                actor.step.len(),
-                "a first step with walk_to_m, enter_door or lie_s: where the person begins",
-            );
-        }
-        within("stride", actor.stride.unwrap_or(1.0), 0.5, 1.5, "of the average")?;
-        within("arm_swing", actor.arm_swing.unwrap_or(1.0), 0.0, 3.0, "of the average")?;
-        for (number, step) in actor.step.iter().enumerate() {
-            let given = [
-                step.walk_to_m.is_some(),
-                step.stand_s.is_some(),
-                step.sit_s.is_some(),
-                step.squat_s.is_some(),
-                step.lie_s.is_some(),
-                step.face_deg.is_some(),
-                step.enter_door.is_some(),
-                step.leave_door.is_some(),
-            ];
-            if given.iter().filter(|&&g| g).count() != 1 {
-                return fault(
-                    "step",
-                    given,
-                    "one of walk_to_m, stand_s, sit_s, squat_s, lie_s, face_deg, enter_door, leave_door in each step",
-                );
-            }
-            for xy in step.walk_to_m.iter().flatten() {
-                within("walk_to_m", *xy, -1000.0, 1000.0, "m")?;
-            }
-            within("speed_m_per_s", step.speed_m_per_s.unwrap_or(1.0), 0.05, 5.0, "m/s")?;
-            within("stand_s", step.stand_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
-            within("sit_s", step.sit_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
-            within("squat_s", step.squat_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
-            within("lie_s", step.lie_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
-            within("face_deg", step.face_deg.unwrap_or(0.0), -360.0, 360.0, "degrees")?;
-            let deepest_m = DEEPEST_SQUAT * actor.height_m.unwrap_or(1.75);
-            within("depth_m", step.depth_m.unwrap_or(0.1), 0.0, deepest_m, "m (0.36 of the body's height)")?;
-            let belongs = [
-                ("depth_m", step.depth_m.is_some(), step.squat_s.is_some(), "squat_s"),
-                ("bed", step.bed.is_some(), step.lie_s.is_some(), "lie_s"),
-            ];
-            if let Some((key, .., with)) = belongs.into_iter().find(|(_, given, with, _)| *given && !with) {
-                return fault(key, "given", format!("none without {with}"));
-            }
-            for (key, door) in [("enter_door", step.enter_door), ("leave_door", step.leave_door)] {
-                if door.is_some_and(|d| d >= file.door.len()) {
-                    let count = file.door.len();
-                    return fault(key, door, format!("an index below the number of [[door]] tables, {count}"));
-                }
-            }
-            if step.enter_door.is_some() && number > 0 {
-                return fault("enter_door", number, "it in the first step only");
-            }
-            if step.leave_door.is_some() && number + 1 < actor.step.len() {
-                return fault("leave_door", number, "it in the last step only");
-            }
-            if step.lie_s.is_some() && step.bed.unwrap_or(0) >= file.bed.len() {
-                let count = file.bed.len();
-                return fault(
-                    "bed",
-                    step.bed.unwrap_or(0),
-                    format!("an index below the number of [[bed]] tables, {count}"),
-                );
-            }
-            if step.seat.is_some_and(|s| s >= file.seat.len()) {
-                return fault(
-                    "seat",
-                    step.seat,
-                    format!("an index below the number of [[seat]] tables, {}", file.seat.len()),
-                );
-            }
-        }
-    }
-    if let Some(v) = &people.visits {
-        if file.door.is_empty() {
-            return fault("visits", "without a door", "at least one [[door]] to come in by");
-        }
-        within("max_people", v.max_people as f64, 0.0, MOST_PEOPLE, "people")?;
-        interval("first_absence_s", v.first_absence_s, 0.0, 1e6, "s")?;
-        interval("absence_s", v.absence_s, 0.1, 1e6, "s")?;
-        interval("speed_m_per_s", v.speed_m_per_s, 0.05, 5.0, "m/s")?;
-        interval("height_m", v.height_m, 0.5, 2.5, "m")?;
-        interval("lateral_m", v.lateral_m, 0.0, 100.0, "m")?;
-        interval("pause_s", v.pause_s, 0.0, 1e6, "s")?;
-        interval("sit_s", v.sit_s, 0.0, 1e6, "s")?;
-        interval("pace_legs", v.pace_legs, 0.0, 1000.0, "legs")?;
-        for (key, p) in [
-            ("turn_probability", v.turn_probability),
-            ("pause_probability", v.pause_probability),
-            ("sit_probability", v.sit_probability),
-            ("pace_probability", v.pace_probability),
-            ("passer_by_probability", v.passer_by_probability),
-        ] {
-            within(key, p, 0.0, 1.0, "(probability)")?;
-        }
-        within("pace_margin_m", v.pace_margin_m.unwrap_or(0.0), 0.0, 50.0, "m")?;
-        within("pace_off_boresight_deg", v.pace_off_boresight_deg.unwrap_or(180.0), 1.0, 180.0, "degrees")?;
-        interval("passer_by_level_db", v.passer_by_level_db, -60.0, 20.0, "dB")?;
-        interval("pace_range_m", v.pace_range_m.unwrap_or([0.0, 1.0]), 0.0, 100.0, "m")?;
-        if let Some([low, high]) = v.pace_area_m {
-            let size = file.room.size_m;
-            if !(0..2).all(|i| low[i] >= 0.0 && low[i] <= high[i] && high[i] <= size[i]) {
-                return fault(
-                    "pace_area_m",
-                    [low, high],
-                    format!("[[x_low, y_low], [x_high, y_high]] in the room {size:?}"),
-                );
-            }
-        }
-    }
-    if let Some(wander) = &people.wander {
-        check_wander(wander)?;
-    }
+    people.actor.iter().try_for_each(|actor| check_actor(file, actor))?;
+    people.visits.iter().try_for_each(|visits| check_visits(file, visits))?;
+    people.wander.iter().try_for_each(check_wander)?;
     if people.desk.is_some() && people.body == BodyFile::Mesh {
         return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
     }
-    if let Some(d) = &people.desk {
-        within("max_people", d.max_people as f64, 0.0, 2.0, "people (a desk has places for two)")?;
-        interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
-        within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
-        within(
-            "min_separation_m",
-            d.min_separation_m,
-            0.0,
-            d.distance_m[1] - d.distance_m[0],
-            "m (the stretch of distance_m)",
-        )?;
-        within("max_separation_m", d.max_separation_m, d.min_separation_m, 100.0, "m (not below min_separation_m)")?;
-        within("reflectivity_scatter_db", d.reflectivity_scatter_db, 0.0, 60.0, "dB")?;
-        interval("reflectivity_db", d.reflectivity_db, -60.0, 60.0, "dB")?;
-        interval("double_bounce_db", d.double_bounce_db.unwrap_or_default(), -200.0, 0.0, "dB")?;
-        interval("double_bounce_offset_m", d.double_bounce_offset_m, -0.2, 1.0, "m")?;
-        within("body_points", d.body_points as f64, 0.0, 32.0, "points")?;
-        interval("body_point_dbsm", d.body_point_dbsm, -100.0, 20.0, "dBsm")?;
-        interval("body_point_decay_db_per_m", d.body_point_decay_db_per_m, 0.0, 1000.0, "dB/m")?;
-        interval("body_point_detour_m", d.body_point_detour_m, 0.0, 5.0, "m")?;
-        interval("noise_db", d.noise_db, -60.0, 60.0, "dB")?;
-        interval("leakage_jitter_factor", d.leakage_jitter_factor, 1e-3, 1e3, "(factor)")?;
-        within("fidget_probability", d.fidget_probability, 0.0, 1.0, "(probability)")?;
-        within("objects_probability", d.objects_probability, 0.0, 1.0, "(probability)")?;
-        interval("height_m", d.height_m, 0.5, 2.5, "m")?;
+    people.desk.iter().try_for_each(check_desk)
+}
+
+/// Checks somebody's script.
+fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
+    let height_m = actor.height_m.unwrap_or(1.75);
+    within("height_m", height_m, 0.5, 2.5, "m")?;
+    check_actor_file(file.people.body, actor)?;
+    within("start_s", actor.start_s, -1e6, 1e9, "s")?;
+    within("step", actor.step.len() as f64, 0.0, MOST_STEPS, "steps")?;
+    let is_place = |s: &StepFile| s.walk_to_m.is_some() || s.enter_door.is_some() || s.lie_s.is_some();
+    if !actor.step.first().is_some_and(is_place) {
+        let expected = "a first step with walk_to_m, enter_door or lie_s: where the person begins";
+        return fault("step", actor.step.len(), expected);
+    }
+    within("stride", actor.stride.unwrap_or(1.0), 0.5, 1.5, "of the average")?;
+    within("arm_swing", actor.arm_swing.unwrap_or(1.0), 0.0, 3.0, "of the average")?;
+    for (number, step) in actor.step.iter().enumerate() {
+        check_step(step, height_m)?;
+        index("enter_door", step.enter_door, "door", file.door.len())?;
+        index("leave_door", step.leave_door, "door", file.door.len())?;
+        if step.enter_door.is_some() && number > 0 {
+            return fault("enter_door", number, "it in the first step only");
+        }
+        if step.leave_door.is_some() && number + 1 < actor.step.len() {
+            return fault("leave_door", number, "it in the last step only");
+        }
+        index("bed", step.lie_s.and(step.bed.or(Some(0))), "bed", file.bed.len())?;
+        index("seat", step.seat, "seat", file.seat.len())?;
     }
     Ok(())
+}
+
+/// Checks one step of a script of somebody of a height, but for the tables that it names.
+fn check_step(step: &StepFile, height_m: f64) -> Result<(), Fault> {
+    let given = [
+        step.walk_to_m.is_some(),
+        step.stand_s.is_some(),
+        step.sit_s.is_some(),
+        step.squat_s.is_some(),
+        step.lie_s.is_some(),
+        step.face_deg.is_some(),
+        step.enter_door.is_some(),
+        step.leave_door.is_some(),
+    ];
+    if given.iter().filter(|&&g| g).count() != 1 {
+        let expected =
+            "one of walk_to_m, stand_s, sit_s, squat_s, lie_s, face_deg, enter_door, leave_door in each step";
+        return fault("step", given, expected);
+    }
+    for xy in step.walk_to_m.iter().flatten() {
+        within("walk_to_m", *xy, -1000.0, 1000.0, "m")?;
+    }
+    within("speed_m_per_s", step.speed_m_per_s.unwrap_or(1.0), 0.05, 5.0, "m/s")?;
+    let durations_s =
+        [("stand_s", step.stand_s), ("sit_s", step.sit_s), ("squat_s", step.squat_s), ("lie_s", step.lie_s)];
+    for (key, duration_s) in durations_s {
+        within(key, duration_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+    }
+    within("face_deg", step.face_deg.unwrap_or(0.0), -360.0, 360.0, "degrees")?;
+    let deepest_m = DEEPEST_SQUAT * height_m;
+    within("depth_m", step.depth_m.unwrap_or(0.1), 0.0, deepest_m, "m (0.36 of the body's height)")?;
+    match (step.depth_m, step.squat_s, step.bed, step.lie_s) {
+        (Some(_), None, ..) => fault("depth_m", "given", "none without squat_s"),
+        (.., Some(_), None) => fault("bed", "given", "none without lie_s"),
+        _ => Ok(()),
+    }
+}
+
+fn check_visits(file: &SceneFile, visits: &VisitsFile) -> Result<(), Fault> {
+    let v = visits;
+    if file.door.is_empty() {
+        return fault("visits", "without a door", "at least one [[door]] to come in by");
+    }
+    within("max_people", v.max_people as f64, 0.0, MOST_PEOPLE, "people")?;
+    interval("first_absence_s", v.first_absence_s, 0.0, 1e6, "s")?;
+    interval("absence_s", v.absence_s, 0.1, 1e6, "s")?;
+    interval("speed_m_per_s", v.speed_m_per_s, 0.05, 5.0, "m/s")?;
+    interval("height_m", v.height_m, 0.5, 2.5, "m")?;
+    interval("lateral_m", v.lateral_m, 0.0, 100.0, "m")?;
+    interval("pause_s", v.pause_s, 0.0, 1e6, "s")?;
+    interval("sit_s", v.sit_s, 0.0, 1e6, "s")?;
+    interval("pace_legs", v.pace_legs, 0.0, 1000.0, "legs")?;
+    probabilities([
+        ("turn_probability", v.turn_probability),
+        ("pause_probability", v.pause_probability),
+        ("sit_probability", v.sit_probability),
+        ("pace_probability", v.pace_probability),
+        ("passer_by_probability", v.passer_by_probability),
+    ])?;
+    within("pace_margin_m", v.pace_margin_m.unwrap_or(0.0), 0.0, 50.0, "m")?;
+    within("pace_off_boresight_deg", v.pace_off_boresight_deg.unwrap_or(180.0), 1.0, 180.0, "degrees")?;
+    interval("passer_by_level_db", v.passer_by_level_db, -60.0, 20.0, "dB")?;
+    interval("pace_range_m", v.pace_range_m.unwrap_or([0.0, 1.0]), 0.0, 100.0, "m")?;
+    let size = file.room.size_m;
+    match v.pace_area_m {
+        Some([low, high]) if !(0..2).all(|i| low[i] >= 0.0 && low[i] <= high[i] && high[i] <= size[i]) => {
+            let expected = format!("[[x_low, y_low], [x_high, y_high]] in the room {size:?}");
+            fault("pace_area_m", [low, high], expected)
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_desk(desk: &DeskFile) -> Result<(), Fault> {
+    let d = desk;
+    within("max_people", d.max_people as f64, 0.0, 2.0, "people (a desk has places for two)")?;
+    interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
+    within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
+    let stretch_m = d.distance_m[1] - d.distance_m[0];
+    within("min_separation_m", d.min_separation_m, 0.0, stretch_m, "m (the stretch of distance_m)")?;
+    within("max_separation_m", d.max_separation_m, d.min_separation_m, 100.0, "m (not below min_separation_m)")?;
+    within("reflectivity_scatter_db", d.reflectivity_scatter_db, 0.0, 60.0, "dB")?;
+    interval("reflectivity_db", d.reflectivity_db, -60.0, 60.0, "dB")?;
+    interval("double_bounce_db", d.double_bounce_db.unwrap_or_default(), -200.0, 0.0, "dB")?;
+    interval("double_bounce_offset_m", d.double_bounce_offset_m, -0.2, 1.0, "m")?;
+    within("body_points", d.body_points as f64, 0.0, 32.0, "points")?;
+    interval("body_point_dbsm", d.body_point_dbsm, -100.0, 20.0, "dBsm")?;
+    interval("body_point_decay_db_per_m", d.body_point_decay_db_per_m, 0.0, 1000.0, "dB/m")?;
+    interval("body_point_detour_m", d.body_point_detour_m, 0.0, 5.0, "m")?;
+    interval("noise_db", d.noise_db, -60.0, 60.0, "dB")?;
+    interval("leakage_jitter_factor", d.leakage_jitter_factor, 1e-3, 1e3, "(factor)")?;
+    probabilities([("fidget_probability", d.fidget_probability), ("objects_probability", d.objects_probability)])?;
+    interval("height_m", d.height_m, 0.5, 2.5, "m")
 }
 
 fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     let w = wander;
     within("max_people", w.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
-    for (key, p) in [
+    probabilities([
         ("pause_probability", w.pause_probability),
         ("stand_probability", w.stand_probability),
         ("pace_probability", w.pace_probability),
         ("sit_probability", w.sit_probability),
         ("gesture_probability", w.gesture_probability),
         ("passer_by_probability", w.passer_by_probability),
-    ] {
-        within(key, p, 0.0, 1.0, "(probability)")?;
-    }
+    ])?;
     within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
     interval("speed_m_per_s", w.speed_m_per_s, 0.05, 2.0, "m/s")?;
     within("acceleration_m_per_s2", w.acceleration_m_per_s2, 0.2, 5.0, "m/s^2")?;
@@ -478,15 +484,13 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     interval("mode_s", w.mode_s, 1.0, 1e6, "s")?;
     interval("passer_by_level_db", w.passer_by_level_db, -60.0, 20.0, "dB")?;
     let m = &w.modes;
-    for (key, weight) in [
+    let weights = [
         ("independent", m.independent),
         ("together", m.together),
         ("follow", m.follow),
         ("meet", m.meet),
         ("pass", m.pass),
         ("stand_and_walk", m.stand_and_walk),
-    ] {
-        within(key, weight, 0.0, 1e6, "(weight)")?;
-    }
-    Ok(())
+    ];
+    weights.into_iter().try_for_each(|(key, weight)| within(key, weight, 0.0, 1e6, "(weight)"))
 }

@@ -8,7 +8,6 @@ use crate::scene_file::{SceneFile, SurfaceFile};
 /// The group of faces that close the room.
 pub(super) const ROOM: usize = 0;
 
-/// A face before it is known where there is air.
 #[derive(Debug, Clone)]
 pub(super) struct Draft {
     pub polygon: PlanarPolygon,

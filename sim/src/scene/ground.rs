@@ -6,8 +6,8 @@ mod cells;
 
 use glam::{DVec2, DVec3};
 
-use super::Scene;
-use crate::geometry::polygon::encloses;
+use super::{Scene, plan};
+use crate::geometry::polygon::{doubled_area, encloses, sides};
 use crate::scene_file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
 
@@ -44,7 +44,7 @@ impl Floor {
         let room = &scene.file.room;
         let all = || Floor::Box([room.size_m[0], room.size_m[1]]);
         match &room.plan {
-            Some(plan) => Floor::Plan(corners(plan)),
+            Some(plan) => Floor::Plan(plan::corners(plan)),
             None if room.mesh.is_empty() => all(),
             None => Cells::of(scene).map_or_else(all, Floor::Cells),
         }
@@ -92,16 +92,10 @@ pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
     }
 }
 
-fn corners(plan: &PlanFile) -> Vec<DVec2> {
-    plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
-}
-
 /// Boxes around the leaves of a plan's doors.
 fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
     let mut boxes = Vec::new();
-    let corners = corners(plan);
-    let sides: Vec<[DVec2; 2]> = corners.iter().zip(corners.iter().cycle().skip(1)).map(|(&a, &b)| [a, b]).collect();
-    let twice_area_m2: f64 = sides.iter().map(|[a, b]| a.perp_dot(*b)).sum();
+    let (sides, twice_area_m2) = (plan::walls(plan), doubled_area(&plan::corners(plan)));
     for opening in &plan.opening {
         if let (Some(wall), Some(door)) = (opening.wall.and_then(|wall| sides.get(wall)), &opening.door) {
             let [hinge, end] = leaf(wall, opening, door, twice_area_m2.signum());
@@ -109,7 +103,7 @@ fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
         }
     }
     for partition in &plan.partition {
-        let line = [partition.from_m, partition.to_m].map(DVec2::from_array);
+        let line = plan::ends(partition);
         for opening in &partition.opening {
             if let Some(door) = &opening.door {
                 let [hinge, end] = leaf(&line, opening, door, 1.0);
@@ -133,7 +127,7 @@ fn leaf([from, to]: &[DVec2; 2], opening: &OpeningFile, door: &DoorLeafFile, lef
 
 /// Parts of a plan that people walk around, but for door leaves.
 fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
-    let mut boxes = outside(&corners(plan));
+    let mut boxes = outside(&plan::corners(plan));
     for partition in &plan.partition {
         add_partition(partition, &mut boxes);
     }
@@ -142,8 +136,7 @@ fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
 
 /// Boxes over what lies around a polygon within its bounds: exact where its sides run along the axes.
 fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
-    let sides = || corners.iter().zip(corners.iter().cycle().skip(1));
-    let is_askew = sides().any(|(a, b)| (a.x - b.x).abs() > SAME_M && (a.y - b.y).abs() > SAME_M);
+    let is_askew = sides(corners).any(|[a, b]| (a.x - b.x).abs() > SAME_M && (a.y - b.y).abs() > SAME_M);
     let lines = |axis: usize| {
         let mut lines: Vec<f64> = corners.iter().map(|corner| corner[axis]).collect();
         if is_askew {
@@ -181,7 +174,7 @@ fn lets_people_through(opening: &OpeningFile) -> bool {
 
 /// Adds boxes around the parts of a partition between its doorways.
 fn add_partition(partition: &PartitionFile, boxes: &mut Vec<GroundBox>) {
-    let (from, to) = (DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m));
+    let [from, to] = plan::ends(partition);
     let length_m = from.distance(to);
     let mut doorways: Vec<[f64; 2]> =
         partition.opening.iter().filter(|opening| lets_people_through(opening)).map(|o| [o.from_m, o.to_m]).collect();

@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 use super::Outline;
 use super::check::{Fault, check_material, fault, within};
 use super::draft::{Draft, ROOM, solid};
+use crate::geometry::polygon::{self, distance_to_line};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 
@@ -45,7 +46,7 @@ pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     let off_walls_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
     let is_within = |place: [f64; 2]| off_walls_m(place) >= -SAME_M;
     let [x, y, _] = file.radar.position_m;
-    let of_partition = |p: &PartitionFile| distance_m(DVec2::new(x, y), ends(p));
+    let of_partition = |p: &PartitionFile| distance_to_line(DVec2::new(x, y), ends(p));
     let off_m = plan.partition.iter().map(of_partition).fold(off_walls_m([x, y]), f64::min);
     if off_m < RADAR_OFF_M {
         let expected = "a place within [room.plan], 1 cm or more from its walls and partitions";
@@ -72,17 +73,16 @@ pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-fn corners(plan: &PlanFile) -> Vec<DVec2> {
+pub(super) fn corners(plan: &PlanFile) -> Vec<DVec2> {
     plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
 }
 
-/// Ends of all walls.
-fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
-    let corners = corners(plan);
-    corners.iter().zip(corners.iter().cycle().skip(1)).map(|(&a, &b)| [a, b]).collect()
+/// Ends of all walls, m.
+pub(super) fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
+    polygon::sides(&corners(plan)).collect()
 }
 
-fn ends(partition: &PartitionFile) -> [DVec2; 2] {
+pub(super) fn ends(partition: &PartitionFile) -> [DVec2; 2] {
     [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
 }
 
@@ -91,12 +91,6 @@ fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
     let corners: Vec<DVec3> = corners(plan).into_iter().map(|corner| corner.extend(0.0)).collect();
     let floor = PlanarPolygon::from_corners(&corners, &[])?;
     Some(if floor.normal.z > 0.0 { floor } else { floor.flipped() })
-}
-
-fn distance_m(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
-    let along = b - a;
-    let part = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-    point.distance(a + along * part)
 }
 
 /// Whether two lines cross each other between their ends.
@@ -126,12 +120,12 @@ fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
             let precedes = i == 0 && j + 1 == walls.len();
             let is_hit = match (follows, precedes) {
                 // They share a corner: does one fold back onto the other?
-                (true, _) => distance_m(other[1], wall) < SAME_M || distance_m(wall[0], other) < SAME_M,
-                (_, true) => distance_m(other[0], wall) < SAME_M || distance_m(wall[1], other) < SAME_M,
+                (true, _) => distance_to_line(other[1], wall) < SAME_M || distance_to_line(wall[0], other) < SAME_M,
+                (_, true) => distance_to_line(other[0], wall) < SAME_M || distance_to_line(wall[1], other) < SAME_M,
                 _ => {
                     cross(wall, other)
-                        || other.iter().any(|&end| distance_m(end, wall) < SAME_M)
-                        || wall.iter().any(|&end| distance_m(end, other) < SAME_M)
+                        || other.iter().any(|&end| distance_to_line(end, wall) < SAME_M)
+                        || wall.iter().any(|&end| distance_to_line(end, other) < SAME_M)
                 }
             };
             if is_hit {
@@ -368,7 +362,7 @@ impl Builder<'_> {
 /// Walls, floor, ceiling, partitions, panes and doors of a plan; and what they look like.
 pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Vec<Draft>, Vec<Outline>) {
     let mut builder = Builder { file, frequency_hz, drafts: Vec::new(), outlines: Vec::new(), groups: ROOM };
-    let twice_area_m2: f64 = walls(plan).iter().map(|[a, b]| a.perp_dot(*b)).sum();
+    let twice_area_m2 = polygon::doubled_area(&corners(plan));
     for (index, ends) in walls(plan).into_iter().enumerate() {
         let of = match plan.wall.iter().find(|wall| wall.index == index) {
             Some(wall) => (wall.material.as_str(), wall.thickness_m),

@@ -15,11 +15,11 @@ use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 
 use super::check::{Fault, fault, surfaces};
-use super::{SceneError, line_of_key};
+use super::{SceneError, file_error};
 use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
 use crate::field::image::Wall;
-use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
+use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
 use crate::math::Sets;
@@ -197,12 +197,7 @@ pub(super) fn read_meshes(
     let Some(first) = file.room.mesh.first() else {
         return Ok((Vec::new(), RoomMeshes { own_furniture, ..RoomMeshes::default() }));
     };
-    let of_room = |source: FileFault| SceneError::File {
-        path: path.to_owned(),
-        line: line_of_key(text, &first.file),
-        file: path.parent().unwrap_or(Path::new("")).join(&first.file),
-        source: Box::new(source),
-    };
+    let of_room = |source: FileFault| file_error(path, text, &first.file, source);
     let [low, high] = bounds(pieces.iter().flat_map(|p| &p.mesh.vertices));
     if !(0..3).all(|i| (SIZES_M[0]..=2.0 * SIZES_M[1]).contains(&(high - low)[i])) {
         let size = high - low;
@@ -211,7 +206,25 @@ pub(super) fn read_meshes(
         let hint = "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"";
         return Err(of_room(FileFault::new("size", problem, hint)));
     }
-    let faces = faces(&pieces);
+    let (found, made) = six_walls(file, &pieces, [low, high]).map_err(of_room)?;
+    let [corner, end] = [0, 1].map(|e| DVec3::new(found[e], found[2 + e], found[4 + e]));
+    let room = &mut file.room;
+    room.size_m = (end - corner).to_array();
+    [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] = made;
+    let furniture = furniture(file, &pieces, corner, end, frequency_hz);
+    tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
+    file.furniture.extend(furniture);
+    let outlines = pieces.iter().map(|piece| outline(piece, corner)).collect();
+    Ok((outlines, RoomMeshes { pieces, corner, own_furniture }))
+}
+
+/// Places of the six walls of meshes between two corners, m, and what each of them is.
+fn six_walls(
+    file: &SceneFile,
+    pieces: &[Piece],
+    [low, high]: [DVec3; 2],
+) -> Result<([f64; 6], [SurfaceFile; 6]), FileFault> {
+    let faces = faces(pieces);
     let mut found: [f64; 6] = [0.0; 6];
     let mut made: [SurfaceFile; 6] = Default::default();
     let is_open = surfaces(&file.room).map(|(_, surface)| surface.material == OPEN);
@@ -230,32 +243,33 @@ pub(super) fn read_meshes(
             );
             let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say \
                         that there is none: ceiling = { material = \"open\" } in [room]";
-            of_room(FileFault::new("walls", problem, hint))
+            FileFault::new("walls", problem, hint)
         })?;
         found[i] = face.offset_m2 / face.area_m2;
         let most = face.of.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
         made[i] = most.map(|p| p.surface.clone()).unwrap_or_default();
     }
-    let [corner, end] = [0, 1].map(|e| DVec3::new(found[e], found[2 + e], found[4 + e]));
-    let room = &mut file.room;
-    room.size_m = (end - corner).to_array();
-    [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] = made;
-    let furniture = furniture(file, &pieces, corner, end, frequency_hz);
-    tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
-    file.furniture.extend(furniture);
-    let outlines = pieces.iter().map(|piece| outline(piece, corner)).collect();
-    Ok((outlines, RoomMeshes { pieces, corner, own_furniture }))
+    Ok((found, made))
 }
 
+/// Reads a mesh file: its parts, each with a material, welded.
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(&mesh.file);
-    let fault = |source: FileFault| SceneError::File {
-        path: path.to_owned(),
-        line: line_of_key(text, &mesh.file),
-        file: file.clone(),
-        source: Box::new(source),
-    };
+    let parts = import_parts(mesh, folder, &file).and_then(|parts| {
+        let triangles: usize = parts.iter().map(|part| part.mesh.triangles.len()).sum();
+        if triangles > MOST_TRIANGLES {
+            let problem = format!("it has {triangles} triangles, expected {MOST_TRIANGLES} at most");
+            let hint = "reduce the mesh: walls and furniture are looked at as planes and boxes";
+            return Err(FileFault::new("mesh", problem, hint));
+        }
+        parts.into_iter().map(|part| piece(mesh, &file, part)).collect()
+    });
+    parts.map_err(|source| file_error(path, text, &mesh.file, source))
+}
+
+/// The parts of a mesh file in metres, z up.
+fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<Part>, FileFault> {
     let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let says = ["gltf", "glb"].contains(&extension.as_str());
     let (unit, up) = match (mesh.unit, mesh.up) {
@@ -265,58 +279,51 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
             let what = if unit.is_none() { "unit" } else { "up" };
             let problem = format!("{what} is not said, and the format does not say it either");
             let hint = "add unit = \"m\" (or \"cm\", \"mm\", \"in\") and up = \"z\" (or \"y\") to this [[room.mesh]]";
-            return Err(fault(FileFault::new(what, problem, hint)));
+            return Err(FileFault::new(what, problem, hint));
         }
     };
     // Others are refused by their names.
-    if ["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {
-        named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| fault(FileFault::unreadable(&e)))?;
+    if says || ["stl", "obj"].contains(&extension.as_str()) {
+        named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileFault::unreadable(&e))?;
     }
-    let parts = import(&file, unit, up).map_err(|e| {
+    import(file, unit, up).map_err(|e| {
         let (place, problem) = match &e {
-            ImportError::Read { source, .. } => return fault(FileFault::unreadable(source)),
-            ImportError::Content { source, .. } => ("content".to_owned(), source.to_string()),
+            ImportError::Read { source, .. } => return FileFault::unreadable(source),
+            ImportError::Content { source, .. } => ("content", source.to_string()),
             ImportError::Format { extension, .. } => {
-                ("name".to_owned(), format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
+                ("name", format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
             }
         };
-        fault(FileFault::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF"))
+        FileFault::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF")
+    })
+}
+
+/// A part of a mesh file with the material that the scene gives it.
+fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileFault> {
+    let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];
+    let material = names.iter().find_map(|n| mesh.materials.get(*n)).or(mesh.material.as_ref());
+    let material = material.ok_or_else(|| {
+        let problem = format!("the part {:?} with the material {:?} has none in the scene", part.name, names[0]);
+        FileFault::new("material", problem, "add material = \"...\", or its name to materials = { ... }")
     })?;
-    let triangles: usize = parts.iter().map(|part| part.mesh.triangles.len()).sum();
-    if triangles > MOST_TRIANGLES {
-        let problem = format!("it has {triangles} triangles, expected {MOST_TRIANGLES} at most");
-        let hint = "reduce the mesh: walls and furniture are looked at as planes and boxes";
-        return Err(fault(FileFault::new("mesh", problem, hint)));
+    let welded = weld(&part.mesh, WELD_M)
+        .map_err(|e| FileFault::new("mesh", e.to_string(), "export the mesh again; check its unit"))?;
+    if welded.mesh.triangles.is_empty() {
+        let problem = format!("no triangle of the part {:?} has an area in this unit", part.name);
+        return Err(FileFault::new("mesh", problem, "check unit: the numbers may be in metres"));
     }
-    let mut pieces = Vec::new();
-    for part in parts {
-        let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];
-        let material =
-            names.iter().find_map(|n| mesh.materials.get(*n)).or(mesh.material.as_ref()).ok_or_else(|| {
-                let problem =
-                    format!("the part {:?} with the material {:?} has none in the scene", part.name, names[0]);
-                fault(FileFault::new("material", problem, "add material = \"...\", or its name to materials = { ... }"))
-            })?;
-        let welded = weld(&part.mesh, WELD_M)
-            .map_err(|e| fault(FileFault::new("mesh", e.to_string(), "export the mesh again; check its unit")))?;
-        if welded.mesh.triangles.is_empty() {
-            let problem = format!("no triangle of the part {:?} has an area in this unit", part.name);
-            return Err(fault(FileFault::new("mesh", problem, "check unit: the numbers may be in metres")));
-        }
-        let findings = lint(&welded.mesh);
-        if findings.tangled_edges > 0 || !findings.overlaps.is_empty() {
-            tracing::warn!(
-                file = %file.display(),
-                part = part.name,
-                tangled_edges = findings.tangled_edges,
-                overlaps = findings.overlaps.len(),
-                "the mesh meets itself: faces that lie on each other count twice"
-            );
-        }
-        let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };
-        pieces.push(Piece { name: part.name, surface, mesh: welded.mesh });
+    let findings = lint(&welded.mesh);
+    if findings.tangled_edges > 0 || !findings.overlaps.is_empty() {
+        tracing::warn!(
+            file = %file.display(),
+            part = part.name,
+            tangled_edges = findings.tangled_edges,
+            overlaps = findings.overlaps.len(),
+            "the mesh meets itself: faces that lie on each other count twice"
+        );
     }
-    Ok(pieces)
+    let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };
+    Ok(Piece { name: part.name, surface, mesh: welded.mesh })
 }
 
 /// Low and high corner of places.

@@ -137,11 +137,9 @@ impl Surfaces {
     /// Finds out where faces have air and what meets at their edges, and leaves out those that others cover.
     pub(super) fn assemble(mut drafts: Vec<Draft>, small: Vec<SmallPart>, radar: DVec3) -> Self {
         let polygons: Vec<PlanarPolygon> = drafts.iter().map(|draft| draft.polygon.clone()).collect();
-        let triangles = small.iter().flat_map(|part| {
-            let corners = (0..part.mesh.triangles.len()).filter_map(move |t| part.mesh.corners(t));
-            corners.filter_map(|corners| PlanarPolygon::from_corners(&corners, &[]))
-        });
-        let triangles: Vec<PlanarPolygon> = triangles.collect();
+        let triangles = small.iter().flat_map(|part| part.mesh.all_corners());
+        let triangles: Vec<PlanarPolygon> =
+            triangles.filter_map(|corners| PlanarPolygon::from_corners(&corners, &[])).collect();
         let index = Index::new(&polygons, &triangles);
         let touches = touches(&polygons, &index);
         let covered_by: Vec<Option<usize>> = (0..polygons.len()).map(|face| cover(&polygons, &index, face)).collect();
@@ -224,8 +222,7 @@ impl Surfaces {
             face.polygon.triangulate().into_iter().for_each(|corners| add(corners, Owner::Face(owner)));
         }
         for (part, owner) in self.small.iter().zip(0..) {
-            let corners = (0..part.mesh.triangles.len()).filter_map(|t| part.mesh.corners(t));
-            corners.for_each(|corners| add(corners, Owner::Small(owner)));
+            part.mesh.all_corners().for_each(|corners| add(corners, Owner::Small(owner)));
         }
         (mesh, owners)
     }

@@ -76,7 +76,6 @@ pub struct RoomFile {
     #[serde(default)]
     pub size_m: [f64; 3],
     /// Instead of size and upright walls: a floor plan.
-    #[serde(default)]
     pub plan: Option<PlanFile>,
     /// Instead of size and surfaces: the room's walls and what stands in it, as meshes. The low corner of the box that the walls
     /// make becomes the origin of the scene. A surface that the meshes do not have is `{ material = "open" }`.
@@ -85,7 +84,6 @@ pub struct RoomFile {
     /// Way of finding paths: "images" takes the box around the room, whose images are a lattice, and furniture as points;
     /// "rays" takes all faces of walls and furniture, which mirror, hide and diffract. Default "rays" with `plan`, and with
     /// `mesh` unless that is a box and nothing else; "images" without.
-    #[serde(default)]
     pub solver: Option<SolverFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 6. In rooms of more than 200 faces that rays are
     /// sent through, two are taken at most.
@@ -223,13 +221,10 @@ pub struct RoomMeshFile {
     /// STL, OBJ or glTF file (`.stl`, `.obj`, `.gltf`, `.glb`), relative to the scene file.
     pub file: String,
     /// Unit of its numbers: "m", "cm", "mm" or "in". Needed of STL and OBJ, which do not say; glTF is in metres.
-    #[serde(default)]
     pub unit: Option<LengthUnit>,
     /// Axis that points up: "z" or "y". Needed of STL and OBJ; glTF has y up.
-    #[serde(default)]
     pub up: Option<UpAxis>,
     /// Material of its parts, but for those of `materials`.
-    #[serde(default)]
     pub material: Option<String>,
     /// Materials by the names that the file gives to materials or parts.
     #[serde(default)]
@@ -252,7 +247,6 @@ pub struct RadarFile {
     #[serde(default)]
     pub tilt_down_deg: f64,
     /// Vibration of what the radar is mounted on. None if absent.
-    #[serde(default)]
     pub vibration: Option<VibrationFile>,
 }
 
@@ -289,14 +283,12 @@ pub struct FurnitureFile {
     pub size_m: [f64; 3],
     /// Material: one of the table or of the scene's own. It colours the box in pictures, and says how much
     /// it reflects where `cross_section_dbsm` does not. Neither, if absent.
-    #[serde(default)]
     pub material: Option<String>,
     /// Thickness of its boards, m. Default 0.02.
     #[serde(default = "fiftieth")]
     pub thickness_m: f64,
     /// Radar cross-section of all points together, dBsm. Default what its material gives: the mean of a convex body turned at
     /// random, a quarter of its area times what it reflects; -10 without one.
-    #[serde(default)]
     pub cross_section_dbsm: Option<f64>,
     /// Points. Default 6, at most 64.
     #[serde(default = "six")]

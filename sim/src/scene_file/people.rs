@@ -39,21 +39,16 @@ pub struct PeopleFile {
     #[serde(default)]
     pub actor: Vec<ActorFile>,
     /// People who come and go by chance.
-    #[serde(default)]
     pub visits: Option<VisitsFile>,
     /// People who wander about on smooth ways, alone or with each other.
-    #[serde(default)]
     pub wander: Option<WanderFile>,
     /// People who sit before the radar.
-    #[serde(default)]
     pub desk: Option<DeskFile>,
     /// Fastest that anybody turns, degrees/s: wide turns are made on the spot, with steps, others in a curve. If absent, a
     /// corner takes 0.7 s however sharp it is.
-    #[serde(default)]
     pub turn_rate_deg_per_s: Option<f64>,
     /// Distance that hips keep from furniture and walls, m: ways lead around what stands in the room, and nobody paces to places nearer
     /// to it. If absent, ways are straight but around the walls and door leaves of floor plans and files.
-    #[serde(default)]
     pub keep_off_m: Option<f64>,
     /// Stride over the average one of such a body at such a speed. Drawn for each person. Default [1, 1].
     #[serde(default = "ones")]
@@ -74,29 +69,21 @@ pub struct ActorFile {
     #[serde(default)]
     pub start_s: f64,
     /// Body height, m. Default 1.75; of an actor from a file, what the file says.
-    #[serde(default)]
     pub height_m: Option<f64>,
     /// Source of the steps: a skinned actor with an animation of it walking (`.glb`, `.gltf`, `.dae`; only with `body = "mesh"`),
     /// or captured steps for the house's own body (`.bvh`). A path relative to the scene file. The built-in gait if absent.
-    #[serde(default)]
     pub file: Option<String>,
     /// Name of the actor's animation. Default the only one, or the only one with "walk" in its name.
-    #[serde(default)]
     pub animation: Option<String>,
     /// The part of the animation or clip that is one cycle of two steps, s. Found if absent.
-    #[serde(default)]
     pub cycle_s: Option<[f64; 2]>,
     /// Unit of the actor's file: "m", "cm", "mm" or "in". Default what the format says.
-    #[serde(default)]
     pub unit: Option<LengthUnit>,
     /// Axis of the actor's file that points up: "y" or "z". Default what the format says; y for BVH.
-    #[serde(default)]
     pub up: Option<UpAxis>,
     /// Stride over the average one of such a body at such a speed. Default what `[people]` says.
-    #[serde(default)]
     pub stride: Option<f64>,
     /// Swing of the arms over the average one. Default what `[people]` says.
-    #[serde(default)]
     pub arm_swing: Option<f64>,
     /// Steps of the script, in order. The first one must be a place: `walk_to_m`, `enter_door` or `lie_s`.
     pub step: Vec<StepFile>,
@@ -108,40 +95,28 @@ pub struct ActorFile {
 #[serde(deny_unknown_fields)]
 pub struct StepFile {
     /// Walk there (the first step: be there), m.
-    #[serde(default)]
     pub walk_to_m: Option<[f64; 2]>,
     /// Speed of the walk, m/s. Default 1.2.
-    #[serde(default)]
     pub speed_m_per_s: Option<f64>,
     /// Stand so long, s.
-    #[serde(default)]
     pub stand_s: Option<f64>,
     /// Sit so long, s.
-    #[serde(default)]
     pub sit_s: Option<f64>,
     /// Index of the seat. The place where the person stands, if absent.
-    #[serde(default)]
     pub seat: Option<usize>,
     /// Squat so long, going down and getting up included, s.
-    #[serde(default)]
     pub squat_s: Option<f64>,
     /// Height by which the head is lower then, m. Default 0.45; at most 0.36 of the body's height.
-    #[serde(default)]
     pub depth_m: Option<f64>,
     /// Go to a bed and lie down so long, getting in and out included, s. As the first step: lie there from before the beginning.
-    #[serde(default)]
     pub lie_s: Option<f64>,
     /// Index of the bed. Default 0.
-    #[serde(default)]
     pub bed: Option<usize>,
     /// Turn on the spot to look there, from +x towards +y, degrees.
-    #[serde(default)]
     pub face_deg: Option<f64>,
     /// Come in by this door (index): the first step. Before `start_s` the person is not there.
-    #[serde(default)]
     pub enter_door: Option<usize>,
     /// Go out by this door (index) and be gone: the last step.
-    #[serde(default)]
     pub leave_door: Option<usize>,
 }
 

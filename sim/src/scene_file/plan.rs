@@ -74,7 +74,6 @@ pub struct PartitionFile {
     /// Place at which it ends, m.
     pub to_m: [f64; 2],
     /// Height over the floor, m. Default that of the room.
-    #[serde(default)]
     pub height_m: Option<f64>,
     /// Material: one of the table's or of the scene's own.
     pub material: String,
@@ -91,7 +90,6 @@ pub struct PartitionFile {
 #[serde(deny_unknown_fields)]
 pub struct OpeningFile {
     /// Index of its wall. Needed in `[[room.plan.opening]]`; none in a partition's own.
-    #[serde(default)]
     pub wall: Option<usize>,
     /// Beginning along the wall, from the corner or place where that begins, m.
     pub from_m: f64,
@@ -103,13 +101,11 @@ pub struct OpeningFile {
     /// Height of its upper edge over the floor, m.
     pub head_m: f64,
     /// Material of a pane that fills it. None if absent.
-    #[serde(default)]
     pub material: Option<String>,
     /// Thickness of the pane, m. Default 0.006.
     #[serde(default = "pane_thickness")]
     pub thickness_m: f64,
     /// A door in it. None if absent.
-    #[serde(default)]
     pub door: Option<DoorLeafFile>,
 }
 

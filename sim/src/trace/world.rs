@@ -250,10 +250,8 @@ fn bounds(corners: &Corners, pad: f32) -> Aabb {
 
 /// Builds a structure slowly and well: large triangles are split among boxes, all nodes are placed again.
 fn build_tree(mesh: &Mesh, pad: f32) -> CwBvh {
-    let triangles: Vec<Triangle> = (0..mesh.triangles.len())
-        .filter_map(|t| mesh.corners(t))
-        .map(|[a, b, c]| Triangle { v0: a.as_vec3a(), v1: b.as_vec3a(), v2: c.as_vec3a() })
-        .collect();
+    let triangles: Vec<Triangle> =
+        mesh.all_corners().map(|[a, b, c]| Triangle { v0: a.as_vec3a(), v1: b.as_vec3a(), v2: c.as_vec3a() }).collect();
     let mut boxes: Vec<Aabb> = triangles.iter().map(obvhs::Boundable::aabb).collect();
     let mut indices: Vec<u32> = (0..triangles.len() as u32).collect();
     let parameters = BvhBuildParams::very_slow_build();

@@ -39,11 +39,10 @@ fn the_radar_may_be_on_a_wall_and_in_a_corner() {
     for (place, azimuth_deg) in
         [("[0.011, 1.5, 1.2]", 0.0), ("[0.011, 0.011, 0.011]", 45.0), ("[2.511, 2.989, 1.2]", -60.0)]
     {
-        let text = common::hall(WALKER);
-        let (before, rest) = text.split_once("size_m").expect("written");
-        let (_, after) = rest.split_once("[radar]").expect("written");
-        let text = format!("{before}\n{}\n[radar]\nazimuth_deg = {azimuth_deg:?}\n{after}", plan(""));
-        let text = text.replace("[1.0, 10.0, 1.2]", place).replace("[4.0, 3.2]", "[4.0, 2.2]");
+        let text = common::hall_with_room(&plan(""), WALKER)
+            .replace("[radar]", &format!("[radar]\nazimuth_deg = {azimuth_deg:?}"))
+            .replace("[0.5, 1.0, 1.2]", place)
+            .replace("[4.0, 3.2]", "[4.0, 2.2]");
         let scene = Scene::parse(&text, Path::new("scene.toml")).expect("a good scene");
         assert_sound(&scene, place);
     }

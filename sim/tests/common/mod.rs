@@ -2,16 +2,27 @@
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use num_complex::Complex64;
 use radome_dsp::Frame;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+/// Wave number at 60 GHz, 1/m.
+pub const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+/// Nobody, and nothing beside the radar.
+pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+
 /// A fixture scene.
 pub fn scene(name: &str) -> Scene {
+    Scene::load(&fixture(name).0).expect("fixture scene")
+}
+
+/// Path and text of a fixture scene.
+pub fn fixture(name: &str) -> (PathBuf, String) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
-    Scene::load(&path).expect("fixture scene")
+    let text = std::fs::read_to_string(&path).expect("fixture scene");
+    (path, text)
 }
 
 /// A simulator of a scene.
@@ -76,9 +87,22 @@ high_pass_cutoff_hz = 20e3
     )
 }
 
+/// The hall with what stands in `[room]` instead, and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
+pub fn hall_with_room(room: &str, tables: &str) -> String {
+    let hall = hall(tables);
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]")
+}
+
 /// A scene from text.
 pub fn parse(text: &str) -> Scene {
     Scene::parse(text, Path::new("test.toml")).expect("valid scene")
+}
+
+/// Message by which the text of a scene is refused.
+pub fn refusal(text: &str) -> String {
+    Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err(text).to_string()
 }
 
 fn hann(i: usize, n: usize) -> f64 {
@@ -114,6 +138,15 @@ pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
         }
     }
     map
+}
+
+/// A range bin of the first receiver in every chirp (Hann's window over the samples).
+pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
+    let n = frame.shape.samples;
+    let sample = |(i, &code): (usize, &u16)| {
+        Complex64::from_polar(f64::from(code) * hann(i, n), -bin * TAU * i as f64 / n as f64)
+    };
+    (0..frame.shape.chirps).map(|chirp| frame.chirp(0, chirp).iter().enumerate().map(sample).sum()).collect()
 }
 
 /// Mean and standard deviation.

@@ -17,10 +17,7 @@ pub const SIZE_M: [f64; 3] = [5.25, 4.5, 2.75];
 
 /// A scene of nobody with what stands in `[room]`, and tables beside it. The radar is at (0.5, 1, 1.2).
 pub fn parse(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
-    let hall = common::hall(&format!("[people.desk]\nmax_people = 0\n{tables}"));
-    let (before, rest) = hall.split_once("size_m").expect("written");
-    let (_, after) = rest.split_once("[radar]").expect("written");
-    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    let text = common::hall_with_room(room, &format!("[people.desk]\nmax_people = 0\n{tables}"));
     Scene::parse(&text, &folder.join("scene.toml"))
 }
 

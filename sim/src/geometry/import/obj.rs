@@ -22,39 +22,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
             format!("the file has {} bytes, expected {LARGEST_BYTES} at most: use binary STL or glTF", bytes.len());
         return Err(ParseError::Byte { offset: LARGEST_BYTES, problem });
     }
-    let text = String::from_utf8_lossy(bytes);
-    // Materials by name alone; what they are made of is the scene's to say. Asked for by a line before the first.
-    let mut names: Vec<String> = Vec::new();
-    let mut plain = String::from("mtllib names\n");
-    for line in text.lines() {
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v") => {
-                let place: Vec<&str> = words.take(4).collect();
-                // A fourth number is a weight, or the first of a colour.
-                let kept = if line.split_whitespace().count() == 5 { 4 } else { 3 };
-                plain.push_str(&format!("v {}", place.get(..kept.min(place.len())).unwrap_or(&[]).join(" ")));
-            }
-            Some("f") => {
-                let corners: Vec<&str> = words.filter_map(|w| w.split('/').next()).collect();
-                if corners.len() < 3 {
-                    let line = plain.lines().count();
-                    return Err(ParseError::Line { line, problem: "a face of fewer than three corners".to_owned() });
-                }
-                plain.push_str(&format!("f {}", corners.join(" ")));
-            }
-            Some("usemtl") => {
-                let name = words.collect::<Vec<_>>().join(" ");
-                if !name.is_empty() {
-                    plain.push_str(&format!("usemtl {name}"));
-                    names.push(name);
-                }
-            }
-            Some(word @ ("o" | "g")) => plain.push_str(&format!("{word} {}", words.collect::<Vec<_>>().join(" "))),
-            _ => {}
-        }
-        plain.push('\n');
-    }
+    let (plain, mut names) = plain(&String::from_utf8_lossy(bytes))?;
     names.sort();
     names.dedup();
 
@@ -90,4 +58,41 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         }
     }
     if parts.is_empty() { Err(ParseError::Empty) } else { Ok(parts) }
+}
+
+/// The lines of a text that count, each in its place behind one that asks for materials, and the names of those.
+fn plain(text: &str) -> Result<(String, Vec<String>), ParseError> {
+    // Materials by name alone; what they are made of is the scene's to say. Asked for by a line before the first.
+    let mut names: Vec<String> = Vec::new();
+    let mut plain = String::from("mtllib names\n");
+    for line in text.lines() {
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v") => {
+                let place: Vec<&str> = words.take(4).collect();
+                // A fourth number is a weight, or the first of a colour.
+                let kept = if line.split_whitespace().count() == 5 { 4 } else { 3 };
+                plain.push_str(&format!("v {}", place.get(..kept.min(place.len())).unwrap_or(&[]).join(" ")));
+            }
+            Some("f") => {
+                let corners: Vec<&str> = words.filter_map(|w| w.split('/').next()).collect();
+                if corners.len() < 3 {
+                    let line = plain.lines().count();
+                    return Err(ParseError::Line { line, problem: "a face of fewer than three corners".to_owned() });
+                }
+                plain.push_str(&format!("f {}", corners.join(" ")));
+            }
+            Some("usemtl") => {
+                let name = words.collect::<Vec<_>>().join(" ");
+                if !name.is_empty() {
+                    plain.push_str(&format!("usemtl {name}"));
+                    names.push(name);
+                }
+            }
+            Some(word @ ("o" | "g")) => plain.push_str(&format!("{word} {}", words.collect::<Vec<_>>().join(" "))),
+            _ => {}
+        }
+        plain.push('\n');
+    }
+    Ok((plain, names))
 }

@@ -13,7 +13,6 @@ use crate::scene_file::{SceneFile, SurfaceFile};
 /// Furniture thinner than this is a sheet, m.
 const SHEET_M: f64 = 1e-6;
 
-/// The surfaces of a scene.
 pub(in crate::scene) fn surfaces(
     file: &SceneFile,
     walls: &[Wall; 6],
