@@ -126,25 +126,11 @@ pub struct Watch<'a> {
 pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
-    if let Some(path) = watch.output {
-        if is_same(path, Path::new(watch.source)) {
-            bail!("{} is source and output at once\n\nhint: choose another name", path.display());
-        }
-        watch.overwrite.check(path)?;
-    }
+    watch.check_output()?;
     let model = Model::open(watch.model)?;
     let named = model.named(watch.model, watch.delays)?;
     let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
-    let options = SourceOptions {
-        waveform: waveform(watch, &model)?,
-        seed: watch.seed,
-        people: watch.people,
-        frames: watch.frames,
-        speed: watch.speed,
-        as_playback: watch.view.is_wanted(),
-        give_up_after: watch.give_up_after,
-    };
-    let source = source::open(watch.source, &options)?;
+    let source = source::open(watch.source, &watch.source_options(&model)?)?;
     eprintln!("{}", source.description);
     eprintln!("judged by {}", watch.model.display());
     let waveform = source.frames.waveform().clone();
@@ -166,24 +152,13 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = match watch.output {
-        Some(path) => {
-            let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
-            let options = RecorderOptions { existing: watch.overwrite.existing(), ..RecorderOptions::default() };
-            Some(RecorderSink::start(path, &header, &options, pipeline.consumer("recorder", 64, policy))?)
-        }
-        None => None,
-    };
+    let recorder = watch.output.map(|path| watch.recorder(path, &header, &mut pipeline, source.is_live)).transpose()?;
     let reader = pipeline.start(source.frames, watch.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
-    if let Some(recorder) = recorder {
-        sinks.push(Box::new(recorder));
-    }
-    if let Some(page) = page {
-        sinks.push(Box::new(page));
-    }
+    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
+    sinks.extend(recorder.map(|recorder| Box::new(recorder) as Box<dyn Sink>));
+    sinks.extend(page.map(|page| Box::new(page) as Box<dyn Sink>));
     sinks.push(Box::new(screen));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
@@ -194,6 +169,43 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         eprintln!("frames are missing in the recording; --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(is_lost))
+}
+
+impl Watch<'_> {
+    /// Refuses an output that cannot be written, before anything is opened.
+    fn check_output(&self) -> anyhow::Result<()> {
+        let Some(path) = self.output else { return Ok(()) };
+        if is_same(path, Path::new(self.source)) {
+            bail!("{} is source and output at once\n\nhint: choose another name", path.display());
+        }
+        self.overwrite.check(path)
+    }
+
+    /// Options of the source; a board is programmed with a waveform that the model can judge.
+    fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
+        Ok(SourceOptions {
+            waveform: waveform(self, model)?,
+            seed: self.seed,
+            people: self.people,
+            frames: self.frames,
+            speed: self.speed,
+            as_playback: self.view.is_wanted(),
+            give_up_after: self.give_up_after,
+        })
+    }
+
+    /// Starts to record frames and answers; of a board none may be lost meanwhile.
+    fn recorder(
+        &self,
+        path: &Path,
+        header: &RecordingHeader,
+        pipeline: &mut Pipeline,
+        is_live: bool,
+    ) -> anyhow::Result<RecorderSink> {
+        let policy = if is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+        let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
+        RecorderSink::start(path, header, &options, pipeline.consumer("recorder", 64, policy))
+    }
 }
 
 /// Waveform to program a board with: the named one if the model can judge it, else the model's own.
