@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
-use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceEvent, Waveform};
 pub use radome_skip::{shared, skip};
 use serde_json::Value;
 
@@ -46,6 +46,33 @@ pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
     let scene = folder.join("walk.toml");
     std::fs::write(&scene, format!("{head}{people}")).expect("a scene can be written");
     scene
+}
+
+/// Simulates a scene into a recording, which is replaced if it is there, with options such as `--frames 40 --seed 7`. Gives the
+/// program's answer.
+///
+/// # Panics
+/// If the program fails.
+pub fn simulate(scene: &Path, options: &str, to: &Path) -> Value {
+    let mut command = subcommand("scene simulate --json --overwrite -o");
+    json_lines(command.arg(to).arg(scene).args(options.split_whitespace())).remove(0)
+}
+
+/// Frames of a recording, and the gaps between them.
+///
+/// # Panics
+/// If the recording cannot be read.
+pub fn frames(recording: &Path) -> (Vec<Frame>, Vec<Gap>) {
+    let mut source = Recording::open(recording).unwrap_or_else(|e| panic!("{e}"));
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut frames, mut gaps) = (Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame).unwrap_or_else(|e| panic!("{e}")) {
+            SourceEvent::Frame => frames.push(frame.clone()),
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (frames, gaps),
+        }
+    }
 }
 
 /// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp

@@ -7,22 +7,19 @@ use std::process::{Command, Output, Stdio};
 
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
-use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
+use radome_tests::running::{Running, emulated_board, wait_for};
+use radome_tests::{failure, fixture, frames, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Frames of a simulated desk.
-fn simulate(frames: u64, to: &Path) {
-    let frames = frames.to_string();
-    let mut command = subcommand("scene simulate");
-    command.arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]);
-    json_lines(command.arg(to));
+fn desk(frames: u64, to: &Path) {
+    simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), to);
 }
 
 /// Twenty frames of a simulated desk of which three, from number 8 on, are missing.
 fn with_a_gap(folder: &Path) -> PathBuf {
     let (whole, holed) = (folder.join("whole.mcap"), folder.join("holed.mcap"));
-    simulate(20, &whole);
+    desk(20, &whole);
     let mut reader = McapReader::open(&whole).expect("a recording");
     let header: RecordingHeader = reader.header().clone();
     let mut frame = Frame::zeroed(header.waveform.shape());
@@ -40,16 +37,9 @@ fn with_a_gap(folder: &Path) -> PathBuf {
 
 /// Whether a recording is marked finished, its frames, and its gaps.
 fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
-    let mut reader = McapReader::open(path).expect("a file that opens");
-    let mut frame = Frame::zeroed(reader.waveform().shape());
-    let (mut frames, mut gaps) = (0, Vec::new());
-    loop {
-        match reader.next_frame(&mut frame).expect("readable") {
-            SourceEvent::Frame => frames += 1,
-            SourceEvent::Gap(gap) => gaps.push(gap),
-            SourceEvent::End => return (reader.is_complete(), frames, gaps),
-        }
-    }
+    let reader = McapReader::open(path).expect("a file that opens");
+    let (frames, gaps) = frames(path);
+    (reader.is_complete(), frames.len() as u64, gaps)
 }
 
 fn output(command: &mut Command) -> (Option<i32>, String, String) {
@@ -60,11 +50,7 @@ fn output(command: &mut Command) -> (Option<i32>, String, String) {
 /// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
 fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
-    let mut command = subcommand("board emulate");
-    command.arg("--from").arg(fixture("scenes/desk.toml")).args(["--protocol", protocol]);
-    let board = Running::start(command.args(["--link", &link]));
-    let port = board.stdout.find(0, "the board's port", |line| Some(line.trim().to_owned()));
-    (board, port)
+    emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol, "--link", &link])
 }
 
 /// A recorder of boards that looks for a lost one for a second, and says each frame that it writes.
@@ -159,7 +145,7 @@ fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
 fn a_closed_stdout_ends_every_command_quietly() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(40, &at("desk.mcap"));
+    desk(40, &at("desk.mcap"));
     let quiet = |command: &mut Command, lines: usize| {
         let (status, said) = closed_after(command, lines);
         assert_eq!(status, Some(0), "{command:?}: {said}");
@@ -203,7 +189,7 @@ fn failure_with_stdout(command: &mut Command, stdout: Stdio) -> String {
 fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(40, &at("whole.mcap"));
+    desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
         let (status, _, said) =
             output(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
@@ -312,7 +298,7 @@ mod full_disk {
     fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
-        simulate(FRAMES, &fed);
+        desk(FRAMES, &fed);
         let mut record = radome();
         record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
         let (status, told, said) = output(&mut limited(BLOCKS, &record));
@@ -327,7 +313,7 @@ mod full_disk {
     fn is_said_at_once_by_live_whose_answers_go_on() {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
-        simulate(FRAMES, &fed);
+        desk(FRAMES, &fed);
         let mut live = radome();
         live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
         let (status, told, said) = output(&mut limited(BLOCKS, &live));

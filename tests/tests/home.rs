@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::running::{Running, free_port, wait_for};
+use radome_tests::running::{Running, emulated_board, free_port, wait_for};
 use radome_tests::{fixture, json_lines, radome, skip, subcommand};
 use serde_json::Value;
 
@@ -377,13 +377,7 @@ impl Ear {
 fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_come() {
     let ear = Ear::new();
     // A board in a process of its own, that can be made to stand still.
-    let scene = fixture("scenes/corridor.toml");
-    let board = Running::start(subcommand("board emulate").arg("--from").arg(scene).args(["--speed", "1"]));
-    let port = board.stdout.find(0, "the board's port", |line| {
-        line.split(|c: char| c.is_whitespace() || c == '"')
-            .find(|word| word.starts_with("/dev/pts/"))
-            .map(str::to_owned)
-    });
+    let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
     let mut live = radome();
     live.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
     live.arg("--json").env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");

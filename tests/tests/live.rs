@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, fixture_text, json_lines, radome, shared, walk};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, shared, subcommand, walk};
 use serde_json::Value;
 
 #[test]
@@ -73,24 +73,9 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = walk(folder.path(), from, to);
-        let mut child = radome()
-            .args([
-                "demo",
-                "--frames",
-                "60",
-                "--speed",
-                "0.5",
-                "--json",
-                "--view",
-                "--listen",
-                "127.0.0.1:0",
-                "--scene",
-            ])
-            .arg(&scene)
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("starts");
+        let mut demo = subcommand("demo --frames 60 --speed 0.5 --json --view --listen 127.0.0.1:0 --scene");
+        let demo = demo.arg(&scene).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = demo.spawn().expect("starts");
         let said = BufReader::new(child.stderr.take().expect("piped"));
         let lines = said.lines().map_while(Result::ok);
         let address = lines

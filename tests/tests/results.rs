@@ -34,14 +34,8 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         assert_eq!(kept["probabilities"], Value::from(vec![p("empty"), p("one"), p("two")]));
     }
     // The frames are those of a recording that nobody judged.
-    let judged_again = json_lines(
-        radome()
-            .arg("live")
-            .arg(at("night.mcap"))
-            .arg("--model")
-            .arg(fixture("models/paper-hqnn.safetensors"))
-            .arg("--json"),
-    );
+    let mut again = subcommand("live --json --model");
+    let judged_again = json_lines(again.arg(fixture("models/paper-hqnn.safetensors")).arg(at("night.mcap")));
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
     json_lines(subcommand("recording convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
@@ -130,14 +124,8 @@ mod hard_cases {
         }
         let mut command = radome();
         command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args([
-            "--frames",
-            "60",
-            "--json",
-            "-o",
-            "/dev/full",
-        ]);
-        let told = failure(&mut command);
+        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+        let told = failure(command.args(["--frames", "60", "--json", "-o", "/dev/full"]));
         assert!(told.contains("/dev/full"), "{told}");
     }
 
