@@ -3,6 +3,7 @@
 pub mod browser;
 pub mod running;
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -134,6 +135,30 @@ pub fn subcommand(name: &str) -> Command {
     command
 }
 
+/// `radome live` on a source, with the shipped model of the paper's waveform and options such as `--frames 40 --json`.
+///
+/// # Panics
+/// If the program has not been built.
+pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
+    let mut command = subcommand("live --model");
+    command.arg(fixture("models/paper-hqnn.safetensors")).arg(source).args(options.split_whitespace());
+    command
+}
+
+/// SOURCE of the corridor through an emulated board.
+pub fn emulated_corridor() -> String {
+    format!("emulated:{}", fixture("scenes/corridor.toml").display())
+}
+
+/// Runs; gives the exit status, stdout and stderr.
+///
+/// # Panics
+/// If the program cannot be run.
+pub fn outcome(command: &mut Command) -> (Option<i32>, String, String) {
+    let Output { status, stdout, stderr } = run(command);
+    (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
+}
+
 /// Runs and returns the JSON lines of stdout.
 ///
 /// # Panics
@@ -161,9 +186,8 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
 /// # Panics
 /// If the program succeeds or fails in another way.
 pub fn failure(command: &mut Command) -> String {
-    let output = run(command);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{command:?}: {said}");
+    let (status, _, said) = outcome(command);
+    assert_eq!(status, Some(1), "{command:?}: {said}");
     said
 }
 

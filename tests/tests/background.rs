@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_tests::{add_signal, failure, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{add_signal, failure, fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::Value;
 
 /// A corridor with so many people in it, for thirty seconds.
@@ -27,8 +27,7 @@ fn with_fan(from: &Path, to: &Path, phase: f64) {
 }
 
 fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json");
+    let mut command = live_command(recording, "--json");
     if let Some(background) = background {
         command.arg("--background").arg(background);
     }

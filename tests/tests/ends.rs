@@ -3,12 +3,12 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{failure, fixture, frames, radome, simulate, skip, subcommand};
+use radome_tests::{failure, fixture, frames, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Frames of a simulated desk.
@@ -40,11 +40,6 @@ fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
     let reader = McapReader::open(path).expect("a file that opens");
     let (frames, gaps) = frames(path);
     (reader.is_complete(), frames.len() as u64, gaps)
-}
-
-fn output(command: &mut Command) -> (Option<i32>, String, String) {
-    let Output { status, stdout, stderr } = command.output().expect("runs");
-    (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
 }
 
 /// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
@@ -192,7 +187,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
         let (status, _, said) =
-            output(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
+            outcome(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
         (status, said)
     };
     assert_eq!(repair("whole.mcap").0, Some(0));
@@ -218,7 +213,7 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             let to = folder.path().join(format!("{command}-{}.mcap", arguments.join("")));
             let mut run = radome();
             run.arg(command).arg(&holed).args(more).args(arguments).arg("-o").arg(&to);
-            let (status, told, said) = output(&mut run);
+            let (status, told, said) = outcome(&mut run);
             let (is_finished, frames, gaps) = read(&to);
             assert!(is_finished && frames == 17 && gaps == expected, "{command}: {frames}, {gaps:?}");
             assert!(told.contains("17 frames"), "{command}: {told}");
@@ -234,21 +229,21 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
         }
     }
     // Without a recording nothing is lost that was to be kept.
-    assert_eq!(output(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
+    assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
 }
 
 #[test]
 fn wrong_use_ends_with_2() {
     for arguments in [&["record", "x.mcap"][..], &["recording", "repair", "--nonsense"], &["live"], &["nonsense"], &[]]
     {
-        assert_eq!(output(radome().args(arguments)).0, Some(2), "{arguments:?}");
+        assert_eq!(outcome(radome().args(arguments)).0, Some(2), "{arguments:?}");
     }
 }
 
 #[test]
 fn help_lists_the_exit_statuses() {
     for arguments in [&["--help"][..], &["record", "--help"], &["live", "--help"]] {
-        let (status, told, _) = output(radome().args(arguments));
+        let (status, told, _) = outcome(radome().args(arguments));
         assert!(status == Some(0) && told.contains("Exit status: 0"), "{arguments:?}: {told}");
     }
 }
@@ -301,7 +296,7 @@ mod full_disk {
         desk(FRAMES, &fed);
         let mut record = radome();
         record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-        let (status, told, said) = output(&mut limited(BLOCKS, &record));
+        let (status, told, said) = outcome(&mut limited(BLOCKS, &record));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said);
         let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
@@ -316,7 +311,7 @@ mod full_disk {
         desk(FRAMES, &fed);
         let mut live = radome();
         live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
-        let (status, told, said) = output(&mut limited(BLOCKS, &live));
+        let (status, told, said) = outcome(&mut limited(BLOCKS, &live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said);
         assert!(said.contains("marked unfinished"), "{said}");

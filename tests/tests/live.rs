@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, fixture_text, json_lines, radome, shared, subcommand, walk};
+use radome_tests::{failure, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
 use serde_json::Value;
 
 #[test]
@@ -36,9 +36,7 @@ fn people_are_counted_alike_at_other_gains() {
         let other = corridor.replace("if_gain_db = 40.0", &format!("if_gain_db = {gain_db}"));
         assert_ne!(other, corridor);
         std::fs::write(&scene, other).expect("writable");
-        let mut command = radome();
-        command.arg("live").arg(&scene).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-        let lines = json_lines(command.args(["--frames", "200", "--seed", "100003", "--json"]));
+        let lines = json_lines(&mut live_command(&scene, "--frames 200 --seed 100003 --json"));
         let summary = &lines.last().expect("some lines")["summary"];
         assert_eq!(summary["dropped"], 0);
         assert!(summary["balanced_accuracy"].as_f64().expect("number") >= 0.85, "{gain_db} dB: {summary}");
@@ -62,8 +60,7 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
 #[test]
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    let model = fixture("models/paper-hqnn.safetensors");
-    let said = failure(radome().arg("live").arg(recording).arg("--model").arg(model));
+    let said = failure(&mut live_command(recording, ""));
     assert!(said.contains("256 samples") && said.contains("64 samples") && said.contains("hint:"), "{said}");
 }
 

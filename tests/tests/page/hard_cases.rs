@@ -387,10 +387,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     // A source that waits: what the machine has no time for is not the page's doing.
     let frames = 60;
     let recording = walk(folder.path(), 2.0, 8.0, frames);
-    let model = fixture("models/paper-hqnn.safetensors");
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(model).args(["--speed", "4", "--json"]);
-    let served = Served::start(command.stdout(out));
+    let served = Served::start(live_command(recording, "--speed 4 --json").stdout(out));
     let address = served.address.clone();
     let ours = format!("Host: {address}\r\n");
     let port = address.rsplit(':').next().expect("a port").to_owned();

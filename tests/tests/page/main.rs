@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::{Value, json};
 
 /// A corridor in which one person walks between two ranges, as a recording.
@@ -17,9 +17,8 @@ fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
 
 /// The command that watches a recording.
 fn watch(recording: &Path, speed: &str) -> Command {
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-    command.args(["--speed", speed]).stdout(Stdio::null());
+    let mut command = live_command(recording, &format!("--speed {speed}"));
+    command.stdout(Stdio::null());
     command
 }
 
