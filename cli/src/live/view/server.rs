@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use axum::body::{Body, Bytes};
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -75,9 +75,6 @@ pub async fn serve(listener: TcpListener, shared: Arc<Shared>) {
         .route("/", get(|| async { file("") }))
         .route("/stream", get(stream))
         .route("/health.json", get(health))
-        .route("/labels.json", get(labels_json))
-        .route("/labels.txt", get(labels_audacity))
-        .route("/labels.label", get(labels_deepcraft))
         .route("/{file}", get(named))
         .fallback(|| async { StatusCode::NOT_FOUND })
         .layer(middleware::from_fn_with_state(shared.clone(), guard))
@@ -168,35 +165,23 @@ fn file(name: &str) -> Response {
     }
 }
 
-async fn named(Path(name): Path<String>) -> Response {
-    file(&name)
+/// A file of the page, or the labels as a file.
+async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> Response {
+    let labels = || shared.labels.labels();
+    let (kind, text) = match name.as_str() {
+        "labels.json" => ("application/json", json!(labels()).to_string()),
+        "labels.txt" => ("text/plain; charset=utf-8", label_text::to_audacity(&labels())),
+        "labels.label" => ("text/csv; charset=utf-8", label_text::to_deepcraft(&labels())),
+        _ => return file(&name),
+    };
+    let attachment = format!("attachment; filename=\"{name}\"");
+    let headers = [(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, attachment)];
+    (headers, text).into_response()
 }
 
 async fn health(State(shared): State<Arc<Shared>>) -> Response {
     let told = json!({ "pages": shared.feed.pages(), "refused": shared.policy.refused() });
     ([(header::CONTENT_TYPE, "application/json")], told.to_string()).into_response()
-}
-
-fn download(name: &'static str, kind: &'static str, text: String) -> Response {
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    headers.insert(header::CONTENT_DISPOSITION, HeaderValue::from_static(name));
-    (headers, text).into_response()
-}
-
-async fn labels_json(State(shared): State<Arc<Shared>>) -> Response {
-    let text = json!(shared.labels.labels()).to_string();
-    download("attachment; filename=\"labels.json\"", "application/json", text)
-}
-
-async fn labels_audacity(State(shared): State<Arc<Shared>>) -> Response {
-    let text = label_text::to_audacity(&shared.labels.labels());
-    download("attachment; filename=\"labels.txt\"", "text/plain; charset=utf-8", text)
-}
-
-async fn labels_deepcraft(State(shared): State<Arc<Shared>>) -> Response {
-    let text = label_text::to_deepcraft(&shared.labels.labels());
-    download("attachment; filename=\"labels.label\"", "text/csv; charset=utf-8", text)
 }
 
 async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) -> Response {
