@@ -92,6 +92,11 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
+/// Whether two paths lead to the same file.
+pub fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}
+
 /// Fails early if the folder of an output file is missing.
 ///
 /// # Errors

@@ -8,9 +8,9 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
 
-use crate::files;
+use crate::{files, source};
 
 #[derive(Clone, Copy)]
 enum Format {
@@ -165,14 +165,9 @@ fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
     let interval_s = source.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(source.waveform().shape());
     let mut extent: Option<(f64, f64)> = None;
-    loop {
-        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => return Ok(extent),
-            SourceEvent::Gap(_) => {}
-            SourceEvent::Frame => {
-                let first_s = extent.map_or(frame.time_s(), |(first_s, _)| first_s);
-                extent = Some((first_s, frame.time_s() + interval_s));
-            }
-        }
+    while source::next_frame(source, &mut frame)? {
+        let first_s = extent.map_or(frame.time_s(), |(first_s, _)| first_s);
+        extent = Some((first_s, frame.time_s() + interval_s));
     }
+    Ok(extent)
 }

@@ -144,6 +144,26 @@ pub mod tests {
         }
     }
 
+    /// Gives some frames, and then an error.
+    pub struct Failing(Box<Panicking>, fn() -> SourceError);
+
+    impl Failing {
+        /// A source that gives this error instead of frame number `frames`.
+        pub fn after(frames: u64, error: fn() -> SourceError) -> Box<Self> {
+            Box::new(Failing(Panicking::after(frames), error))
+        }
+    }
+
+    impl FrameSource for Failing {
+        fn waveform(&self) -> &Waveform {
+            self.0.waveform()
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            if self.0.left == 0 { Err((self.1)()) } else { self.0.next_frame(frame) }
+        }
+    }
+
     #[test]
     fn a_panic_becomes_an_error_with_message_and_place_and_the_source_is_left_alone() {
         let mut source = Guarded::new(Panicking::after(1));

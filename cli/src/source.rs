@@ -144,6 +144,20 @@ impl Source {
     }
 }
 
+/// Reads the next frame, across gaps; `false` at the end.
+///
+/// # Errors
+/// Those of the source.
+pub fn next_frame(source: &mut dyn FrameSource, frame: &mut Frame) -> anyhow::Result<bool> {
+    loop {
+        match source.next_frame(frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::Frame => return Ok(true),
+            SourceEvent::Gap(_) => {}
+            SourceEvent::End => return Ok(false),
+        }
+    }
+}
+
 /// Opens a SOURCE. A panic below it is an error of its frames.
 ///
 /// # Errors

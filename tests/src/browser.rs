@@ -6,19 +6,37 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::{Value, json};
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
+use crate::running::PATIENCE;
 use crate::skip;
 
-/// Longest wait for anything: machines are slow at times.
-pub const PATIENCE: Duration = Duration::from_secs(120);
+/// A page's connection to the program.
+pub type Socket = WebSocket<MaybeTlsStream<TcpStream>>;
+
+/// Opens a page without a browser: what the program sends to it can be read from the socket.
+///
+/// # Panics
+/// If there is no page at this address.
+pub fn page(address: &str) -> Socket {
+    connect(&format!("ws://{address}/stream"))
+}
+
+fn connect(url: &str) -> Socket {
+    let (socket, _) = tungstenite::connect(url).unwrap_or_else(|e| panic!("{url}: {e}"));
+    if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    }
+    socket
+}
 
 /// A page in a browser of its own, closed when dropped.
 pub struct Browser {
     child: Child,
-    socket: WebSocket<MaybeTlsStream<TcpStream>>,
+    socket: Socket,
     session: String,
     next_id: u64,
     /// Errors that scripts of the page threw or logged.
@@ -57,10 +75,7 @@ impl Browser {
             .expect("Chromium starts and names its DevTools");
         // What it says from then on must go somewhere.
         std::thread::spawn(move || said.count());
-        let (socket, _) = tungstenite::connect(endpoint).expect("DevTools");
-        if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
-            stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-        }
+        let socket = connect(&endpoint);
         let mut browser =
             Browser { child, socket, session: String::new(), next_id: 0, faults: Vec::new(), _profile: profile };
         let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
@@ -181,7 +196,7 @@ impl Browser {
     pub fn screenshot(&mut self, path: &Path) {
         let picture = self.call("Page.captureScreenshot", json!({ "format": "png" }));
         let text = picture["data"].as_str().expect("base64");
-        std::fs::write(path, base64(text)).expect("writable");
+        std::fs::write(path, BASE64_STANDARD.decode(text).expect("base64")).expect("writable");
     }
 
     /// Bytes of the page's JavaScript objects, after collecting those that nobody needs.
@@ -210,24 +225,6 @@ impl Drop for Browser {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-fn base64(text: &str) -> Vec<u8> {
-    let value = |c: u8| match c {
-        b'A'..=b'Z' => c - b'A',
-        b'a'..=b'z' => c - b'a' + 26,
-        b'0'..=b'9' => c - b'0' + 52,
-        b'+' => 62,
-        _ => 63,
-    };
-    let digits: Vec<u8> = text.bytes().filter(|c| *c != b'=').map(value).collect();
-    digits
-        .chunks(4)
-        .flat_map(|four| {
-            let bits = four.iter().fold(0u32, |bits, d| bits << 6 | u32::from(*d)) << (6 * (4 - four.len()));
-            bits.to_be_bytes().into_iter().skip(1).take(four.len() - 1).collect::<Vec<u8>>()
-        })
-        .collect()
 }
 
 /// A run of the program with a page, stopped when dropped.

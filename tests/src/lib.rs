@@ -3,11 +3,12 @@
 pub mod browser;
 pub mod running;
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
-use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceEvent, Waveform};
 pub use radome_skip::{shared, skip};
 use serde_json::Value;
 
@@ -46,6 +47,33 @@ pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
     let scene = folder.join("walk.toml");
     std::fs::write(&scene, format!("{head}{people}")).expect("a scene can be written");
     scene
+}
+
+/// Simulates a scene into a recording, which is replaced if it is there, with options such as `--frames 40 --seed 7`. Gives the
+/// program's answer.
+///
+/// # Panics
+/// If the program fails.
+pub fn simulate(scene: &Path, options: &str, to: &Path) -> Value {
+    let mut command = subcommand("scene simulate --json --overwrite -o");
+    json_lines(command.arg(to).arg(scene).args(options.split_whitespace())).remove(0)
+}
+
+/// Frames of a recording, and the gaps between them.
+///
+/// # Panics
+/// If the recording cannot be read.
+pub fn frames(recording: &Path) -> (Vec<Frame>, Vec<Gap>) {
+    let mut source = Recording::open(recording).unwrap_or_else(|e| panic!("{e}"));
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut frames, mut gaps) = (Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame).unwrap_or_else(|e| panic!("{e}")) {
+            SourceEvent::Frame => frames.push(frame.clone()),
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (frames, gaps),
+        }
+    }
 }
 
 /// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
@@ -107,6 +135,30 @@ pub fn subcommand(name: &str) -> Command {
     command
 }
 
+/// `radome live` on a source, with the shipped model of the paper's waveform and options such as `--frames 40 --json`.
+///
+/// # Panics
+/// If the program has not been built.
+pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
+    let mut command = subcommand("live --model");
+    command.arg(fixture("models/paper-hqnn.safetensors")).arg(source).args(options.split_whitespace());
+    command
+}
+
+/// SOURCE of the corridor through an emulated board.
+pub fn emulated_corridor() -> String {
+    format!("emulated:{}", fixture("scenes/corridor.toml").display())
+}
+
+/// Runs; gives the exit status, stdout and stderr.
+///
+/// # Panics
+/// If the program cannot be run.
+pub fn outcome(command: &mut Command) -> (Option<i32>, String, String) {
+    let Output { status, stdout, stderr } = run(command);
+    (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
+}
+
 /// Runs and returns the JSON lines of stdout.
 ///
 /// # Panics
@@ -134,9 +186,8 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
 /// # Panics
 /// If the program succeeds or fails in another way.
 pub fn failure(command: &mut Command) -> String {
-    let output = run(command);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{command:?}: {said}");
+    let (status, _, said) = outcome(command);
+    assert_eq!(status, Some(1), "{command:?}: {said}");
     said
 }
 

@@ -2,10 +2,13 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+
+use crate::subcommand;
 
 /// Time that a test waits for what must come: far longer than it takes on any machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -139,6 +142,16 @@ impl Drop for Running {
             }
         }
     }
+}
+
+/// Starts an emulated board that serves a source with these options; and its port.
+///
+/// # Panics
+/// If it does not start.
+pub fn emulated_board(from: &Path, options: &[&str]) -> (Running, String) {
+    let board = Running::start(subcommand("board emulate").args(options).arg("--from").arg(from));
+    let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
+    (board, port)
 }
 
 /// A port that nothing listens on, and that neither a test of this process nor an outgoing connection will take meanwhile: those

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use radome_models::ModelCard;
-use radome_tests::{add_signal, failure, fixture, fixture_text, json_lines, subcommand};
+use radome_tests::{add_signal, failure, fixture, fixture_text, json_lines, simulate, subcommand};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -36,10 +36,8 @@ fn made() -> &'static Path {
                         \"receiver.gain_correction_db\" = { between = [4.0, 4.0] }\n";
         write("room.toml", &format!("{hall}\n\n[random]\n{receiver}"));
         for (people, seed) in (0..3).flat_map(|people| (1..4).map(move |seed| (people, seed))) {
-            let args = ["--people", &people.to_string(), "--seed", &seed.to_string(), "--frames", "300"];
-            let mut simulate = subcommand("scene simulate");
-            simulate.arg(at("room.toml")).args(args).args(["--json", "--overwrite", "-o"]);
-            json_lines(simulate.arg(at("still.mcap")));
+            let options = format!("--people {people} --seed {seed} --frames 300");
+            simulate(&at("room.toml"), &options, &at("still.mcap"));
             with_sway(&at("still.mcap"), &at(&format!("{people}-{seed}.mcap")), f64::from(10 * people + seed));
         }
         json_lines(subcommand("recording label").args(["--json", "--span", "0:30=one"]).arg(at("1-1.mcap")));

@@ -3,14 +3,13 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_tests::{add_signal, failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{add_signal, failure, fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::Value;
 
 /// A corridor with so many people in it, for thirty seconds.
-fn simulate(path: &Path, people: &str, seed: &str) {
-    let mut command = subcommand("scene simulate");
-    command.arg(fixture("scenes/corridor.toml")).args(["--people", people, "--seed", seed]);
-    json_lines(command.args(["--frames", "300", "--json", "--overwrite", "-o"]).arg(path));
+fn simulated(path: &Path, people: &str, seed: &str) {
+    let options = format!("--people {people} --seed {seed} --frames 300");
+    simulate(&fixture("scenes/corridor.toml"), &options, path);
 }
 
 /// The same with a fan at 3 m: three blades that come and go by 6 cm 2.3 times a second, 3 codes strong.
@@ -28,8 +27,7 @@ fn with_fan(from: &Path, to: &Path, phase: f64) {
 }
 
 fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json");
+    let mut command = live_command(recording, "--json");
     if let Some(background) = background {
         command.arg("--background").arg(background);
     }
@@ -47,7 +45,7 @@ fn share(frames: &[Value], of: impl Fn(&Value) -> bool) -> f64 {
 fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(&at("capture.mcap"), "0", "1");
+    simulated(&at("capture.mcap"), "0", "1");
     with_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
     let model = fixture("models/paper-hqnn.safetensors");
     let mut command = subcommand("model background");
@@ -58,7 +56,7 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
     let is_occupied = |frame: &Value| frame["occupied"] == true;
     for seed in ["100007", "100008"] {
         // Another night, with the fan at another place of its turn.
-        simulate(&at("empty.mcap"), "0", seed);
+        simulated(&at("empty.mcap"), "0", seed);
         with_fan(&at("empty.mcap"), &at("empty-fan.mcap"), 1.0);
         let before = share(&live(&at("empty-fan.mcap"), None), is_occupied);
         let after = share(&live(&at("empty-fan.mcap"), Some(&at("empty.json"))), is_occupied);
@@ -67,7 +65,7 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
         );
         assert!(before > 0.9 && after == 0.0, "{before} {after}");
 
-        simulate(&at("one.mcap"), "1", seed);
+        simulated(&at("one.mcap"), "1", seed);
         with_fan(&at("one.mcap"), &at("one-fan.mcap"), 1.0);
         let there = |lines: Vec<Value>| -> f64 {
             let there: Vec<Value> =
@@ -90,8 +88,8 @@ mod hard_cases {
     fn a_room_that_is_not_empty_a_short_look_and_another_models_capture_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulate(&at("one.mcap"), "1", "100007");
-        simulate(&at("empty.mcap"), "0", "1");
+        simulated(&at("one.mcap"), "1", "100007");
+        simulated(&at("empty.mcap"), "0", "1");
         let model = fixture("models/paper-hqnn.safetensors");
         let capture = |source: &Path, seconds: &str| {
             let mut command = subcommand("model background");

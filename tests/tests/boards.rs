@@ -1,12 +1,12 @@
 //! Every emulated board serves a recording through its own bytes, and what is recorded from it is the recording.
 
-use std::io::{BufRead, BufReader};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Output, Stdio};
+use std::process::Output;
 
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
-use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::running::{Running, emulated_board, wait_for};
+use radome_tests::{failure, fixture, json_lines, radome, simulate, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -15,54 +15,27 @@ fn codes(folder: &Path) -> Vec<u16> {
     npyz::NpyFile::new(BufReader::new(file)).expect("npy").into_vec().expect("u16")
 }
 
-fn simulate(frames: usize, fed: &Path) {
-    let frames = frames.to_string();
-    json_lines(
-        subcommand("scene simulate")
-            .arg(fixture("scenes/desk.toml"))
-            .args(["--frames", &frames, "--json", "-o"])
-            .arg(fed),
-    );
-}
-
-/// An emulated board, and its port.
-fn emulate(from: &Path, arguments: &[&str]) -> (Child, String) {
-    let mut board = subcommand("board emulate")
-        .args(arguments)
-        .arg("--from")
-        .arg(from)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("starts");
-    let mut port = String::new();
-    BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
-    (board, port.trim().to_owned())
+fn desk(frames: usize, fed: &Path) {
+    simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), fed);
 }
 
 /// Records frames of a board, which is then unplugged for good.
-fn record(mut board: Child, source: &str, frames: usize, recorded: &Path) -> Output {
-    let output = radome()
-        .args(["record", source, "--json", "--allow-loss", "--frames", &frames.to_string(), "-o"])
-        .arg(recorded)
-        .output()
-        .expect("runs");
-    let _ = board.kill();
-    let _ = board.wait();
-    output
+fn record(_board: Running, source: &str, frames: usize, recorded: &Path) -> Output {
+    let mut record = subcommand(&format!("record --json --allow-loss --frames {frames} -o"));
+    record.arg(recorded).arg(source).output().expect("runs")
 }
 
 #[test]
 fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(FRAMES + 20, &fed);
+    desk(FRAMES + 20, &fed);
     let source = folder.path().join("fed");
     json_lines(subcommand("recording convert").arg(&fed).arg(&source).arg("--json"));
     let expected = codes(&source);
     let check = |protocol: &str, scheme: &str| {
         let link = folder.path().join(format!("{protocol}-board")).display().to_string();
-        let (board, port) = emulate(&source, &["--protocol", protocol, "--link", &link]);
+        let (board, port) = emulated_board(&source, &["--protocol", protocol, "--link", &link]);
         let recorded = folder.path().join(format!("{protocol}.mcap"));
         let copy = folder.path().join(protocol);
         // Nobody names the waveform: the board knows.
@@ -106,14 +79,12 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
 fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(40, &fed);
-    let (mut board, port) = emulate(&fed, &["--protocol", "deepcraft"]);
+    desk(40, &fed);
+    let (_board, port) = emulated_board(&fed, &["--protocol", "deepcraft"]);
     let recorded = folder.path().join("recorded.mcap");
     let summary = json_lines(
         radome().args(["record", &format!("deepcraft:{port}"), "--frames", "20", "--json", "-o"]).arg(&recorded),
     );
-    let _ = board.kill();
-    let _ = board.wait();
     assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&20.into(), &0.into()));
 }
 
@@ -137,10 +108,10 @@ mod hard_cases {
     fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {
         let folder = tempfile::tempdir().expect("a folder");
         let fed = folder.path().join("fed.mcap");
-        simulate(80, &fed);
+        desk(80, &fed);
         let link = folder.path().join("board").display().to_string();
         let (board, port) =
-            emulate(&fed, &["--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link", &link]);
+            emulated_board(&fed, &["--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link", &link]);
         assert_eq!(port, link);
         let recorded = folder.path().join("recorded.mcap");
         let output = record(board, &format!("serial:{port}"), 40, &recorded);
@@ -155,10 +126,8 @@ mod hard_cases {
 
     #[test]
     fn a_fault_that_nobody_can_follow_is_wrong_use() {
-        let output = subcommand("board emulate")
-            .args(["--from", "nowhere.mcap", "--faults", "explode 3"])
-            .output()
-            .expect("runs");
+        let mut emulate = subcommand("board emulate --from nowhere.mcap --faults");
+        let output = emulate.arg("explode 3").output().expect("runs");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && said.contains("no such kind"), "{said}");
     }
@@ -167,7 +136,7 @@ mod hard_cases {
 /// Nobody has told the board a waveform, and the detector needs none of its own.
 #[test]
 fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
-    let (mut board, port) = emulate(&fixture("scenes/corridor.toml"), &[]);
+    let (_board, port) = emulated_board(&fixture("scenes/corridor.toml"), &[]);
     // Who opens it resets its chip.
     drop(radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board"));
     let live = |model: &str, more: &[&str]| {
@@ -188,15 +157,6 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
         let lines = json_lines(&mut live(model, &["--waveform", waveform]));
         assert_eq!(lines.last().expect("a summary")["summary"]["frames"], 5, "{model} {waveform}");
     }
-    let _ = board.kill();
-    let _ = board.wait();
-}
-
-/// An emulated board that a test looks at, and its port.
-fn running_board(from: &Path, arguments: &[&str]) -> (Running, String) {
-    let board = Running::start(subcommand("board emulate").args(arguments).arg("--from").arg(from));
-    let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
-    (board, port)
 }
 
 /// A waveform of another shape than the desk's, and the file that names it.
@@ -234,7 +194,7 @@ fn record_frames(port: &str, frames: usize, waveform: Option<&Path>, recorded: &
 fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_, other) = other_waveform(folder.path());
-    let (board, port) = running_board(&fixture("scenes/desk.toml"), &["--speed", "0"]);
+    let (board, port) = emulated_board(&fixture("scenes/desk.toml"), &["--speed", "0"]);
     // Who names no waveform has that of the client before it.
     for (number, waveform, frame) in [(0, None, 3 * 8 * 64), (1, Some(&other), 2 * 16 * 32), (2, None, 2 * 16 * 32)] {
         let recorded = folder.path().join(format!("{number}.mcap"));
@@ -253,8 +213,8 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
 fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(60, &fed);
-    let (board, port) = running_board(&fed, &["--speed", "0"]);
+    desk(60, &fed);
+    let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let (other, _) = other_waveform(folder.path());
     let client = radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board");
     let mut stream = client.start(&other).expect("a real board starts as well");
@@ -272,9 +232,9 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
 fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(30, &fed);
+    desk(30, &fed);
 
-    let (board, port) = running_board(&fed, &["--speed", "0"]);
+    let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let mut client =
         Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(folder.path().join("all.mcap")));
     let said = board.stderr.find(0, "the end", |line| line.contains("has ended").then(|| line.to_owned()));
@@ -285,7 +245,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     radome_driver::Mcu7Board::open(Path::new(&port)).expect("answers");
     assert_eq!(board.stderr.all().iter().filter(|line| line.contains("has ended")).count(), 1);
 
-    let (board, port) = running_board(&fed, &["--speed", "0", "--loop"]);
+    let (board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);
     let recorded = folder.path().join("loop.mcap");
     record_frames(&port, 75, None, &recorded);
     assert!(!board.stderr.all().iter().any(|line| line.contains("has ended")), "{:?}", board.stderr.all());
@@ -305,7 +265,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
 fn a_link_is_one_boards_and_goes_with_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(30, &fed);
+    desk(30, &fed);
     let link = folder.path().join("board");
     let link_text = link.display().to_string();
     let arguments = ["--speed", "0", "--loop", "--link", &link_text];
@@ -314,7 +274,7 @@ fn a_link_is_one_boards_and_goes_with_it() {
         command.args(arguments).arg("--from").arg(&fed);
         command
     };
-    let (mut first, port) = running_board(&fed, &arguments);
+    let (mut first, port) = emulated_board(&fed, &arguments);
     assert_eq!(port, link_text);
     for _ in 0..3 {
         let said = failure(&mut second());
@@ -326,11 +286,11 @@ fn a_link_is_one_boards_and_goes_with_it() {
     assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
 
     // One that is killed leaves it behind, for the next to take.
-    let (mut killed, _) = running_board(&fed, &arguments);
+    let (mut killed, _) = emulated_board(&fed, &arguments);
     killed.signal("KILL");
     killed.wait();
     assert!(std::fs::read_link(&link).is_ok());
-    let (_next, port) = running_board(&fed, &arguments);
+    let (_next, port) = emulated_board(&fed, &arguments);
     record_frames(&port, 5, None, &folder.path().join("next.mcap"));
 }
 
@@ -338,8 +298,8 @@ fn a_link_is_one_boards_and_goes_with_it() {
 fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(60, &fed);
-    let (_board, port) = running_board(&fed, &["--speed", "0", "--loop"]);
+    desk(60, &fed);
+    let (_board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);
     for number in 0..5 {
         let recorded = folder.path().join(format!("killed-{number}.mcap"));
         let mut killed = Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(&recorded));

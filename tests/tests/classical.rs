@@ -2,16 +2,8 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, radome, simulate, subcommand};
 use serde_json::Value;
-
-fn simulate(folder: &Path, scene: &Path, people: usize) -> String {
-    let path = folder.join(format!("people-{people}.mcap"));
-    let people = people.to_string();
-    let args = ["scene", "simulate", "--people", &people, "--seed", "200001", "--frames", "150", "--json", "-o"];
-    json_lines(radome().args(args).arg(&path).arg(scene));
-    path.display().to_string()
-}
 
 /// The hall without what reverberates in it: there one walker is taken for two, which is the detector's limit and not the scene's.
 fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
@@ -29,8 +21,11 @@ fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
 fn the_detector_judges_recordings_in_place_of_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
     let hall = hall_without_reverberation(folder.path());
-    let labelled =
-        [(0, "empty"), (1, "one")].map(|(people, label)| format!("{}={label}", simulate(folder.path(), &hall, people)));
+    let labelled = [(0, "empty"), (1, "one")].map(|(people, label)| {
+        let path = folder.path().join(format!("people-{people}.mcap"));
+        simulate(&hall, &format!("--people {people} --seed 200001 --frames 150"), &path);
+        format!("{}={label}", path.display())
+    });
     let answer = &json_lines(subcommand("model evaluate").args(["--model", "cfar", "--json"]).args(labelled))[0];
     let recordings = answer["recordings"].as_array().expect("a list");
     assert_eq!(recordings[0]["majority"], "empty", "{answer}");

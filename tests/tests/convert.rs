@@ -6,29 +6,18 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use radome_driver::recording::Recording;
-use radome_dsp::{Frame, FrameSource, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, shared, subcommand};
+use radome_dsp::{Frame, FrameSource};
+use radome_tests::{failure, fixture, frames, json_lines, json_lines_of, radome, shared, simulate, subcommand};
 use serde_json::Value;
 
 /// All frames of a recording, and how many were lost.
 fn read(path: &Path) -> (Vec<Frame>, u64) {
-    let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
-    let mut frame = Frame::zeroed(source.waveform().shape());
-    let (mut frames, mut lost) = (Vec::new(), 0);
-    loop {
-        match source.next_frame(&mut frame).unwrap_or_else(|e| panic!("{e}")) {
-            SourceEvent::Frame => frames.push(frame.clone()),
-            SourceEvent::Gap(gap) => lost += gap.frames,
-            SourceEvent::End => return (frames, lost),
-        }
-    }
+    let (frames, gaps) = frames(path);
+    (frames, gaps.iter().map(|gap| gap.frames).sum())
 }
 
-fn simulate(path: &Path, frames: &str) {
-    let scene = fixture("scenes/corridor.toml");
-    json_lines(
-        subcommand("scene simulate").arg(scene).args(["--frames", frames, "--seed", "5", "--json", "-o"]).arg(path),
-    );
+fn simulated(path: &Path, frames: &str) {
+    simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames} --seed 5"), path);
 }
 
 fn convert(from: &Path, to: &Path) -> Value {
@@ -43,7 +32,7 @@ fn codes(frames: &[Frame]) -> Vec<&[u16]> {
 fn a_simulation_becomes_a_folder_and_a_text_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(&at("x.mcap"), "15");
+    simulated(&at("x.mcap"), "15");
     let output =
         subcommand("recording convert").args([at("x.mcap"), at("session/")]).arg("--json").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
@@ -85,7 +74,7 @@ fn the_real_recording_survives_the_way_there_and_back() {
 fn a_recording_cut_in_two_is_repaired() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cut, fixed) = (folder.path().join("cut.mcap"), folder.path().join("fixed.mcap"));
-    simulate(&cut, "35");
+    simulated(&cut, "35");
     let (whole, _) = read(&cut);
     let bytes = std::fs::read(&cut).expect("reads");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
@@ -148,7 +137,7 @@ fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, w
 fn a_killed_recorder_leaves_all_but_the_last_second() {
     let folder = tempfile::tempdir().expect("a folder");
     let reference = folder.path().join("whole.mcap");
-    simulate(&reference, "60");
+    simulated(&reference, "60");
     let (whole, _) = read(&reference);
     let scene = fixture("scenes/corridor.toml").display().to_string();
     let emulated = format!("emulated:{scene}");
@@ -190,7 +179,7 @@ mod hard_cases {
     fn a_full_disk_leaves_nothing_that_looks_whole() {
         let source = tempfile::tempdir().expect("a folder");
         let input = source.path().join("x.mcap");
-        simulate(&input, "12");
+        simulated(&input, "12");
         for name in ["session", "y.txt", "y.mcap"] {
             let folder = tempfile::tempdir().expect("a folder");
             let program = radome().get_program().to_owned();
@@ -206,7 +195,7 @@ mod hard_cases {
     fn wrong_inputs_and_outputs_are_refused_and_nothing_is_left() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulate(&at("x.mcap"), "25");
+        simulated(&at("x.mcap"), "25");
         let refused = |from: &str, to: &str| failure(subcommand("recording convert").args([at(from), at(to)]));
         assert!(refused("x.mcap", "x.mcap").contains("input and output"));
         assert!(refused("x.mcap", "y.wav").contains("--to"));

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::{failure, fixture, fixture_text, json_lines, model_of_one_waveform, radome, subcommand};
+use radome_tests::{
+    failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, radome, simulate, subcommand,
+};
 
 /// Maps of one channel in decibels.
 const MAP: &str = r#"[map]
@@ -231,10 +233,7 @@ fn a_zero_sigma_is_not_hidden() {
 /// A session as Radar Fusion GUI writes it, of a few simulated frames.
 fn session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
-    let scene = fixture("scenes/corridor.toml");
-    json_lines(
-        subcommand("scene simulate").arg(scene).args(["--json", "--frames", &frames.to_string(), "-o"]).arg(&recording),
-    );
+    simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames}"), &recording);
     json_lines(subcommand("recording convert").arg(&recording).arg(&session).args(["--to", "infineon", "--json"]));
     session
 }
@@ -385,10 +384,9 @@ scene = "home"
 fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let scene = fixture("scenes/corridor.toml");
     let simulate = |name: &str, people: &str| {
-        let arguments = ["--json", "--frames", "150", "--seed", "100021", "--people", people, "-o"];
-        json_lines(subcommand("scene simulate").arg(&scene).args(arguments).arg(path(name)));
+        let options = format!("--frames 150 --seed 100021 --people {people}");
+        simulate(&fixture("scenes/corridor.toml"), &options, &path(name))
     };
     let label = |name: &str| {
         let mut command = subcommand("recording label");
@@ -444,30 +442,17 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
 fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let simulate = |output: &str, more: &[&str]| {
-        let scene = fixture("scenes/corridor.toml");
-        let mut command = subcommand("scene simulate");
-        command.arg(scene).args(["--frames", "20", "--seed", "3", "--json"]).args(more).arg("-o").arg(path(output));
-        json_lines(&mut command).remove(0)
+    let simulate = |options: &str| {
+        let mut command = subcommand(&format!("scene simulate --frames 20 --seed 3 --json {options}"));
+        json_lines(command.arg(fixture("scenes/corridor.toml")).arg("-o").arg(path("run.mcap"))).remove(0)
     };
-    let read = |name: &str| {
-        use radome_dsp::{Frame, FrameSource, SourceEvent};
-        let mut source = radome_driver::recording::open(&path(name)).expect("opens");
-        let mut frame = Frame::zeroed(source.waveform().shape());
-        let mut frames = Vec::new();
-        while source.next_frame(&mut frame).expect("reads") == SourceEvent::Frame {
-            frames.push(frame.clone());
-        }
-        frames
-    };
-    simulate("run.mcap", &[]);
-    let said: Vec<u64> =
-        (0..3).map(|i| simulate("run.mcap", &["--shard", &format!("{i}/3")])["frames"].as_u64().expect("n")).collect();
+    simulate("");
+    let said: Vec<u64> = (0..3).map(|i| simulate(&format!("--shard {i}/3"))["frames"].as_u64().expect("n")).collect();
     assert_eq!(said, [6, 7, 7]);
-    assert_eq!(simulate("run.mcap", &["--shard", "1/3"])["found"], true);
-    let pieces: Vec<_> = (0..3).flat_map(|i| read(&format!("run-shard-{i:05}-of-00003.mcap"))).collect();
+    assert_eq!(simulate("--shard 1/3")["found"], true);
+    let pieces: Vec<_> = (0..3).flat_map(|i| frames(&path(&format!("run-shard-{i:05}-of-00003.mcap"))).0).collect();
     assert!(
-        pieces == read("run.mcap"),
+        pieces == frames(&path("run.mcap")).0,
         "the frames of the shards are those of the whole, numbers, times and truth too"
     );
 }
@@ -559,9 +544,7 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")]);
-    let mut simulate = subcommand("scene simulate");
-    simulate.arg(path("short.toml")).args(["--people", "1", "--frames", "6", "--json", "-o"]);
-    json_lines(simulate.arg(path("short.mcap")));
+    simulate(&path("short.toml"), "--people 1 --frames 6", &path("short.mcap"));
     let evaluate = |model: &Path| {
         let mut command = radome();
         let input = format!("{}=one", path("short.mcap").display());

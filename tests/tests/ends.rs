@@ -3,26 +3,23 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
-use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
+use radome_tests::running::{Running, emulated_board, wait_for};
+use radome_tests::{failure, fixture, frames, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Frames of a simulated desk.
-fn simulate(frames: u64, to: &Path) {
-    let frames = frames.to_string();
-    let mut command = subcommand("scene simulate");
-    command.arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]);
-    json_lines(command.arg(to));
+fn desk(frames: u64, to: &Path) {
+    simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), to);
 }
 
 /// Twenty frames of a simulated desk of which three, from number 8 on, are missing.
 fn with_a_gap(folder: &Path) -> PathBuf {
     let (whole, holed) = (folder.join("whole.mcap"), folder.join("holed.mcap"));
-    simulate(20, &whole);
+    desk(20, &whole);
     let mut reader = McapReader::open(&whole).expect("a recording");
     let header: RecordingHeader = reader.header().clone();
     let mut frame = Frame::zeroed(header.waveform.shape());
@@ -40,31 +37,15 @@ fn with_a_gap(folder: &Path) -> PathBuf {
 
 /// Whether a recording is marked finished, its frames, and its gaps.
 fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
-    let mut reader = McapReader::open(path).expect("a file that opens");
-    let mut frame = Frame::zeroed(reader.waveform().shape());
-    let (mut frames, mut gaps) = (0, Vec::new());
-    loop {
-        match reader.next_frame(&mut frame).expect("readable") {
-            SourceEvent::Frame => frames += 1,
-            SourceEvent::Gap(gap) => gaps.push(gap),
-            SourceEvent::End => return (reader.is_complete(), frames, gaps),
-        }
-    }
-}
-
-fn output(command: &mut Command) -> (Option<i32>, String, String) {
-    let Output { status, stdout, stderr } = command.output().expect("runs");
-    (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
+    let reader = McapReader::open(path).expect("a file that opens");
+    let (frames, gaps) = frames(path);
+    (reader.is_complete(), frames.len() as u64, gaps)
 }
 
 /// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
 fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
-    let mut command = subcommand("board emulate");
-    command.arg("--from").arg(fixture("scenes/desk.toml")).args(["--protocol", protocol]);
-    let board = Running::start(command.args(["--link", &link]));
-    let port = board.stdout.find(0, "the board's port", |line| Some(line.trim().to_owned()));
-    (board, port)
+    emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol, "--link", &link])
 }
 
 /// A recorder of boards that looks for a lost one for a second, and says each frame that it writes.
@@ -159,7 +140,7 @@ fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
 fn a_closed_stdout_ends_every_command_quietly() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(40, &at("desk.mcap"));
+    desk(40, &at("desk.mcap"));
     let quiet = |command: &mut Command, lines: usize| {
         let (status, said) = closed_after(command, lines);
         assert_eq!(status, Some(0), "{command:?}: {said}");
@@ -203,10 +184,10 @@ fn failure_with_stdout(command: &mut Command, stdout: Stdio) -> String {
 fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulate(40, &at("whole.mcap"));
+    desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
         let (status, _, said) =
-            output(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
+            outcome(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
         (status, said)
     };
     assert_eq!(repair("whole.mcap").0, Some(0));
@@ -232,7 +213,7 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             let to = folder.path().join(format!("{command}-{}.mcap", arguments.join("")));
             let mut run = radome();
             run.arg(command).arg(&holed).args(more).args(arguments).arg("-o").arg(&to);
-            let (status, told, said) = output(&mut run);
+            let (status, told, said) = outcome(&mut run);
             let (is_finished, frames, gaps) = read(&to);
             assert!(is_finished && frames == 17 && gaps == expected, "{command}: {frames}, {gaps:?}");
             assert!(told.contains("17 frames"), "{command}: {told}");
@@ -248,21 +229,21 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
         }
     }
     // Without a recording nothing is lost that was to be kept.
-    assert_eq!(output(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
+    assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
 }
 
 #[test]
 fn wrong_use_ends_with_2() {
     for arguments in [&["record", "x.mcap"][..], &["recording", "repair", "--nonsense"], &["live"], &["nonsense"], &[]]
     {
-        assert_eq!(output(radome().args(arguments)).0, Some(2), "{arguments:?}");
+        assert_eq!(outcome(radome().args(arguments)).0, Some(2), "{arguments:?}");
     }
 }
 
 #[test]
 fn help_lists_the_exit_statuses() {
     for arguments in [&["--help"][..], &["record", "--help"], &["live", "--help"]] {
-        let (status, told, _) = output(radome().args(arguments));
+        let (status, told, _) = outcome(radome().args(arguments));
         assert!(status == Some(0) && told.contains("Exit status: 0"), "{arguments:?}: {told}");
     }
 }
@@ -312,10 +293,10 @@ mod full_disk {
     fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
-        simulate(FRAMES, &fed);
+        desk(FRAMES, &fed);
         let mut record = radome();
         record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-        let (status, told, said) = output(&mut limited(BLOCKS, &record));
+        let (status, told, said) = outcome(&mut limited(BLOCKS, &record));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said);
         let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
@@ -327,10 +308,10 @@ mod full_disk {
     fn is_said_at_once_by_live_whose_answers_go_on() {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
-        simulate(FRAMES, &fed);
+        desk(FRAMES, &fed);
         let mut live = radome();
         live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
-        let (status, told, said) = output(&mut limited(BLOCKS, &live));
+        let (status, told, said) = outcome(&mut limited(BLOCKS, &live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said);
         assert!(said.contains("marked unfinished"), "{said}");

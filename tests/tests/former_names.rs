@@ -1,6 +1,6 @@
 //! Former names of commands do what the present ones do.
 
-use radome_tests::{help, long_options, radome};
+use radome_tests::{help, long_options, outcome, radome};
 
 /// Page with the table of former and present names. A test of the program holds its own list to it.
 const PAGE: &str = include_str!("../../docs/commands.md");
@@ -71,10 +71,8 @@ fn table() -> Vec<(&'static str, &'static str)> {
 }
 
 /// Status, stdout and stderr of a command line.
-fn outcome(line: &str) -> (Option<i32>, String, String) {
-    let output = radome().args(line.split(' ')).output().expect("runs");
-    let text = |bytes| String::from_utf8(bytes).expect("text");
-    (output.status.code(), text(output.stdout), text(output.stderr))
+fn outcome_of(line: &str) -> (Option<i32>, String, String) {
+    outcome(radome().args(line.split(' ')))
 }
 
 #[test]
@@ -98,15 +96,15 @@ fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
 fn former_and_present_names_do_the_same() {
     let table = table();
     for (former, present) in &table {
-        let refused = outcome(&format!("{former} --no-such-option"));
-        assert_eq!(refused, outcome(&format!("{present} --no-such-option")), "{former}");
+        let refused = outcome_of(&format!("{former} --no-such-option"));
+        assert_eq!(refused, outcome_of(&format!("{present} --no-such-option")), "{former}");
         assert!(refused.0 == Some(2) && refused.2.contains("'--no-such-option'"), "{former}: {refused:?}");
     }
     for line in CHEAP {
         let name = line.split(' ').next().unwrap_or_default();
         let (_, present) = table.iter().find(|(former, _)| *former == name).unwrap_or_else(|| panic!("{name}"));
-        let told = outcome(line);
-        assert_eq!(told, outcome(&line.replacen(name, present, 1)), "{line}");
+        let told = outcome_of(line);
+        assert_eq!(told, outcome_of(&line.replacen(name, present, 1)), "{line}");
         assert!(told.0 == Some(0) && !told.1.is_empty(), "{line}: {told:?}");
     }
 }
@@ -116,7 +114,7 @@ fn former_options_are_taken_for_the_present_ones() {
     for (command, former, present) in FORMER_OPTIONS {
         let known = help(command);
         assert!(!long_options(&known).contains(&former) && long_options(&known).contains(&present), "{known}");
-        let (status, _, said) = outcome(&format!("{command} {former}"));
+        let (status, _, said) = outcome_of(&format!("{command} {former}"));
         assert!(status == Some(2) && said.contains("a value is required") && said.contains(present), "{said}");
     }
 }

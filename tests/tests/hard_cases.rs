@@ -73,12 +73,8 @@ fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
 
 #[test]
 fn an_output_that_cannot_be_written_is_named_before_any_work() {
-    let said = failure(subcommand("scene simulate").arg(fixture("scenes/desk.toml")).args([
-        "--frames",
-        "2",
-        "-o",
-        "/nonexistent/run.mcap",
-    ]));
+    let mut simulate = subcommand("scene simulate --frames 2 -o /nonexistent/run.mcap");
+    let said = failure(simulate.arg(fixture("scenes/desk.toml")));
     assert!(said.contains("/nonexistent"), "{said}");
 }
 
@@ -94,12 +90,7 @@ fn a_damaged_model_is_refused_by_its_path() {
 
 #[test]
 fn a_model_and_a_scene_of_other_waveforms_are_not_brought_together() {
-    let said = failure(
-        radome()
-            .arg("demo")
-            .arg("--scene")
-            .arg(fixture("scenes/desk.toml"))
-            .args(["--frames", "1", "--speed", "0", "--json"]),
-    );
+    let mut demo = subcommand("demo --frames 1 --speed 0 --json --scene");
+    let said = failure(demo.arg(fixture("scenes/desk.toml")));
     assert!(said.contains("samples") && said.contains("hint:"), "{said}");
 }

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::running::{Running, free_port, wait_for};
-use radome_tests::{fixture, json_lines, radome, skip, subcommand};
+use radome_tests::running::{Running, emulated_board, free_port, wait_for};
+use radome_tests::{emulated_corridor, fixture, json_lines, live_command, radome, skip, subcommand};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -70,10 +70,7 @@ fn program(name: &str) -> Option<PathBuf> {
 
 /// The corridor through an emulated board, at its own pace, until stopped.
 fn watch() -> Command {
-    let mut command = radome();
-    command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-    command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args(["--speed", "1", "--json"]);
-    command
+    live_command(emulated_corridor(), "--speed 1 --json")
 }
 
 /// Asks for an orderly end; asserts that every frame was judged, but for those that an overloaded machine's emulated board itself
@@ -377,16 +374,9 @@ impl Ear {
 fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_come() {
     let ear = Ear::new();
     // A board in a process of its own, that can be made to stand still.
-    let scene = fixture("scenes/corridor.toml");
-    let board = Running::start(subcommand("board emulate").arg("--from").arg(scene).args(["--speed", "1"]));
-    let port = board.stdout.find(0, "the board's port", |line| {
-        line.split(|c: char| c.is_whitespace() || c == '"')
-            .find(|word| word.starts_with("/dev/pts/"))
-            .map(str::to_owned)
-    });
-    let mut live = radome();
-    live.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-    live.arg("--json").env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
+    let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
+    let mut live = live_command(format!("serial:{port}"), "--json");
+    live.env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
     let mut live = Running::start(&mut live);
     ear.wait_for("READY=1");
     let labelled = live.stdout.all().iter().filter(|line| line.contains("\"label\":\"")).count();
@@ -462,9 +452,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
         let found = json_lines(subcommand("recording labels").arg(path).arg("--json"));
         assert_eq!(found[0].as_array().map(Vec::len), Some(1), "{found:?}");
         labels.push(found[0][0]["label"].as_str().expect("a label").to_owned());
-        let frames = json_lines(
-            radome().arg("live").arg(path).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json"),
-        );
+        let frames = json_lines(&mut live_command(path, "--json"));
         let judged = frames.iter().filter(|line| line["sequence"].is_u64()).count();
         assert_eq!(judged, answers.len(), "as many frames as answers");
     }

@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use radome_tests::browser::{PATIENCE, Served};
+use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, subcommand};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, simulate, subcommand};
 use serde_json::Value;
 use tungstenite::Message;
 
@@ -13,12 +13,7 @@ use tungstenite::Message;
 fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    json_lines(
-        subcommand("scene simulate")
-            .arg(fixture("scenes/desk.toml"))
-            .args(["--frames", "40", "--json", "-o"])
-            .arg(path("run.mcap")),
-    );
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
     let maps = |name: &str| {
         json_lines(subcommand("recording maps").arg(path("run.mcap")).arg("--json").arg("-o").arg(path(name)));
         std::fs::read(path(name)).expect("maps")
@@ -59,10 +54,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let served = Served::start(
         radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made).stdout(Stdio::null()),
     );
-    let (mut socket, _) = tungstenite::connect(format!("ws://{}/stream", served.address)).expect("a page");
-    if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-    }
+    let mut socket = page(&served.address);
     // Until the first frame is seen: labels begin at the newest one.
     while !socket.read().expect("a message").is_binary() {}
     for (key, ended) in [("one", 0), ("two", 1), ("empty", 2)] {
@@ -103,14 +95,9 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
 fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("it is mine.mcap");
-    let scene = fixture("scenes/hall.toml");
-    let arguments = ["scene", "simulate", "--people", "1", "--seed", "700101", "--frames", "60", "--json", "-o"];
-    json_lines(radome().args(arguments).arg(&recording).arg(scene));
+    simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 700101 --frames 60", &recording);
     let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]).stdout(Stdio::null()));
-    let (mut socket, _) = tungstenite::connect(format!("ws://{}/stream", served.address)).expect("a page");
-    if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-    }
+    let mut socket = page(&served.address);
     let mut told_with = |spans: usize, request: Option<&str>| -> Value {
         if let Some(request) = request {
             socket.send(Message::text(request)).expect("sent");
@@ -137,12 +124,9 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     // As somebody would who copies it into a shell.
     let program = radome();
     let folder_of_program = Path::new(program.get_program()).parent().expect("a folder");
-    let ended = Command::new("/bin/sh")
-        .args(["-c", &command])
-        .current_dir(folder.path())
-        .env("PATH", folder_of_program)
-        .output();
-    let ended = ended.expect("a shell");
+    let mut shell = Command::new("/bin/sh");
+    shell.args(["-c", &command]).current_dir(folder.path()).env("PATH", folder_of_program);
+    let ended = shell.output().expect("a shell");
     assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
     assert!(folder.path().join("room-mine.safetensors").is_file());
 }

@@ -2,13 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, subcommand};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand};
 use serde_json::Value;
-
-fn simulate(scene: &str, people: &str, frames: &str, path: &Path) {
-    let arguments = ["scene", "simulate", "--seed", "700101", "--people", people, "--frames", frames, "--json", "-o"];
-    json_lines(radome().args(arguments).arg(path).arg(fixture(&format!("scenes/{scene}.toml"))));
-}
 
 fn evaluate(model: &str) -> std::process::Command {
     let mut command = radome();
@@ -30,7 +25,7 @@ fn sum(confusion: &Value) -> u64 {
 fn frames_are_judged_by_the_span_that_they_lie_in() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("walk.mcap");
-    simulate("hall", "1", "60", &recording);
+    simulate(&fixture("scenes/hall.toml"), "--seed 700101 --people 1 --frames 60", &recording);
 
     // Without spans the simulator's truth counts, but for frames in which somebody enters.
     let truth = json_lines(evaluate("cfar").arg(&recording)).remove(0);
@@ -70,8 +65,8 @@ fn a_refused_recording_is_listed_and_the_others_are_judged() {
     let folder = tempfile::tempdir().expect("a folder");
     let (hall, desk) = (folder.path().join("hall.mcap"), folder.path().join("desk.mcap"));
     // Bins of 15 cm hold nothing for a model of bins of 3 cm.
-    simulate("hall", "1", "5", &hall);
-    simulate("desk", "1", "135", &desk);
+    simulate(&fixture("scenes/hall.toml"), "--seed 700101 --people 1 --frames 5", &hall);
+    simulate(&fixture("scenes/desk.toml"), "--seed 700101 --people 1 --frames 135", &desk);
     let inputs = [&hall, &desk].map(|path| format!("{}=one", path.display()));
     let answer = json_lines_of(evaluate("desk-hqnn").args(&inputs), &[1]).remove(0);
     let (judged, refused) = (&answer["recordings"], &answer["refused"]);
@@ -178,7 +173,7 @@ mod hard_cases {
     fn labels_that_cannot_be_meant_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let recording = folder.path().join("empty.mcap");
-        simulate("hall", "0", "3", &recording);
+        simulate(&fixture("scenes/hall.toml"), "--seed 700101 --people 0 --frames 3", &recording);
         let given = |name: &str| format!("{}={}", recording.display(), folder.path().join(name).display());
         for (name, text, expected) in [
             ("both.txt", "0\t0.2\tempty\n0.1\t0.3\tone\n", "overlap"),

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, fixture_text, json_lines, radome, shared, walk};
+use radome_tests::{failure, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
 use serde_json::Value;
 
 #[test]
@@ -36,9 +36,7 @@ fn people_are_counted_alike_at_other_gains() {
         let other = corridor.replace("if_gain_db = 40.0", &format!("if_gain_db = {gain_db}"));
         assert_ne!(other, corridor);
         std::fs::write(&scene, other).expect("writable");
-        let mut command = radome();
-        command.arg("live").arg(&scene).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-        let lines = json_lines(command.args(["--frames", "200", "--seed", "100003", "--json"]));
+        let lines = json_lines(&mut live_command(&scene, "--frames 200 --seed 100003 --json"));
         let summary = &lines.last().expect("some lines")["summary"];
         assert_eq!(summary["dropped"], 0);
         assert!(summary["balanced_accuracy"].as_f64().expect("number") >= 0.85, "{gain_db} dB: {summary}");
@@ -62,8 +60,7 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
 #[test]
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    let model = fixture("models/paper-hqnn.safetensors");
-    let said = failure(radome().arg("live").arg(recording).arg("--model").arg(model));
+    let said = failure(&mut live_command(recording, ""));
     assert!(said.contains("256 samples") && said.contains("64 samples") && said.contains("hint:"), "{said}");
 }
 
@@ -73,24 +70,9 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = walk(folder.path(), from, to);
-        let mut child = radome()
-            .args([
-                "demo",
-                "--frames",
-                "60",
-                "--speed",
-                "0.5",
-                "--json",
-                "--view",
-                "--listen",
-                "127.0.0.1:0",
-                "--scene",
-            ])
-            .arg(&scene)
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("starts");
+        let mut demo = subcommand("demo --frames 60 --speed 0.5 --json --view --listen 127.0.0.1:0 --scene");
+        let demo = demo.arg(&scene).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = demo.spawn().expect("starts");
         let said = BufReader::new(child.stderr.take().expect("piped"));
         let lines = said.lines().map_while(Result::ok);
         let address = lines

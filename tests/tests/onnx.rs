@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
+use radome_tests::{failure, fixture, json_lines, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
@@ -66,13 +66,8 @@ fn exported_models_answer_as_the_models() {
         }
         let recording = folder.path().join(format!("{model}.mcap"));
         let scene = fixture(&format!("scenes/{scene}.toml"));
-        let made = subcommand("scene simulate")
-            .arg(scene)
-            // As many as the desk's maps are made of, and some.
-            .args(["--frames", "140", "--people", "1", "-o"])
-            .arg(&recording)
-            .output();
-        assert!(made.expect("runs").status.success());
+        // As many as the desk's maps are made of, and some.
+        simulate(&scene, "--frames 140 --people 1", &recording);
         // Every frame's probabilities, as `live` says them.
         let live =
             |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));

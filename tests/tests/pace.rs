@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOptions, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 use radome_models::Model;
-use radome_tests::running::{Running, wait_up_to};
-use radome_tests::{fixture, json_lines, radome, subcommand};
+use radome_tests::running::{Running, emulated_board, wait_up_to};
+use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
@@ -181,20 +181,11 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let frames = setting("RADOME_PACE_FRAMES", 600);
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run.mcap");
-    let scene = fixture("scenes/corridor.toml");
-    let count = (frames + 20).to_string();
-    json_lines(subcommand("scene simulate").arg(scene).args(["--frames", &count, "--json", "-o"]).arg(&run));
-    let board = Running::start(subcommand("board emulate").arg("--from").arg(&run).args(["--speed", "1"]));
-    let port = board.stdout.find(0, "the board's port", |line| {
-        line.split(|c: char| c.is_whitespace() || c == '"')
-            .find(|word| word.starts_with("/dev/pts/"))
-            .map(str::to_owned)
-    });
+    simulate(&fixture("scenes/corridor.toml"), &format!("--frames {}", frames + 20), &run);
+    let (board, port) = emulated_board(&run, &["--speed", "1"]);
     let night = folder.path().join("night.mcap");
-    let mut command = radome();
-    command.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-    command.args(["--json", "--frames", &frames.to_string(), "--view", "--listen", "127.0.0.1:0", "-o"]).arg(&night);
-    let mut live = Running::start(&mut command);
+    let options = format!("--json --frames {frames} --view --listen 127.0.0.1:0 -o");
+    let mut live = Running::start(live_command(format!("serial:{port}"), &options).arg(&night));
     let address = live.stderr.find(0, "the page's address", |line| line.strip_prefix("live page: ").map(str::to_owned));
     let address = address.trim_start_matches("http://").split(['/', ' ', '?']).next().expect("an address").to_owned();
     let pages = [(); 2].map(|()| {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{failure, fixture, fixture_text, json_lines, shared, subcommand};
+use radome_tests::{failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 
 /// Path of a walker: places, and the speed of the way to each; a place twice is a stand of two seconds.
@@ -40,10 +40,7 @@ fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
 
 fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
     let file = scene.with_extension("mcap");
-    let (frames, seed) = (frames.to_string(), seed.to_string());
-    json_lines(
-        subcommand("scene simulate").arg(scene).args(["--frames", &frames, "--seed", &seed, "--json", "-o"]).arg(&file),
-    );
+    simulate(scene, &format!("--frames {frames} --seed {seed}"), &file);
     file
 }
 
@@ -226,10 +223,8 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
     json_lines(subcommand("dataset stats").arg("--json").arg(&set));
     // The mirror gives the same frames once more.
-    let again =
-        json_lines(subcommand("scene simulate").args(["--json", "--frames", "30"]).arg(set.join("mirror.toml")))
-            .remove(0);
-    assert_eq!(again["frames"], 30);
+    let again = json_lines(subcommand("scene simulate --json --frames 30").arg(set.join("mirror.toml")));
+    assert_eq!(again[0]["frames"], 30);
     let twice = folder.path().join("twice");
     json_lines(&mut make(&twice));
     for file in ["manifest.jsonl", "mirror.toml", "track.jsonl", "maps-00000.npy"] {
@@ -316,9 +311,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[&[([5.0, 1.0], 0.0)]]);
         let recording = folder.path().join("empty.mcap");
-        let mut simulate = subcommand("scene simulate");
-        simulate.arg(&scene_file).args(["--frames", "12", "--people", "0", "--json", "-o"]).arg(&recording);
-        json_lines(&mut simulate);
+        simulate(&scene_file, "--frames 12 --people 0", &recording);
         let text = std::fs::read_to_string(&scene_file).expect("a scene");
         let (room, _) = text.split_once("[[people.actor]]").expect("people");
         std::fs::write(&scene_file, room).expect("writable");

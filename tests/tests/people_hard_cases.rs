@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture_text, json_lines, radome, simulate, subcommand};
 use serde_json::Value;
 
 /// A scene of `fixtures/scenes/rooms.toml` whose waveform has other values for these keys.
@@ -23,11 +23,9 @@ fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
 }
 
 /// A recording of a scene.
-fn simulate(scene: &Path, people: usize, seed: u64, frames: usize) -> PathBuf {
+fn simulated(scene: &Path, people: usize, seed: u64, frames: usize) -> PathBuf {
     let path = scene.with_file_name(format!("people{people}-seed{seed}.mcap"));
-    let mut command = subcommand("scene simulate");
-    command.arg(scene).args(["--people", &people.to_string(), "--seed", &seed.to_string()]);
-    json_lines(command.args(["--frames", &frames.to_string(), "--json", "-o"]).arg(&path));
+    simulate(scene, &format!("--people {people} --seed {seed} --frames {frames}"), &path);
     path
 }
 
@@ -88,9 +86,9 @@ fn assert_right(answers: &[Value], truth: &str, at_least: usize) {
 /// in the empty room, and that all have a label and most the right one with the person, who is to be there in half of them. Returns what
 /// the program says on stderr of the empty room.
 fn assert_empty_and_one_are_judged(scene: &Path, frames: usize) -> String {
-    let (empty, said) = live(&simulate(scene, 0, 731_012, frames));
+    let (empty, said) = live(&simulated(scene, 0, 731_012, frames));
     assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == frames, "{empty:?}");
-    let (one, _) = live(&simulate(scene, 1, 731_012, frames));
+    let (one, _) = live(&simulated(scene, 1, 731_012, frames));
     assert_eq!(one.iter().filter(|answer| !answer["label"].is_null()).count(), frames);
     assert_right(&one, "one", frames / 2);
     said
@@ -117,7 +115,7 @@ fn frames_of_512_chirps_are_judged() {
 fn a_band_below_the_limit_is_refused_with_the_limit() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = rooms(folder.path(), &[("end_frequency_hz", "60.75e9")]);
-    let recording = simulate(&scene, 0, 731_012, 2);
+    let recording = simulated(&scene, 0, 731_012, 2);
     let said = failure(radome().arg("live").arg(&recording).arg("--json"));
     assert!(said.contains("sampled band is 0.238 GHz") && said.contains("0.300 GHz or more"), "{said}");
     assert!(said.contains("hint: capture with a waveform within this limit"), "{said}");
@@ -150,7 +148,7 @@ fn another_receiver_takes_the_place_of_a_dead_one() {
         ("chirp_interval_s", "591.125e-6"),
         ("rx_antennas", "[1, 2, 3]"),
     ];
-    let whole = simulate(&rooms(folder.path(), &three), 1, 731_012, 60);
+    let whole = simulated(&rooms(folder.path(), &three), 1, 731_012, 60);
     let labels = |answers: &[Value]| -> Vec<(Value, Value)> {
         answers.iter().map(|answer| (answer["label"].clone(), answer["frame_probabilities"].clone())).collect()
     };
@@ -180,7 +178,7 @@ fn another_receiver_takes_the_place_of_a_dead_one() {
 #[test]
 fn frames_without_a_signal_get_no_answer_and_change_none() {
     let folder = tempfile::tempdir().expect("a folder");
-    let whole = simulate(&rooms(folder.path(), &FEW_CHIRPS), 1, 731_012, 60);
+    let whole = simulated(&rooms(folder.path(), &FEW_CHIRPS), 1, 731_012, 60);
     // From a frame on in which somebody has been there for a while.
     for (name, code) in DEAD {
         let dead = changed(&whole, name, 0, |index, frame| {
@@ -218,7 +216,7 @@ fn clipped_frames_are_judged_and_said_to_be_clipped() {
             }
         })
     };
-    let (empty, said) = live(&clip(&simulate(&scene, 0, 731_012, 60), "empty.mcap"));
+    let (empty, said) = live(&clip(&simulated(&scene, 0, 731_012, 60), "empty.mcap"));
     assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == 60, "{empty:?}");
     let saturated = empty.iter().filter_map(|answer| answer["saturated_samples"].as_u64());
     assert!(saturated.sum::<u64>() > 60 * 128 * 64 / 100, "{}", empty[0]);
@@ -226,7 +224,7 @@ fn clipped_frames_are_judged_and_said_to_be_clipped() {
         said.contains("warning: receiver 1 of 1") && said.contains("distorts") && said.contains("if_gain_db"),
         "{said}"
     );
-    let (one, _) = live(&clip(&simulate(&scene, 1, 731_012, 60), "one.mcap"));
+    let (one, _) = live(&clip(&simulated(&scene, 1, 731_012, 60), "one.mcap"));
     assert_right(&one, "one", 40);
 }
 
@@ -234,7 +232,7 @@ fn clipped_frames_are_judged_and_said_to_be_clipped() {
 #[test]
 fn bursts_of_saturated_frames_do_not_populate_an_empty_room() {
     let folder = tempfile::tempdir().expect("a folder");
-    let empty = simulate(&rooms(folder.path(), &[]), 0, 731_012, 60);
+    let empty = simulated(&rooms(folder.path(), &[]), 0, 731_012, 60);
     let bursts = changed(&empty, "bursts.mcap", 0, |index, frame| {
         if index % 10 < 5 {
             let mut state = index as u32 + 1;
@@ -257,7 +255,7 @@ fn people_who_are_there_from_the_first_frame_are_found_within_a_second() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = rooms(folder.path(), &[]);
     for (people, seed, label) in [(1, 731_011, "one"), (1, 731_014, "one"), (2, 731_012, "two"), (2, 731_014, "two")] {
-        let whole = simulate(&scene, people, seed, 100);
+        let whole = simulated(&scene, people, seed, 100);
         let begins = changed(&whole, "begins.mcap", 45, |_, _| ());
         let (answers, _) = live(&begins);
         assert_eq!(answers.len(), 55);
@@ -293,7 +291,7 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     assert!(said.contains("--empty-hours") && said.contains("hint:"), "{said}");
 
     // Somebody walks through a room that is said to be empty.
-    let walked = simulate(&scene, 1, 731_012, 60);
+    let walked = simulated(&scene, 1, 731_012, 60);
     let empty = format!("{}=empty", walked.display());
     let answer = json_lines(subcommand("model evaluate").args(["--json", "room-hqnn"]).arg(&empty)).remove(0);
     assert!(answer["empty_s"].as_f64().is_some_and(|seconds| (5.9..6.1).contains(&seconds)), "{answer}");

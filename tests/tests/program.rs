@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture, json_lines, radome, simulate, subcommand};
 use serde_json::json;
 
 #[test]
@@ -102,8 +102,7 @@ fn devices_answers_on_a_machine_without_usb() {
 fn a_recording_says_its_waveform_its_length_and_its_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
-    let simulated = ["--people", "0", "--frames", "20", "--json", "-o"];
-    json_lines(subcommand("scene simulate").arg(fixture("scenes/hall.toml")).args(simulated).arg(&recording));
+    simulate(&fixture("scenes/hall.toml"), "--people 0 --frames 20", &recording);
     let info = json_lines(subcommand("recording info").arg("--json").arg(&recording)).remove(0);
     assert_eq!(
         (&info["format"], &info["frames"], &info["labelled_s"]),

@@ -3,15 +3,12 @@
 use std::path::Path;
 
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, skip, subcommand};
+use radome_tests::{emulated_corridor, failure, json_lines, live_command, skip, subcommand};
 use serde_json::Value;
 
 /// `live` on two seconds of a simulated corridor, recorded; its JSON lines.
 fn live(output: &Path, frames: &str) -> Vec<Value> {
-    let mut command = radome();
-    command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-    command.arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-    json_lines(command.args(["--frames", frames, "--json", "-o"]).arg(output))
+    json_lines(live_command(emulated_corridor(), &format!("--frames {frames} --json -o")).arg(output))
 }
 
 fn results(path: &Path) -> Vec<Value> {
@@ -34,14 +31,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         assert_eq!(kept["probabilities"], Value::from(vec![p("empty"), p("one"), p("two")]));
     }
     // The frames are those of a recording that nobody judged.
-    let judged_again = json_lines(
-        radome()
-            .arg("live")
-            .arg(at("night.mcap"))
-            .arg("--model")
-            .arg(fixture("models/paper-hqnn.safetensors"))
-            .arg("--json"),
-    );
+    let judged_again = json_lines(&mut live_command(at("night.mcap"), "--json"));
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
     json_lines(subcommand("recording convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
@@ -90,11 +80,8 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
     for (signal, is_whole) in [("INT", true), ("KILL", false)] {
         let folder = tempfile::tempdir().expect("a folder");
         let night = folder.path().join("night.mcap");
-        let mut command = radome();
-        command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
         // In real time a slow machine may lose frames, which is not what this is about.
-        command.args(["--speed", "1", "--allow-loss", "--json", "-o"]);
+        let mut command = live_command(emulated_corridor(), "--speed 1 --allow-loss --json -o");
         let mut live = Running::start(command.arg(&night));
         wait_for("frames", || (live.stdout.all().len() >= 45).then_some(()));
         live.signal(signal);
@@ -128,16 +115,7 @@ mod hard_cases {
             skip("/dev/full", "a device of Linux");
             return;
         }
-        let mut command = radome();
-        command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args([
-            "--frames",
-            "60",
-            "--json",
-            "-o",
-            "/dev/full",
-        ]);
-        let told = failure(&mut command);
+        let told = failure(&mut live_command(emulated_corridor(), "--frames 60 --json -o /dev/full"));
         assert!(told.contains("/dev/full"), "{told}");
     }
 
@@ -147,11 +125,7 @@ mod hard_cases {
         let night = folder.path().join("night.mcap");
         live(&night, "3");
         let before = std::fs::read(&night).expect("readable");
-        let live = |output: &Path| {
-            let mut command = radome();
-            command.arg("live").arg(&night).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-            failure(command.arg("-o").arg(output))
-        };
+        let live = |output: &Path| failure(live_command(&night, "-o").arg(output));
         assert!(live(&night).contains("source and output"));
         assert!(live(&folder.path().join("no/such/x.mcap")).contains("does not exist"));
         assert_eq!(std::fs::read(&night).expect("readable"), before);

@@ -6,16 +6,12 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 
 use radome_tests::running::Running;
-use radome_tests::{fixture, radome};
+use radome_tests::{fixture, live_command};
 
 /// The corridor, simulated at its own pace until stopped, with everything in the log.
 fn watch(url: &str) -> Command {
-    let mut command = radome();
-    command.arg("live").arg(fixture("scenes/corridor.toml"));
-    command
-        .arg("--model")
-        .arg(fixture("models/paper-hqnn.safetensors"))
-        .args(["--speed", "1", "--json", "--mqtt", url]);
+    let mut command = live_command(fixture("scenes/corridor.toml"), "--speed 1 --json --mqtt");
+    command.arg(url);
     command.env_remove("RADOME_MQTT_USER").env_remove("RADOME_MQTT_PASSWORD").env("RADOME_LOG", "trace");
     command
 }

@@ -1,17 +1,14 @@
 //! Simulations into recordings: the same bytes whatever the threads, and whole through board and file.
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use std::path::Path;
 
-fn simulate(folder: &std::path::Path, name: &str, threads: &str) -> Vec<u8> {
+use radome_tests::{failure, fixture, frames, json_lines, radome, simulate, subcommand};
+
+fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
     let path = folder.join(name);
-    let lines = json_lines(
-        radome()
-            .env("RAYON_NUM_THREADS", threads)
-            .args(["scene", "simulate"])
-            .arg(fixture("scenes/corridor.toml"))
-            .args(["--frames", "40", "--seed", "7", "--people", "2", "--json", "-o"])
-            .arg(&path),
-    );
+    let mut command = subcommand("scene simulate --frames 40 --seed 7 --people 2 --json");
+    command.env("RAYON_NUM_THREADS", threads).arg(fixture("scenes/corridor.toml"));
+    let lines = json_lines(command.arg("-o").arg(&path));
     assert_eq!(lines[0]["frames"], 40);
     assert!(lines[0]["seconds"].is_number() && lines[0]["frames_per_second"].is_number());
     std::fs::read(path).expect("written")
@@ -20,9 +17,9 @@ fn simulate(folder: &std::path::Path, name: &str, threads: &str) -> Vec<u8> {
 #[test]
 fn a_scene_gives_the_same_bytes_twice_and_on_one_and_two_threads() {
     let folder = tempfile::tempdir().expect("a folder");
-    let first = simulate(folder.path(), "a.mcap", "2");
-    assert!(first == simulate(folder.path(), "b.mcap", "2"), "a second run differs");
-    assert!(first == simulate(folder.path(), "c.mcap", "1"), "one thread differs from two");
+    let first = simulated(folder.path(), "a.mcap", "2");
+    assert!(first == simulated(folder.path(), "b.mcap", "2"), "a second run differs");
+    assert!(first == simulated(folder.path(), "c.mcap", "1"), "one thread differs from two");
 }
 
 #[test]
@@ -30,21 +27,13 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/corridor.toml");
     let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
-    json_lines(
-        subcommand("scene simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct),
-    );
+    simulate(&scene, "--frames 12 --seed 3", &direct);
     let emulated = format!("emulated:{}", scene.display());
     let args = ["--frames", "12", "--seed", "3", "--waveform", "paper", "--json", "-o"];
     let said = json_lines(radome().args(["record", &emulated]).args(args).arg(&recorded));
     assert_eq!((&said[0]["frames"], &said[0]["dropped"]), (&12.into(), &0.into()));
-    let codes = |path: &std::path::Path| {
-        let mut source = radome_driver::recording::open(path).expect("a recording");
-        let mut frame = radome_dsp::Frame::zeroed(source.waveform().shape());
-        let mut all = Vec::new();
-        while source.next_frame(&mut frame).expect("readable") == radome_dsp::SourceEvent::Frame {
-            all.push((frame.sequence, frame.codes.clone(), frame.truth));
-        }
-        all
+    let codes = |path: &Path| -> Vec<_> {
+        frames(path).0.into_iter().map(|frame| (frame.sequence, frame.codes, frame.truth)).collect()
     };
     let (a, b) = (codes(&direct), codes(&recorded));
     assert_eq!(a.len(), 12);
@@ -68,15 +57,11 @@ mod hard_cases {
     #[test]
     fn a_recording_cut_short_gives_its_whole_frames_or_says_where_it_ends() {
         let folder = tempfile::tempdir().expect("a folder");
-        let bytes = simulate(folder.path(), "whole.mcap", "2");
+        let bytes = simulated(folder.path(), "whole.mcap", "2");
         let path = folder.path().join("cut.mcap");
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
-        let output = subcommand("recording maps")
-            .arg(&path)
-            .arg("-o")
-            .arg(folder.path().join("maps.npy"))
-            .output()
-            .expect("runs");
+        let maps = folder.path().join("maps.npy");
+        let output = subcommand("recording maps").arg(&path).arg("-o").arg(maps).output().expect("runs");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!said.contains("panicked"), "{said}");
         assert!(output.status.success() || said.contains("cut.mcap"), "{said}");

@@ -5,13 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use radome_tests::running::free_port;
 use radome_tests::{fixture, json_lines, skip, subcommand};
 
 use super::learning::maps;
-use super::study::{STUDY, TRAININGS, progress, report};
+use super::study::{STUDY, TRAININGS, progress, report, wait};
 
 /// Processes that end with the test.
 struct Daemons(Vec<Child>);
@@ -36,14 +35,6 @@ fn text_of(command: &mut Command) -> String {
     let output = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
     assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).trim().to_owned()
-}
-
-fn wait(what: &str, mut done: impl FnMut() -> bool) {
-    let until = Instant::now() + Duration::from_secs(300);
-    while !done() {
-        assert!(Instant::now() < until, "waited five minutes for {what}");
-        std::thread::sleep(Duration::from_millis(50));
-    }
 }
 
 /// Starts munge, the controller and a node, all private to `folder`; the path of the configuration.

@@ -94,7 +94,8 @@ pub fn progress(folder: &Path) -> [usize; 2] {
     })
 }
 
-fn wait(what: &str, mut done: impl FnMut() -> bool) {
+/// Waits for something, and looks often: a training takes a second.
+pub fn wait(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(300);
     while !done() {
         assert!(Instant::now() < until, "waited five minutes for {what}");

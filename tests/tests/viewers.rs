@@ -7,7 +7,7 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{failure, fixture, json_lines, radome, root, skip, subcommand};
+use radome_tests::{failure, fixture, json_lines, radome, root, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -244,9 +244,7 @@ fn numbers_and_events_are_those_of_the_recording() {
 fn a_pixel_of_a_map_is_a_cell() {
     let folder = tempfile::tempdir().expect("a folder");
     let input = folder.path().join("room.mcap");
-    let mut simulate = subcommand("scene simulate");
-    simulate.arg(fixture("scenes/corridor.toml"));
-    json_lines(simulate.args(["--frames", "3", "--seed", "5", "--json", "-o"]).arg(&input));
+    simulate(&fixture("scenes/corridor.toml"), "--frames 3 --seed 5", &input);
     let found = read(&export(&input, folder.path()));
     assert!(of::<Answer>(&found, "/radome/answer", "radome.Answer").is_empty());
     let maps: Vec<(u64, CompressedImage)> = of(&found, "/radome/map", "foxglove.CompressedImage");

@@ -1,7 +1,10 @@
 use std::path::PathBuf;
 
+use super::live;
 use crate::exit::Ended;
 use crate::files;
+use crate::judge::Delays;
+use crate::source::SourceArgs;
 
 /// `radome demo`
 #[derive(clap::Args)]
@@ -10,7 +13,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 300)]
     frames: u64,
     /// Seed of the people's ways; the shipped model was trained on seeds below 100000
-    #[arg(long, default_value_t = super::live::UNSEEN_SEED)]
+    #[arg(long, default_value_t = live::UNSEEN_SEED)]
     seed: u64,
     /// Times real time; 0 is as fast as it goes
     #[arg(long, default_value_t = 1.0)]
@@ -35,22 +38,26 @@ pub struct Arguments {
 pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
     let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
     let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;
-    super::live::watch(&super::live::Watch {
-        source: &format!("emulated:{}", scene.display()),
-        model: &model,
-        waveform: None,
-        seed: arguments.seed,
-        people: None,
-        frames: Some(arguments.frames),
-        speed: (arguments.speed > 0.0).then_some(arguments.speed),
-        json: arguments.json,
-        delays: Default::default(),
-        view: &arguments.view,
+    let delays = Delays::default();
+    live::run(&live::Arguments {
+        source: SourceArgs {
+            source: format!("emulated:{}", scene.display()),
+            waveform: None,
+            frames: Some(arguments.frames),
+            speed: (arguments.speed > 0.0).then_some(arguments.speed),
+            seed: Some(arguments.seed),
+            people: None,
+            give_up_after_s: None,
+        },
+        model,
         output: None,
+        allow_loss: false,
         overwrite: Default::default(),
         background: None,
-        integrations: &Default::default(),
-        allow_loss: false,
-        give_up_after: None,
+        on_delay_s: delays.on_s,
+        off_delay_s: delays.off_s,
+        json: arguments.json,
+        view: arguments.view,
+        integrations: Default::default(),
     })
 }

@@ -12,6 +12,7 @@ use anyhow::bail;
 use serde_json::json;
 
 use self::check::{Check, Outcome};
+use self::checks::Examined;
 use self::redact::{Kind, Redactor};
 use crate::live::integrations::broker::{self, BrokerArguments, Secret};
 use crate::output;
@@ -120,18 +121,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     checks::disk(&arguments.record_to, waveform.as_ref()).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
-        let mut redactor = arguments.redactor(path);
-        let model = arguments.model.as_deref();
-        let parts = bundle::parts(&report.checks, examined.as_ref(), model, &arguments.wire, &mut redactor)?;
-        bundle::write(path, &parts)?;
-        eprintln!("{} packs:", path.display());
-        for (name, bytes) in &parts {
-            eprintln!("{:>10} bytes  {name}", bytes.len());
-        }
-        for (kind, count) in redactor.counts() {
-            eprintln!("{count} different texts were replaced by tokens <{}-N>", kind.word());
-        }
-        eprintln!("{}: look at it before you send it anywhere", path.display());
+        pack(arguments, path, &report.checks, examined.as_ref())?;
     }
     let count = |outcome: Outcome| report.checks.iter().filter(|check| check.outcome == outcome).count();
     let (warnings, failures) = (count(Outcome::Warn), count(Outcome::Fail));
@@ -145,6 +135,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if failures > 0 {
         bail!("{failures} of {checked} checks failed");
     }
+    Ok(())
+}
+
+/// Writes the archive, and says what is in it.
+fn pack(arguments: &Arguments, path: &Path, checks: &[Check], examined: Option<&Examined>) -> anyhow::Result<()> {
+    let mut redactor = arguments.redactor(path);
+    let parts = bundle::parts(checks, examined, arguments.model.as_deref(), &arguments.wire, &mut redactor)?;
+    bundle::write(path, &parts)?;
+    eprintln!("{} packs:", path.display());
+    for (name, bytes) in &parts {
+        eprintln!("{:>10} bytes  {name}", bytes.len());
+    }
+    for (kind, count) in redactor.counts() {
+        eprintln!("{count} different texts were replaced by tokens <{}-N>", kind.word());
+    }
+    eprintln!("{}: look at it before you send it anywhere", path.display());
     Ok(())
 }
 

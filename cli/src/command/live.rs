@@ -16,9 +16,9 @@ use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
-use crate::output;
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs, SourceOptions};
+use crate::{files, output};
 
 /// Seed of a simulation that no training of the shipped models has seen.
 pub const UNSEEN_SEED: u64 = 100_001;
@@ -32,90 +32,36 @@ pub const UNSEEN_SEED: u64 = 100_001;
 )]
 pub struct Arguments {
     #[command(flatten)]
-    source: SourceArgs,
+    pub source: SourceArgs,
     /// Model file, which names the waveform that a board is programmed with; room-hqnn, which is built in and takes nearly any
     /// waveform; or cfar, the classical detector, for any waveform
     #[arg(long, default_value = BUILT_IN)]
-    model: PathBuf,
+    pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
     /// for the time
     #[arg(short, long, value_name = "FILE.mcap")]
-    output: Option<PathBuf>,
+    pub output: Option<PathBuf>,
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
     #[arg(long)]
-    allow_loss: bool,
+    pub allow_loss: bool,
     #[command(flatten)]
-    overwrite: Overwrite,
+    pub overwrite: Overwrite,
     /// Measurement of the empty room by `radome model background`: fans and curtains then count as nobody
     #[arg(long, value_name = "FILE.json")]
-    background: Option<PathBuf>,
+    pub background: Option<PathBuf>,
     /// Seconds of agreement before `occupied`, or a greater number of people, is said
     #[arg(long, default_value_t = Delays::default().on_s)]
-    on_delay_s: f64,
+    pub on_delay_s: f64,
     /// Seconds of agreement before `empty`, or a smaller number of people, is said
     #[arg(long, default_value_t = Delays::default().off_s)]
-    off_delay_s: f64,
+    pub off_delay_s: f64,
     /// One object a frame and one at the end
     #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    view: view::Arguments,
-    #[command(flatten)]
-    integrations: integrations::Arguments,
-}
-
-/// Online classification of any source.
-///
-/// # Errors
-/// The model, the source or the output cannot be opened, or the run fails.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
-    let output = arguments.output.as_deref().map(output_file::dated);
-    watch(&Watch {
-        source: &arguments.source.source,
-        model: &arguments.model,
-        waveform: arguments.source.waveform.as_deref(),
-        seed: arguments.source.seed.unwrap_or(UNSEEN_SEED),
-        people: arguments.source.people,
-        frames: arguments.source.frames,
-        speed: arguments.source.speed,
-        json: arguments.json,
-        delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
-        view: &arguments.view,
-        output: output.as_deref(),
-        overwrite: arguments.overwrite,
-        background: arguments.background.as_deref(),
-        integrations: &arguments.integrations,
-        allow_loss: arguments.allow_loss,
-        give_up_after: arguments.source.give_up_after_s,
-    })
-}
-
-/// Inputs and options of `live` and `demo`.
-pub struct Watch<'a> {
-    pub source: &'a str,
-    pub model: &'a Path,
-    /// Waveform to program a board with, if not the model's.
-    pub waveform: Option<&'a str>,
-    pub seed: u64,
-    /// People that a simulation is forced to have.
-    pub people: Option<usize>,
-    /// Frames to stop after.
-    pub frames: Option<u64>,
-    /// Times real time; 0 is as fast as it goes. `None`: recordings at their own pace, all else as fast as it goes.
-    pub speed: Option<f64>,
     pub json: bool,
-    pub delays: Delays,
-    pub view: &'a view::Arguments,
-    /// Recording to write.
-    pub output: Option<&'a Path>,
-    pub overwrite: Overwrite,
-    /// Capture of the empty room.
-    pub background: Option<&'a Path>,
-    pub integrations: &'a integrations::Arguments,
-    /// Whether gaps in the recording count as success.
-    pub allow_loss: bool,
-    /// Time for which a lost board is looked for; the default if `None`.
-    pub give_up_after: Option<Duration>,
+    #[command(flatten)]
+    pub view: view::Arguments,
+    #[command(flatten)]
+    pub integrations: integrations::Arguments,
 }
 
 /// Watches a source until it ends, is stopped, or has given enough frames. Frames that are missing are in the summary; only in a
@@ -123,94 +69,101 @@ pub struct Watch<'a> {
 ///
 /// # Errors
 /// The model, the source or the output cannot be opened, or the run fails.
-pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
-    if let Some(path) = watch.output {
-        if is_same(path, Path::new(watch.source)) {
+    let output = arguments.output.as_deref().map(output_file::dated);
+    let output = output.as_deref();
+    if let Some(path) = output {
+        if files::is_same(path, Path::new(&arguments.source.source)) {
             bail!("{} is source and output at once\n\nhint: choose another name", path.display());
         }
-        watch.overwrite.check(path)?;
+        arguments.overwrite.check(path)?;
     }
-    let model = Model::open(watch.model)?;
-    let named = model.named(watch.model, watch.delays)?;
-    let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
-    let options = SourceOptions {
-        waveform: named_waveform(watch, &model)?,
-        model_waveform: model.waveform().cloned(),
-        seed: watch.seed,
-        people: watch.people,
-        frames: watch.frames,
-        speed: watch.speed,
-        as_playback: watch.view.is_wanted(),
-        give_up_after: watch.give_up_after,
-    };
-    let source = source::open(watch.source, &options)?;
+    let model = Model::open(&arguments.model)?;
+    let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
+    let named = model.named(&arguments.model, delays)?;
+    let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
+    let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
     eprintln!("{}", source.description);
-    eprintln!("judged by {}", watch.model.display());
+    eprintln!("judged by {}", arguments.model.display());
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
+    let mut judge = FrameClassifier::new(model, &waveform, delays, started)?.with_background(background);
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
     }
     // Before anything is written: a page that cannot be served leaves files as they are.
-    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, output)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut integrations = Integrations::open(watch.integrations, watch.view.access(), &header, started)?;
-    let screen = Screen::new(watch.json)?;
+    let mut integrations = Integrations::open(&arguments.integrations, arguments.view.access(), &header, started)?;
+    let screen = Screen::new(arguments.json)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = match watch.output {
-        Some(path) => {
-            let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
-            let options = RecorderOptions { existing: watch.overwrite.existing(), ..RecorderOptions::default() };
-            Some(RecorderSink::start(path, &header, &options, pipeline.consumer("recorder", 64, policy))?)
-        }
-        None => None,
-    };
-    let reader = pipeline.start(source.frames, watch.frames);
+    let recorder = output.map(|path| arguments.recorder(path, &header, &mut pipeline, source.is_live)).transpose()?;
+    let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
-    if let Some(recorder) = recorder {
-        sinks.push(Box::new(recorder));
-    }
-    if let Some(page) = page {
-        sinks.push(Box::new(page));
-    }
+    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
+    sinks.extend(recorder.map(|recorder| Box::new(recorder) as Box<dyn Sink>));
+    sinks.extend(page.map(|page| Box::new(page) as Box<dyn Sink>));
     sinks.push(Box::new(screen));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
     drop(integrations);
     outcome?;
-    let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !watch.allow_loss;
+    let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !arguments.allow_loss;
     if is_lost {
         eprintln!("frames are missing in the recording; --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(is_lost))
 }
 
-/// The waveform that is named, if one is and the model can judge it.
-fn named_waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
-    let Some(named) = watch.waveform else { return Ok(None) };
-    let waveform = source::waveform(named)?;
-    model.check_waveform(&waveform).with_context(|| {
-        format!(
-            "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; --model \
-             cfar takes any",
-            watch.model.display()
-        )
-    })?;
-    Ok(Some(waveform))
-}
+impl Arguments {
+    /// Options of the source; a board is programmed with a waveform that the model can judge.
+    fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
+        Ok(SourceOptions {
+            waveform: self.named_waveform(model)?,
+            model_waveform: model.waveform().cloned(),
+            seed: self.source.seed.unwrap_or(UNSEEN_SEED),
+            people: self.source.people,
+            frames: self.source.frames,
+            speed: self.source.speed,
+            as_playback: self.view.is_wanted(),
+            give_up_after: self.source.give_up_after_s,
+        })
+    }
 
-fn is_same(a: &Path, b: &Path) -> bool {
-    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+    /// The waveform that is named, if one is and the model can judge it.
+    fn named_waveform(&self, model: &Model) -> anyhow::Result<Option<Waveform>> {
+        let Some(named) = &self.source.waveform else { return Ok(None) };
+        let waveform = source::waveform(named)?;
+        model.check_waveform(&waveform).with_context(|| {
+            format!(
+                "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
+                 --model cfar takes any",
+                self.model.display()
+            )
+        })?;
+        Ok(Some(waveform))
+    }
+
+    /// Starts to record frames and answers; of a board none may be lost meanwhile.
+    fn recorder(
+        &self,
+        path: &Path,
+        header: &RecordingHeader,
+        pipeline: &mut Pipeline,
+        is_live: bool,
+    ) -> anyhow::Result<RecorderSink> {
+        let policy = if is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+        let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
+        RecorderSink::start(path, header, &options, pipeline.consumer("recorder", 64, policy))
+    }
 }

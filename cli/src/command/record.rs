@@ -185,27 +185,10 @@ fn write_all(
 mod tests {
     use radome_driver::chip::RegisterList;
     use radome_driver::{BoardError, McapReader};
-    use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+    use radome_dsp::FrameSource;
 
     use super::*;
-    use crate::panics::tests::Panicking;
-
-    /// Three frames, and then this error.
-    struct Failing(Box<Panicking>, u64, fn() -> SourceError);
-
-    impl FrameSource for Failing {
-        fn waveform(&self) -> &Waveform {
-            self.0.waveform()
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            if self.1 == 3 {
-                return Err((self.2)());
-            }
-            self.1 += 1;
-            self.0.next_frame(frame)
-        }
-    }
+    use crate::panics::tests::{Failing, Panicking};
 
     /// Records what a source gives; without a source the pipeline has gone. What was captured, the error, and whether the
     /// recording is marked finished.
@@ -225,13 +208,13 @@ mod tests {
 
     #[test]
     fn a_source_that_fails_leaves_a_finished_recording_and_its_error() {
-        let damaged = Failing(Panicking::after(9), 0, || "chunk 3 is damaged".into());
-        let (tally, error, is_finished) = captured(Some(Box::new(damaged)));
+        let damaged = Failing::after(3, || "chunk 3 is damaged".into());
+        let (tally, error, is_finished) = captured(Some(damaged));
         assert_eq!(tally, Tally { frames: 3, ..Tally::default() });
         assert_eq!((error.as_deref(), is_finished), (Some("chunk 3 is damaged"), true));
         // Of a board that was lost nobody knows what it would have sent.
-        let lost = Failing(Panicking::after(9), 0, || BoardError::Stopped.into());
-        let (tally, error, is_finished) = captured(Some(Box::new(lost)));
+        let lost = Failing::after(3, || BoardError::Stopped.into());
+        let (tally, error, is_finished) = captured(Some(lost));
         assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1 });
         assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
     }

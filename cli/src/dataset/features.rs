@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::spectrum::complex_fft;
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Window};
+use radome_dsp::{Frame, FrameSource, Occupancy, Window};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Features, Spread, features};
 use rustfft::num_complex::Complex64;
@@ -162,25 +162,19 @@ fn clutter(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str
     let fft = complex_fft(samples);
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut spectra, mut times_s) = (Vec::<Vec<Complex64>>::new(), Vec::new());
-    loop {
-        match frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => {}
-            SourceEvent::Frame => {
-                let mut mean = vec![Complex64::default(); samples];
-                let chirps = waveform.request.chirps_per_frame;
-                for chirp in 0..chirps {
-                    for (sum, code) in mean.iter_mut().zip(frame.chirp(0, chirp)) {
-                        *sum += f64::from(*code) / chirps as f64;
-                    }
-                }
-                let offset = mean.iter().sum::<Complex64>() / samples as f64;
-                mean.iter_mut().zip(&window).for_each(|(x, w)| *x = (*x - offset) * *w * gain);
-                fft.process(&mut mean);
-                spectra.push(bins.iter().filter_map(|bin| mean.get(*bin).copied()).collect());
-                times_s.push(frame.time_s());
+    while source::next_frame(frames, &mut frame)? {
+        let mut mean = vec![Complex64::default(); samples];
+        let chirps = waveform.request.chirps_per_frame;
+        for chirp in 0..chirps {
+            for (sum, code) in mean.iter_mut().zip(frame.chirp(0, chirp)) {
+                *sum += f64::from(*code) / chirps as f64;
             }
         }
+        let offset = mean.iter().sum::<Complex64>() / samples as f64;
+        mean.iter_mut().zip(&window).for_each(|(x, w)| *x = (*x - offset) * *w * gain);
+        fft.process(&mut mean);
+        spectra.push(bins.iter().filter_map(|bin| mean.get(*bin).copied()).collect());
+        times_s.push(frame.time_s());
     }
     if spectra.len() < 10 {
         return Ok(None);

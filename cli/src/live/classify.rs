@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Waveform};
+use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Truth, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 
@@ -134,16 +134,7 @@ impl FrameClassifier {
                 self.health.labels[label.index()] += 1;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {
-                    let count = |confusion: &mut Confusion, label: Occupancy| {
-                        confusion[truth.occupancy.index()][label.index()] += 1;
-                    };
-                    count(&mut self.all, label);
-                    count(&mut self.unfiltered, most_probable(&raw));
-                    if truth.transition {
-                        self.transition_frames += 1;
-                    } else {
-                        count(&mut self.settled, label);
-                    }
+                    self.count(truth, label, most_probable(&raw));
                 }
                 self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
             }
@@ -153,6 +144,17 @@ impl FrameClassifier {
         self.health.frame(arrived, latency);
         answer.latency_ms = latency.as_secs_f64() * 1e3;
         Ok(answer)
+    }
+
+    fn count(&mut self, truth: Truth, label: Occupancy, unfiltered: Occupancy) {
+        let row = truth.occupancy.index();
+        self.all[row][label.index()] += 1;
+        self.unfiltered[row][unfiltered.index()] += 1;
+        if truth.transition {
+            self.transition_frames += 1;
+        } else {
+            self.settled[row][label.index()] += 1;
+        }
     }
 
     /// Summary of the run.

@@ -361,25 +361,14 @@ mod tests {
 
     mod hard_cases {
         use super::*;
-        use crate::panics::tests::Panicking;
-
-        struct Broken(Waveform);
-
-        impl FrameSource for Broken {
-            fn waveform(&self) -> &Waveform {
-                &self.0
-            }
-            fn next_frame(&mut self, _frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-                Err("chunk 3 is damaged".into())
-            }
-        }
+        use crate::panics::tests::{Failing, Panicking};
 
         #[test]
         fn a_source_that_fails_is_heard_by_every_consumer() {
             let mut pipeline = Pipeline::new();
             let first = pipeline.consumer("first", 1, Policy::Wait);
             let second = pipeline.consumer("second", 1, Policy::DropOldest);
-            let _reader = pipeline.start(Box::new(Broken(Counter::new(0).waveform)), None);
+            let _reader = pipeline.start(Failing::after(0, || "chunk 3 is damaged".into()), None);
             let end = |inlet: &Inlet| match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item
             {
                 Item::End(end) => end.map_err(|e| e.to_string()),

@@ -252,28 +252,11 @@ mod tests {
     use radome_driver::chip::RegisterList;
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, Waveform};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
-    use crate::panics::tests::Panicking;
-
-    /// A board that is lost for good after three frames.
-    struct Lost(Box<Panicking>, u64);
-
-    impl FrameSource for Lost {
-        fn waveform(&self) -> &Waveform {
-            self.0.waveform()
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            if self.1 == 3 {
-                return Err(BoardError::Stopped.into());
-            }
-            self.1 += 1;
-            self.0.next_frame(frame)
-        }
-    }
+    use crate::panics::tests::{Failing, Panicking};
 
     fn header(waveform: &Waveform) -> RecordingHeader {
         RecordingHeader { waveform: waveform.clone(), board: None, registers: RegisterList::new(), judge: None }
@@ -356,7 +339,7 @@ mod tests {
     fn a_board_that_is_lost_leaves_a_finished_recording_that_says_so() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
-        let (recorded, has_gaps) = record(Box::new(Lost(Panicking::after(9), 0)), &path);
+        let (recorded, has_gaps) = record(Failing::after(3, || BoardError::Stopped.into()), &path);
         assert!(matches!(recorded.expect("no error of its own"), Recorded::Finished(summary) if summary.frames == 3));
         let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
         assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));

@@ -24,6 +24,7 @@ use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
 use radome_dsp::Gap;
 use serde_json::json;
+use tokio::runtime::Runtime;
 
 use super::access::{self, Token};
 use super::answer::Summary;
@@ -96,13 +97,7 @@ impl Page {
             None if !arguments.listen.ip().is_loopback() => Some(Token::random()?),
             token => token,
         };
-        let runtime = tokio::runtime::Builder::new_multi_thread()
-            .worker_threads(1)
-            .thread_name("page")
-            .on_thread_start(yield_to_others)
-            .enable_all()
-            .build()
-            .context("cannot start the page's thread")?;
+        let runtime = runtime().context("cannot start the page's thread")?;
         let listener = runtime.block_on(tokio::net::TcpListener::bind(arguments.listen)).with_context(|| {
             format!(
                 "cannot serve the page on {}\n\nhint: choose another with --listen 127.0.0.1:PORT",
@@ -126,22 +121,31 @@ impl Page {
             policy: Policy::new(address, &arguments.access, token.as_ref()),
             over: Mutex::new(None),
         });
-        let mut threads = Vec::new();
-        let of = shared.clone();
-        threads.push(std::thread::Builder::new().name("page-maps".into()).spawn(move || {
-            yield_to_others();
-            of.feed.serve(partner);
-        })?);
-        let of = shared.clone();
-        threads.push(std::thread::Builder::new().name("page-labels".into()).spawn(move || of.labels.keep())?);
-        let of = shared.clone();
+        let (feed, labels, served) = (shared.clone(), shared.clone(), shared.clone());
+        let threads = vec![
+            thread("page-maps", move || {
+                yield_to_others();
+                feed.feed.serve(partner);
+            })?,
+            thread("page-labels", move || labels.labels.keep())?,
+        ];
         // Ends with the program: a browser that is slow to leave does not hold it up.
-        std::thread::Builder::new().name("page-server".into()).spawn(move || {
+        thread("page-server", move || {
             yield_to_others();
-            runtime.block_on(server::serve(listener, of));
+            runtime.block_on(server::serve(listener, served));
         })?;
         Ok(Some(Page { shared, threads }))
     }
+}
+
+/// One thread for all connections.
+fn runtime() -> std::io::Result<Runtime> {
+    let mut builder = tokio::runtime::Builder::new_multi_thread();
+    builder.worker_threads(1).thread_name("page").on_thread_start(yield_to_others).enable_all().build()
+}
+
+fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new().name(name.into()).spawn(work)
 }
 
 /// Says on stderr where the page is, and how it is opened.

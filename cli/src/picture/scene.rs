@@ -122,30 +122,14 @@ struct Way {
 /// The picture is too large, or the file cannot be written.
 pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let scene = preview.scene;
-    let size_m = scene.room().size_m;
-    // Seen along the horizontal axis that is across the boresight.
-    let ahead = scene.radar_from_world().transpose() * DVec3::X;
-    let across = if ahead.x.abs() >= ahead.y.abs() { 0 } else { 1 };
-    let is_long = size_m.x > LONG * size_m.y;
-    let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
-    let views = if is_long { 1.0 } else { 2.0 };
-    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PER_M);
-    let plan = View { across: 0, up: 1, corner: [LEFT, TOP], per_m, size_m };
-    let beside = if is_long {
-        [LEFT, TOP + plan.height() + BELOW + 12.0]
-    } else {
-        // Floors are level with the plan's lower edge.
-        [LEFT + plan.width() + RIGHT + LEFT, TOP + (size_m.y - size_m.z).max(0.0) * per_m]
-    };
-    let plan =
-        if is_long { plan } else { View { corner: [LEFT, TOP + (size_m.z - size_m.y).max(0.0) * per_m], ..plan } };
-    let side = View { across, up: 2, corner: beside, per_m, size_m };
+    let views = views(scene);
     let ways = ways(preview);
     let people: Vec<(Ink, f64)> = ways.iter().map(|way| (way.ink, way.motion.person.build.height_m)).collect();
     let legend = legend(scene, &people);
-    let width = (plan.frame()[1][0].max(side.frame()[1][0]) + RIGHT).max(900.0);
+    let [right, below] = [0, 1].map(|axis| views.iter().map(|view| view.frame()[1][axis]).fold(0.0, f64::max));
+    let width = (right + RIGHT).max(900.0);
     let rows = legend_rows(&legend, width);
-    let below = plan.frame()[1][1].max(side.frame()[1][1]) + BELOW;
+    let below = below + BELOW;
     let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.paper);
 
     let title = format!("{}, seed {}", scene.name(), preview.seed);
@@ -153,33 +137,8 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let note = format!("0 to {:.0} s", preview.until_s);
     let note_x = LEFT - WALL + Letters::Title.size(&title)[0] + 24.0;
     canvas.text([note_x, 16.0], &note, Letters::Small, GREY);
-    for view in [&plan, &side] {
-        let mut labels = Labels::default();
-        draw_room(&mut canvas, view, scene);
-        draw_beam(&mut canvas, view, scene);
-        draw_furniture(&mut canvas, view, scene);
-        for way in &ways {
-            draw_bodies(&mut canvas, view, scene, way);
-        }
-        for way in &ways {
-            draw_way(&mut canvas, view, way);
-        }
-        for path in preview.paths {
-            draw_path(&mut canvas, view, path);
-        }
-        draw_radar(&mut canvas, view, scene, &mut labels);
-        for way in &ways {
-            label_times(&mut canvas, view, way, &mut labels);
-        }
-        // Names of furniture keep off bodies too.
-        for (way, &time_s) in ways.iter().filter_map(|way| Some((way, way.bodies.first()?))) {
-            for part in way.motion.body(time_s) {
-                let (low, high) = bounds(&silhouette(view, &part));
-                labels.take(low, high);
-            }
-        }
-        label_furniture(&mut canvas, view, scene, &mut labels);
-        draw_axes(&mut canvas, view);
+    for view in &views {
+        draw_view(&mut canvas, view, preview, &ways);
     }
     let mut y = below;
     for row in rows {
@@ -192,6 +151,50 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
         y += 22.0;
     }
     canvas.save(path)
+}
+
+/// The plan, and the view from the side.
+fn views(scene: &Scene) -> [View; 2] {
+    let size_m = scene.room().size_m;
+    // Seen along the horizontal axis that is across the boresight.
+    let ahead = scene.radar_from_world().transpose() * DVec3::X;
+    let across = if ahead.x.abs() >= ahead.y.abs() { 0 } else { 1 };
+    let is_long = size_m.x > LONG * size_m.y;
+    let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
+    let views = if is_long { 1.0 } else { 2.0 };
+    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PER_M);
+    let view = |across, up, corner| View { across, up, corner, per_m, size_m };
+    // Floors are level with the plan's lower edge.
+    let top = |lower_m: f64| TOP + lower_m.max(0.0) * per_m;
+    let plan = view(0, 1, [LEFT, if is_long { TOP } else { top(size_m.z - size_m.y) }]);
+    let beside = match is_long {
+        true => [LEFT, TOP + plan.height() + BELOW + 12.0],
+        false => [LEFT + plan.width() + RIGHT + LEFT, top(size_m.y - size_m.z)],
+    };
+    [plan, view(across, 2, beside)]
+}
+
+/// Draws everything in a view, from back to front.
+fn draw_view(canvas: &mut Canvas, view: &View, preview: &Preview, ways: &[Way]) {
+    let scene = preview.scene;
+    let mut labels = Labels::default();
+    draw_room(canvas, view, scene);
+    draw_beam(canvas, view, scene);
+    draw_furniture(canvas, view, scene);
+    ways.iter().for_each(|way| draw_bodies(canvas, view, scene, way));
+    ways.iter().for_each(|way| draw_way(canvas, view, way));
+    preview.paths.iter().for_each(|path| draw_path(canvas, view, path));
+    draw_radar(canvas, view, scene, &mut labels);
+    ways.iter().for_each(|way| label_times(canvas, view, way, &mut labels));
+    // Names of furniture keep off bodies too.
+    for (way, &time_s) in ways.iter().filter_map(|way| Some((way, way.bodies.first()?))) {
+        for part in way.motion.body(time_s) {
+            let (low, high) = bounds(&silhouette(view, &part));
+            labels.take(low, high);
+        }
+    }
+    label_furniture(canvas, view, scene, &mut labels);
+    draw_axes(canvas, view);
 }
 
 /// Everybody who is there up to the end.

@@ -8,11 +8,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Barrier};
 use std::time::{Duration, Instant};
 
-use radome_tests::browser::PATIENCE;
+use radome_tests::browser::{Socket, page};
 use radome_tests::failure;
-use radome_tests::running::{Running, wait_for};
+use radome_tests::running::{PATIENCE, Running, wait_for};
+use tungstenite::Message;
 use tungstenite::client::IntoClientRequest;
-use tungstenite::{Message, WebSocket};
 
 /// Status of what is answered to these bytes; 0 if nothing is.
 fn status(address: &str, request: &str) -> u16 {
@@ -28,16 +28,6 @@ fn status(address: &str, request: &str) -> u16 {
 
 fn get(address: &str, path: &str, headers: &str) -> u16 {
     status(address, &format!("GET {path} HTTP/1.1\r\nConnection: close\r\n{headers}\r\n"))
-}
-
-type Socket = WebSocket<tungstenite::stream::MaybeTlsStream<TcpStream>>;
-
-fn page(address: &str) -> Socket {
-    let (socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("a page");
-    if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
-        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-    }
-    socket
 }
 
 /// Reads until the server has had enough, or says something that holds.
@@ -397,10 +387,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     // A source that waits: what the machine has no time for is not the page's doing.
     let frames = 60;
     let recording = walk(folder.path(), 2.0, 8.0, frames);
-    let model = fixture("models/paper-hqnn.safetensors");
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(model).args(["--speed", "4", "--json"]);
-    let served = Served::start(command.stdout(out));
+    let served = Served::start(live_command(recording, "--speed 4 --json").stdout(out));
     let address = served.address.clone();
     let ours = format!("Host: {address}\r\n");
     let port = address.rsplit(':').next().expect("a port").to_owned();

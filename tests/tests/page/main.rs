@@ -4,23 +4,21 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{fixture, json_lines, radome, subcommand};
+use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::{Value, json};
 
 /// A corridor in which one person walks between two ranges, as a recording.
 fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
     let scene = radome_tests::walk(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
-    let frames = frames.to_string();
-    json_lines(subcommand("scene simulate").arg(&scene).args(["--frames", &frames, "--json", "-o"]).arg(&recording));
+    simulate(&scene, &format!("--frames {frames}"), &recording);
     recording
 }
 
 /// The command that watches a recording.
 fn watch(recording: &Path, speed: &str) -> Command {
-    let mut command = radome();
-    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
-    command.args(["--speed", speed]).stdout(Stdio::null());
+    let mut command = live_command(recording, &format!("--speed {speed}"));
+    command.stdout(Stdio::null());
     command
 }
 
@@ -233,12 +231,7 @@ fn pictures() {
     let Some(to) = std::env::var_os("RADOME_PICTURES").map(|to| radome_tests::root().join(to)) else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("evening.mcap");
-    json_lines(
-        subcommand("scene simulate")
-            .arg(fixture("scenes/corridor.toml"))
-            .args(["--frames", "300", "--seed", "100001", "--json", "-o"])
-            .arg(&recording),
-    );
+    simulate(&fixture("scenes/corridor.toml"), "--frames 300 --seed 100001", &recording);
     let served = replay(&recording, "3");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1060) else { return };
     browser.wait_until("window.radome?.header && radome.labels");

@@ -206,47 +206,62 @@ fn compare(
         let python = arguments.python.as_deref();
         let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);
         let in_onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
-        let mut peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
-        let (mut of_own, mut of_peers) = (vec![Vec::new(); own.len()], vec![Vec::new(); peers.len()]);
-        for _ in 0..arguments.turns.max(1) {
-            for ((_, run), found) in own.iter_mut().zip(&mut of_own) {
-                found.extend(times(repeats, run)?);
-                std::thread::sleep(PAUSE);
-            }
-            for (peer, found) in peers.iter_mut().zip(&mut of_peers) {
-                found.extend(peer.turn());
-                std::thread::sleep(PAUSE);
-            }
-        }
-        let names = own.iter().map(|(name, _)| name).chain(peers.iter().map(|peer| &peer.name));
+        let peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
         let mut of_network = Vec::new();
-        for (peer, mut times) in names.zip(of_own.into_iter().chain(of_peers)) {
+        for (peer, mut times) in take_turns(own, peers, arguments.turns.max(1), repeats)? {
             times.sort_by(f64::total_cmp);
             let (Some(&milliseconds), Some(&median_milliseconds)) = (times.first(), times.get(times.len() / 2)) else {
                 continue;
             };
-            let (model, peer) = (name.clone(), peer.clone());
-            of_network.push(Row { model, peer, batch, threads, milliseconds, median_milliseconds });
+            of_network.push(Row { model: name.clone(), peer, batch, threads, milliseconds, median_milliseconds });
         }
         if !arguments.json {
-            let own = of_network.first().map_or([f64::NAN; 2], |row| [row.milliseconds, row.median_milliseconds]);
-            for row in &of_network {
-                let ratios = [own[0] / row.milliseconds, own[1] / row.median_milliseconds];
-                output::text_line(&format!(
-                    "{:18} {:12} batch {:2} {} threads: least {:8.3} ms, median {:8.3} ms; ours is {:.2} and {:.2} of it",
-                    row.model,
-                    row.peer,
-                    row.batch,
-                    row.threads,
-                    row.milliseconds,
-                    row.median_milliseconds,
-                    ratios[0],
-                    ratios[1]
-                ))?;
-            }
+            print(&of_network)?;
         }
         rows.extend(of_network);
     }
     std::fs::remove_dir_all(&folder)?;
     if arguments.json { output::json_line(&rows) } else { Ok(()) }
+}
+
+/// Has ours and the peers run one after the other, turn by turn. Gives the milliseconds of all runs of each by its name.
+fn take_turns(
+    mut own: Vec<(String, Run)>,
+    mut peers: Vec<Peer>,
+    turns: usize,
+    repeats: usize,
+) -> anyhow::Result<Vec<(String, Vec<f64>)>> {
+    let (mut of_own, mut of_peers) = (vec![Vec::new(); own.len()], vec![Vec::new(); peers.len()]);
+    for _ in 0..turns {
+        for ((_, run), found) in own.iter_mut().zip(&mut of_own) {
+            found.extend(times(repeats, run)?);
+            std::thread::sleep(PAUSE);
+        }
+        for (peer, found) in peers.iter_mut().zip(&mut of_peers) {
+            found.extend(peer.turn());
+            std::thread::sleep(PAUSE);
+        }
+    }
+    // A peer has its name since its first turn.
+    let names = own.into_iter().map(|(name, _)| name).chain(peers.iter().map(|peer| peer.name.clone()));
+    Ok(names.zip(of_own.into_iter().chain(of_peers)).collect())
+}
+
+/// Rows of one network, the first of them ours.
+fn print(rows: &[Row]) -> anyhow::Result<()> {
+    let own = rows.first().map_or([f64::NAN; 2], |row| [row.milliseconds, row.median_milliseconds]);
+    for row in rows {
+        output::text_line(&format!(
+            "{:18} {:12} batch {:2} {} threads: least {:8.3} ms, median {:8.3} ms; ours is {:.2} and {:.2} of it",
+            row.model,
+            row.peer,
+            row.batch,
+            row.threads,
+            row.milliseconds,
+            row.median_milliseconds,
+            own[0] / row.milliseconds,
+            own[1] / row.median_milliseconds
+        ))?;
+    }
+    Ok(())
 }

@@ -11,6 +11,7 @@ use radome_sim::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
+use super::point::least_ms;
 use crate::output;
 
 /// `radome bench rcs`
@@ -150,13 +151,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let started = Instant::now();
     let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m)?;
     let prepare_milliseconds = started.elapsed().as_secs_f64() * 1e3;
-    let mut milliseconds = f64::INFINITY;
     let mut outcome = None;
-    for _ in 0..arguments.rounds.clamp(1, 10_000) {
-        let started = Instant::now();
+    let milliseconds = least_ms(arguments.rounds.clamp(1, 10_000), || {
         outcome = Some(problem.solve(arguments.tolerance_db)?);
-        milliseconds = milliseconds.min(started.elapsed().as_secs_f64() * 1e3);
-    }
+        Ok(())
+    })?;
     let Some(outcome) = outcome else { bail!("nothing was solved") };
     let known = known(&target, &setup);
     let decibels = |sigma: f64| Some(10.0 * sigma.log10()).filter(|db| db.is_finite());

@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::bail;
 use radome_dsp::spectrum::complex_fft;
@@ -15,6 +14,7 @@ use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
 use super::kept_dense::DenseFrame;
+use super::point::least_ms;
 use super::scene_speed;
 use crate::output;
 use crate::source::DEFAULT_SEED;
@@ -87,13 +87,8 @@ fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
         );
     }
     let simulator = |tolerance_db: f64| {
-        let options = SimulateOptions {
-            seed: arguments.seed,
-            people: arguments.people,
-            tolerance_db,
-            ..SimulateOptions::default()
-        };
-        Simulator::new(&scene, options)
+        let (seed, people) = (arguments.seed, arguments.people);
+        Simulator::new(&scene, SimulateOptions { seed, people, tolerance_db, ..SimulateOptions::default() })
     };
     let shape = scene.waveform().shape();
     let floor = noise_floor(&density_lsb2(scene.receiver(), scene.waveform()), shape);
@@ -102,44 +97,36 @@ fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
     let settings = format!("{} {:?}", arguments.seed, arguments.people);
     let mut rows = Vec::new();
     for &frame in &arguments.frames {
-        let simulator_of_dense = simulator(0.5)?;
-        let dense = DenseFrame {
-            simulator: &simulator_of_dense,
-            index: frame,
-            margin_db: arguments.dense_margin_db,
-            settings: &settings,
-        };
-        let dense = dense.samples(arguments.dense_frames.as_deref())?;
+        let margin_db = arguments.dense_margin_db;
+        let dense = DenseFrame { simulator: &simulator(0.5)?, index: frame, margin_db, settings: &settings }
+            .samples(arguments.dense_frames.as_deref())?;
         let exact = map(&dense.samples, shape);
         for &tolerance_db in &arguments.tolerances_db {
             let simulator = simulator(tolerance_db)?;
             let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
-            let estimate_db = simulator.render_with_report(frame).1.estimate_db;
-            let milliseconds = one_thread.install(|| {
-                let time = |_| {
-                    let started = Instant::now();
-                    simulator.render(frame);
-                    started.elapsed().as_secs_f64() * 1e3
-                };
-                (0..5).map(time).fold(f64::INFINITY, f64::min)
-            });
             let (error_db, cells, beyond_1_db) = error(&exact, &map(&samples, shape), &floor, shape);
-            let dense_over_this = dense.milliseconds / milliseconds;
+            let milliseconds = one_thread.install(|| {
+                least_ms(5, || {
+                    simulator.render(frame);
+                    Ok(())
+                })
+            })?;
             rows.push(Row {
                 frame,
                 tolerance_db,
                 milliseconds,
-                dense_over_this,
+                dense_over_this: dense.milliseconds / milliseconds,
                 error_db,
-                estimate_db,
+                estimate_db: simulator.render_with_report(frame).1.estimate_db,
                 cells,
                 beyond_1_db,
             });
         }
     }
-    if arguments.json {
-        return output::json_line(&rows);
-    }
+    if arguments.json { output::json_line(&rows) } else { print(&rows) }
+}
+
+fn print(rows: &[Row]) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{:>6} {:>7} {:>9} {:>11} {:>9} {:>9} {:>7} {:>11}",
         "frame", "tol dB", "ms", "dense/this", "error dB", "estimate", "cells", "beyond 1 dB"

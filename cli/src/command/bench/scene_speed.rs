@@ -5,12 +5,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::Frame;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::Serialize;
 
 use super::rdm::scipy_ms;
-use crate::{files, output};
+use crate::{files, output, source};
 
 /// Scenes, and the most people in each where that is not the scene's own number.
 const SCENES: [(&str, Option<usize>); 5] =
@@ -91,7 +91,7 @@ fn measure(name: &'static str, people: Option<usize>, python: Option<&Path>) -> 
     let before = scipy_ms(python, shape);
     let mut frame = Frame::zeroed(shape);
     let started = Instant::now();
-    while matches!(simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)?, SourceEvent::Frame) {}
+    while source::next_frame(&mut simulator, &mut frame)? {}
     let milliseconds = started.elapsed().as_secs_f64() * 1e3 / FRAMES as f64;
     let scipy_milliseconds = before.into_iter().chain(scipy_ms(python, shape)).reduce(f64::min);
     Ok(Row {

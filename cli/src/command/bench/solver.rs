@@ -1,13 +1,13 @@
 //! `radome bench solver`: error against time over targets, methods and tolerances.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use glam::DVec3;
 use radome_sim::field::image::Wall;
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
+use super::point::least_ms;
 use crate::output;
 use crate::picture::plot;
 use crate::picture::theme::Theme;
@@ -117,12 +117,10 @@ fn row(
 ) -> anyhow::Result<Row> {
     let problem = Problem::new(target, setup, method, edge_m)?;
     let mut outcome = problem.solve(tolerance_db)?;
-    let mut milliseconds = f64::INFINITY;
-    for _ in 0..rounds.clamp(1, 1000) {
-        let started = Instant::now();
+    let milliseconds = least_ms(rounds.clamp(1, 1000), || {
         outcome = problem.solve(tolerance_db)?;
-        milliseconds = milliseconds.min(started.elapsed().as_secs_f64() * 1e3);
-    }
+        Ok(())
+    })?;
     let exact = known(target, setup).map_or(f64::NAN, |k| k.sigma_m2);
     Ok(Row {
         target: name,

@@ -114,14 +114,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output::text_line(&path)?;
     }
     eprintln!("an emulated board with {description}; Ctrl-C stops it");
+    let cause = wait_for_end(&board, &description);
+    let counts = board.counts();
+    // Dropping it stops it.
+    drop(board);
+    eprintln!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
+    match cause {
+        Some(reason) => bail!("an emulated board with {description}: {reason}"),
+        None => Ok(()),
+    }
+}
+
+/// Waits until the user interrupts, or the board fails: the reason then. Says when the source has ended.
+fn wait_for_end(board: &EmulatedBoard, description: &str) -> Option<String> {
     let mut has_ended = false;
-    let cause = loop {
-        if output::interrupted() {
-            break None;
-        }
+    while !output::interrupted() {
         std::thread::sleep(Duration::from_millis(100));
         if let Some(reason) = board.failure() {
-            break Some(reason);
+            return Some(reason);
         }
         if board.finished() && !has_ended {
             has_ended = true;
@@ -131,15 +141,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                  begin again"
             );
         }
-    };
-    let counts = board.counts();
-    // Dropping it stops it.
-    drop(board);
-    eprintln!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
-    match cause {
-        Some(reason) => bail!("an emulated board with {description}: {reason}"),
-        None => Ok(()),
     }
+    None
 }
 
 /// Milliseconds, to a second at most.

@@ -210,21 +210,33 @@ impl Judged {
     }
 }
 
-fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
-    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
-    let (mut confusion, mut confusion_alone) = (Confusion::default(), Confusion::default());
-    let (mut recordings, mut taken, mut all_scores) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut refused, mut first_refusal) = (Vec::new(), None);
-    let mut reliability = ReliabilitySums::default();
-    for recording in &all {
-        let predictions = match judge(&mut candidate, recording, None)? {
-            Ok(predictions) => predictions,
-            Err(refusal) => {
-                refused.push(Refused::new(recording.path.display().to_string(), &refusal));
-                first_refusal.get_or_insert(refusal.context(recording.path.display().to_string()));
-                continue;
-            }
-        };
+/// Answers to all recordings, and what they add up to.
+#[derive(Default)]
+struct Answers<'a> {
+    /// The recordings that were judged.
+    taken: Vec<&'a LabelledRecording>,
+    judged: Vec<Judged>,
+    scores: Vec<RecordingScores>,
+    confusion: Confusion,
+    confusion_alone: Confusion,
+    reliability: ReliabilitySums,
+    refused: Vec<Refused>,
+    first_refusal: Option<anyhow::Error>,
+}
+
+impl<'a> Answers<'a> {
+    fn refuse(&mut self, recording: &LabelledRecording, refusal: anyhow::Error) {
+        let path = recording.path.display().to_string();
+        self.refused.push(Refused::new(path.clone(), &refusal));
+        self.first_refusal.get_or_insert(refusal.context(path));
+    }
+
+    fn add(
+        &mut self,
+        recording: &'a LabelledRecording,
+        predictions: &Predictions,
+        no_smoothing: bool,
+    ) -> anyhow::Result<()> {
         let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
         if predictions.alone.is_empty() {
             bail!(
@@ -240,58 +252,76 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
                 recording.path.display()
             );
         }
-        add_confusion(&mut confusion_alone, &alone.confusion);
-        let scores = if arguments.no_smoothing { alone } else { filtered };
-        add_confusion(&mut confusion, &scores.confusion);
-        predictions.count_reliability(&mut reliability);
-        recordings.push(Judged::new(&recording.path, &scores));
-        all_scores.push(scores);
-        taken.push(recording);
+        add_confusion(&mut self.confusion_alone, &alone.confusion);
+        let scores = if no_smoothing { alone } else { filtered };
+        add_confusion(&mut self.confusion, &scores.confusion);
+        predictions.count_reliability(&mut self.reliability);
+        self.judged.push(Judged::new(&recording.path, &scores));
+        self.scores.push(scores);
+        self.taken.push(recording);
+        Ok(())
     }
-    if !recordings.is_empty() {
-        let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
-        let false_alarms = FalseAlarms::of(&all_scores);
+
+    /// Prints the scores, with those of changed recordings where they are asked for.
+    fn tell(&self, candidate: &mut Candidate, arguments: &Arguments) -> anyhow::Result<()> {
+        let metrics = Metrics::from_confusion(self.confusion);
+        let alone = Metrics::from_confusion(self.confusion_alone).balanced_accuracy;
+        let false_alarms = FalseAlarms::of(&self.scores);
         let mut ablated = Vec::new();
         if arguments.ablate {
-            let (model, rows) = ablation::on_recordings(candidate.take()?, &taken)?;
+            let (model, rows) = ablation::on_recordings(candidate.take()?, &self.taken)?;
             candidate.put_back(model);
             ablated = rows;
         }
-        let thermal = under_thermal_noise(&mut candidate, &taken, arguments)?;
+        let thermal = under_thermal_noise(candidate, &self.taken, arguments)?;
         if arguments.json {
             let mut answer = json!({
                 "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
-                "balanced_accuracy_by_single_frames": alone.balanced_accuracy,
+                "balanced_accuracy_by_single_frames": alone,
                 "false_alarms": false_alarms.false_alarms, "empty_s": false_alarms.empty_s,
                 "false_alarms_per_hour": false_alarms.false_alarms_per_hour,
-                "false_alarm_share": false_alarms.false_alarm_share, "recordings": recordings,
-                "refused": refused, "reliability": reliability.reliability(), "thermal": thermal,
+                "false_alarm_share": false_alarms.false_alarm_share, "recordings": self.judged,
+                "refused": self.refused, "reliability": self.reliability.reliability(), "thermal": thermal,
             });
             if arguments.ablate {
                 answer["ablation"] = json!(ablated);
             }
-            output::json_line(&answer)?;
-        } else {
-            for of in &thermal {
-                eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
-            }
-            recordings.iter().try_for_each(Judged::print)?;
-            for of in &refused {
-                output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
-            }
-            if !arguments.no_smoothing {
-                eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
-            }
-            print(&metrics)?;
-            print_errors(&false_alarms, &metrics)?;
-            ablation::print(&ablated)?;
+            return output::json_line(&answer);
+        }
+        for of in &thermal {
+            eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+        }
+        self.judged.iter().try_for_each(Judged::print)?;
+        for of in &self.refused {
+            output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
+        }
+        if !arguments.no_smoothing {
+            eprintln!("by single frames: balanced accuracy {alone:.4}");
+        }
+        print(&metrics)?;
+        print_errors(&false_alarms, &metrics)?;
+        ablation::print(&ablated)
+    }
+}
+
+fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut answers = Answers::default();
+    for recording in &all {
+        match judge(&mut candidate, recording, None)? {
+            Ok(predictions) => answers.add(recording, &predictions, arguments.no_smoothing)?,
+            Err(refusal) => answers.refuse(recording, refusal),
         }
     }
-    match first_refusal {
-        Some(refusal) if recordings.is_empty() => Err(refusal),
+    let has_answers = !answers.judged.is_empty();
+    if has_answers {
+        answers.tell(&mut candidate, arguments)?;
+    }
+    match answers.first_refusal {
+        Some(refusal) if !has_answers => Err(refusal),
         Some(refusal) if !arguments.skip_refused => Err(refusal.context(format!(
             "{} of {} recordings were refused\n\nhint: with --skip-refused that is no failure",
-            refused.len(),
+            answers.refused.len(),
             all.len()
         ))),
         _ => Ok(()),

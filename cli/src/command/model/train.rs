@@ -46,44 +46,50 @@ pub struct Arguments {
     json: bool,
 }
 
+impl Arguments {
+    fn checkpoint(&self) -> PathBuf {
+        self.checkpoint.clone().unwrap_or_else(|| {
+            let mut name = self.output.file_name().unwrap_or_default().to_owned();
+            name.push(".checkpoint");
+            self.output.with_file_name(name)
+        })
+    }
+
+    /// Settings of the file with what the options change of them.
+    fn spec(&self) -> anyhow::Result<TrainSpec> {
+        let mut spec = read_spec(self.spec.as_deref())?;
+        if let Some(name) = &self.network {
+            let Some(network) = NetworkSpec::named(name) else {
+                let known: Vec<String> = radome_models::networks().into_iter().map(|network| network.name).collect();
+                bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
+            };
+            (spec.network, spec.head) = (network.kind, network.head);
+        }
+        if let Some(epochs) = self.epochs {
+            spec.epochs = epochs;
+            // A spec's settings are for its own number of epochs.
+            spec.linear_epochs = spec.linear_epochs.map(|linear| linear.min(epochs));
+        }
+        spec.weights = self.weights.clone().or(spec.weights);
+        spec.seed = self.seed.unwrap_or(spec.seed);
+        spec.split.held_out = self.hold_out.clone().or(spec.split.held_out);
+        Ok(spec)
+    }
+}
+
 /// Trains a network and writes the weights of its best epoch.
 ///
 /// # Errors
 /// The dataset or the spec cannot be read, or the training fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
-        let mut name = arguments.output.file_name().unwrap_or_default().to_owned();
-        name.push(".checkpoint");
-        arguments.output.with_file_name(name)
-    });
+    let checkpoint = arguments.checkpoint();
     // A training that is carried on was allowed to begin.
     match checkpoint.exists() {
         true => files::check_parent(&arguments.output)?,
         false => arguments.overwrite.check(&arguments.output)?,
     }
     let dataset = Dataset::open(&arguments.dataset)?;
-    let mut spec = read_spec(arguments.spec.as_deref())?;
-    if let Some(name) = &arguments.network {
-        let Some(network) = NetworkSpec::named(name) else {
-            let known: Vec<String> = radome_models::networks().into_iter().map(|network| network.name).collect();
-            bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
-        };
-        (spec.network, spec.head) = (network.kind, network.head);
-    }
-    if let Some(weights) = &arguments.weights {
-        spec.weights = Some(weights.clone());
-    }
-    if let Some(epochs) = arguments.epochs {
-        spec.epochs = epochs;
-        // A spec's settings are for its own number of epochs.
-        spec.linear_epochs = spec.linear_epochs.map(|linear| linear.min(epochs));
-    }
-    if let Some(seed) = arguments.seed {
-        spec.seed = seed;
-    }
-    if let Some(sequence) = &arguments.hold_out {
-        spec.split.held_out = Some(sequence.clone());
-    }
+    let spec = arguments.spec()?;
     if checkpoint.exists() {
         eprintln!("carrying on from {}", checkpoint.display());
     }
@@ -108,13 +114,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         };
         trouble = trouble.take().or(said.err());
     });
+    bar.finish_and_clear();
     let outcome = outcome.inspect_err(|_| {
-        bar.finish_and_clear();
         if checkpoint.exists() {
             eprintln!("the epochs so far are in {}; the same command carries on", checkpoint.display());
         }
     })?;
-    bar.finish_and_clear();
     for warning in &outcome.warnings {
         eprintln!("warning: {warning}");
     }

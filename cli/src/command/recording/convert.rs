@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             ),
         },
     };
-    if is_same(input, path) {
+    if files::is_same(input, path) {
         bail!("{} is input and output at once\n\nhint: choose another name", path.display());
     }
     arguments.overwrite.check(path)?;
@@ -173,8 +173,4 @@ fn write_for_viewers(arguments: &Arguments, source: &mut Recording) -> anyhow::R
     })?;
     bar.finish_and_clear();
     Ok(report)
-}
-
-fn is_same(a: &Path, b: &Path) -> bool {
-    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }

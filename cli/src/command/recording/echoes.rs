@@ -1,9 +1,10 @@
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
-use radome_dsp::{Frame, SourceEvent};
+use radome_dsp::{Frame, SourceEvent, Waveform};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -92,37 +93,51 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut detector = Detector::new(&waveform, &receivers.baselines());
     let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
-    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(window + 1);
+    let (wanted, most) = match &arguments.reflector {
+        Some(_) => (frames.min(REFLECTOR_FRAMES), REFLECTOR_FRAMES as usize),
+        None => (frames, window),
+    };
+    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(most + 1);
     let mut frame = Frame::zeroed(waveform.shape());
-    let wanted = if arguments.reflector.is_some() { frames.min(REFLECTOR_FRAMES) } else { frames };
-    let most = if arguments.reflector.is_some() { REFLECTOR_FRAMES as usize } else { window };
     let mut looked = 0;
     while looked < wanted && !output::interrupted() {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
             SourceEvent::Gap(_) => profiles.clear(),
             SourceEvent::Frame => {
-                let (moving, profile) = detector.detect_moving(&frame)?;
+                let (mut echoes, profile) = detector.detect_moving(&frame)?;
                 if profiles.len() == most {
                     profiles.pop_front();
                 }
                 profiles.push_back(profile);
                 looked += 1;
-                if arguments.reflector.is_none() {
-                    let mut echoes = moving;
-                    if profiles.len() == window {
-                        let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
-                        let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
-                        let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
-                        echoes.extend(new);
-                    }
-                    say(&frame, &echoes, &receivers, arguments.json)?;
+                if arguments.reflector.is_some() {
+                    continue;
                 }
+                if profiles.len() == window {
+                    let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
+                    let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
+                    let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
+                    echoes.extend(new);
+                }
+                say(&frame, &echoes, &receivers, arguments.json)?;
             }
         }
     }
     let Some(truth) = &arguments.reflector else { return Ok(()) };
-    let &[range_m, azimuth_deg, elevation_deg] = truth.as_slice() else {
+    let profiles: Vec<&RangeProfile> = profiles.iter().collect();
+    calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
+}
+
+/// Angle offsets between the receivers from a reflector at a known place; `find` finds the strongest echo in a stretch of ranges.
+fn calibrate(
+    arguments: &Arguments,
+    truth: &[f64],
+    receivers: &Receivers,
+    waveform: &Waveform,
+    find: impl FnOnce(Range<f64>) -> Option<Detection>,
+) -> anyhow::Result<()> {
+    let &[range_m, azimuth_deg, elevation_deg] = truth else {
         bail!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
     };
     if !(range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0) {
@@ -130,8 +145,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
         );
     }
-    let profiles: Vec<&RangeProfile> = profiles.iter().collect();
-    let echo = detector.find_reflector(&profiles, range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
+    let echo = find(range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
         format!(
             "no range within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
             waveform.max_range_m()

@@ -6,12 +6,12 @@ use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::{Frame, FrameSource};
 use serde_json::json;
 
 use crate::dataset::detector;
 use crate::output_file::Overwrite;
-use crate::{labels, output};
+use crate::{labels, output, source};
 
 /// `radome recording label`
 #[derive(clap::Args)]
@@ -117,21 +117,15 @@ fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let interval_s = recording.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(recording.waveform().shape());
     let mut frames = Vec::new();
-    loop {
-        match recording.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => {}
-            SourceEvent::Frame => {
-                let truth = frame.truth.with_context(|| {
-                    format!(
-                        "{}: frame {} has no truth\n\nhint: simulated recordings have it; for others: --propose detector",
-                        path.display(),
-                        frame.sequence
-                    )
-                })?;
-                frames.push((frame.time_s(), truth.occupancy));
-            }
-        }
+    while source::next_frame(&mut recording, &mut frame)? {
+        let truth = frame.truth.with_context(|| {
+            format!(
+                "{}: frame {} has no truth\n\nhint: simulated recordings have it; for others: --propose detector",
+                path.display(),
+                frame.sequence
+            )
+        })?;
+        frames.push((frame.time_s(), truth.occupancy));
     }
     if frames.is_empty() {
         bail!("{}: no frame", path.display());

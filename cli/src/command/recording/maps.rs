@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
-use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, SourceEvent};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Waveform};
 use serde_json::json;
 
 use crate::map_preset::MapPreset;
@@ -51,47 +51,71 @@ pub struct Arguments {
     json: bool,
 }
 
+impl Arguments {
+    fn is_to_stdout(&self) -> bool {
+        self.output.as_deref().is_some_and(is_stdout)
+    }
+
+    /// Refuses outputs that cannot be written, before anything is computed.
+    fn check_outputs(&self) -> anyhow::Result<()> {
+        match &self.output {
+            None if self.png.is_none() => {
+                bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
+            }
+            None => Ok(()),
+            Some(path) if !is_stdout(path) => self.overwrite.check(path),
+            Some(_) if self.json => {
+                bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
+            }
+            Some(_) => output::check_no_terminal(),
+        }
+    }
+
+    /// The preset with what the options change of it.
+    fn spec(&self, waveform: &Waveform) -> anyhow::Result<RdmSpec> {
+        let mut spec = self.preset.spec(waveform);
+        if let Some(rx) = self.rx {
+            spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
+        }
+        if self.incoherent {
+            spec.channels = Channels::IncoherentSum;
+        }
+        if self.remove_static {
+            spec.static_removal = StaticRemoval::SlowTimeMean;
+        }
+        if let Some(frames) = self.across_frames {
+            spec.slow_time = SlowTime::Frames { frames };
+            spec.doppler_fft_length = None;
+        }
+        Ok(spec)
+    }
+}
+
+/// Numbers of maps, and of what was amiss in them.
+#[derive(Default)]
+struct Counts {
+    maps: u64,
+    saturated_samples: u64,
+    non_finite_cells: u64,
+}
+
 /// Range-Doppler maps of a source.
 ///
 /// # Errors
 /// The source cannot be opened, the map is not valid for its waveform, or an output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    if arguments.output.is_none() && arguments.png.is_none() {
-        bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both");
-    }
-    let to_stdout = arguments.output.as_deref().is_some_and(is_stdout);
-    match &arguments.output {
-        Some(_) if to_stdout && arguments.json => {
-            bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy");
-        }
-        Some(_) if to_stdout => output::check_no_terminal()?,
-        Some(path) => arguments.overwrite.check(path)?,
-        None => {}
-    }
+    arguments.check_outputs()?;
     let mut options = arguments.source.options()?;
     options.frames.get_or_insert(SIMULATED_FRAMES);
     let mut source = source::open(&arguments.source.source, &options)?;
     let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
     let waveform = source.frames.waveform().clone();
-    let mut spec = arguments.preset.spec(&waveform);
-    if let Some(rx) = arguments.rx {
-        spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
-    }
-    if arguments.incoherent {
-        spec.channels = Channels::IncoherentSum;
-    }
-    if arguments.remove_static {
-        spec.static_removal = StaticRemoval::SlowTimeMean;
-    }
-    if let Some(frames) = arguments.across_frames {
-        spec.slow_time = SlowTime::Frames { frames };
-        spec.doppler_fft_length = None;
-    }
-    let mut processor = RdmProcessor::new(&spec, &waveform)?;
+    let mut processor = RdmProcessor::new(&arguments.spec(&waveform)?, &waveform)?;
     let mut map = processor.empty_map();
+    let row_shape = map_shape(&map);
     let mut frame = Frame::zeroed(waveform.shape());
-    let (mut maps, mut saturated, mut non_finite, mut pictured) = (0u64, 0u64, 0u64, false);
+    let (mut counts, mut pictured) = (Counts::default(), false);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     // The array grows as maps come: a night of them fits no memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
@@ -105,9 +129,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {
                         continue;
                     }
-                    maps += 1;
-                    saturated += u64::from(map.flags.saturated_samples);
-                    non_finite += u64::from(map.flags.non_finite_cells);
+                    counts.maps += 1;
+                    counts.saturated_samples += u64::from(map.flags.saturated_samples);
+                    counts.non_finite_cells += u64::from(map.flags.non_finite_cells);
                     write(&map)?;
                     if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
                         plot::map(path, &map, 0)?;
@@ -116,31 +140,33 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 }
             }
         }
-        anyhow::Ok(maps)
+        anyhow::Ok(counts.maps)
     };
     match &arguments.output {
         None => {
             each_map(&mut |_| Ok(()))?;
         }
-        Some(path) => {
-            let row_shape = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
-            write_array(path, arguments.overwrite, &row_shape, &mut each_map)?;
-        }
+        Some(path) => write_array(path, arguments.overwrite, &row_shape, &mut each_map)?,
     }
     bar.finish_and_clear();
-    if let (Some(path), false, true) = (&arguments.png, pictured, maps > 0) {
+    if let (Some(path), false, true) = (&arguments.png, pictured, counts.maps > 0) {
         plot::map(path, &map, 0)?;
     }
-    let [rx, doppler, range] = map_shape(&map);
-    let shape = [maps, rx, doppler, range];
+    tell(arguments, &counts, &map)
+}
+
+/// Says how many maps there are, and what their cells are; on stderr where the array goes to stdout.
+fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()> {
+    let Counts { maps, saturated_samples, non_finite_cells } = *counts;
     if arguments.json {
+        let [rx, doppler, range] = map_shape(map);
         return output::json_line(&json!({
             "maps": maps,
-            "shape": shape,
+            "shape": [maps, rx, doppler, range],
             "range_step_m": map.range_step_m,
             "velocity_step_m_per_s": map.velocity_step_m_per_s,
-            "saturated_samples": saturated,
-            "non_finite_cells": non_finite,
+            "saturated_samples": saturated_samples,
+            "non_finite_cells": non_finite_cells,
         }));
     }
     let said = format!(
@@ -148,9 +174,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         map.shape,
         map.range_step_m,
         map.velocity_step_m_per_s,
-        if saturated > 0 { format!(", {saturated} samples at the ends of the ADC") } else { String::new() }
+        if saturated_samples > 0 {
+            format!(", {saturated_samples} samples at the ends of the ADC")
+        } else {
+            String::new()
+        }
     );
-    if to_stdout {
+    if arguments.is_to_stdout() {
         eprintln!("{said}");
         return Ok(());
     }

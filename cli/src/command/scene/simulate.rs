@@ -107,29 +107,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // What an interrupted run has left of a shard is made anew.
     let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
     let options_of_file = RecorderOptions { existing, ..RecorderOptions::default() };
-    let mut recorder =
-        written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
-    let bar = output::progress(end - first, "simulating");
-    let mut frame = Frame::zeroed(scene.waveform().shape());
-    let (mut frames, mut estimate_db, mut clamped, mut clipped) = (0u64, None::<f64>, 0, 0);
-    let started = Instant::now();
-    while !output::interrupted() {
-        match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::Frame => recorder.as_mut().map_or(Ok(()), |r| r.frame(&frame))?,
-            SourceEvent::Gap(gap) => recorder.as_mut().map_or(Ok(()), |r| r.gap(&gap))?,
-            SourceEvent::End => break,
-        }
-        if let Some(report) = simulator.last_report() {
-            estimate_db = report.estimate_db.map(|e| estimate_db.map_or(e, |worst| worst.max(e))).or(estimate_db);
-            clamped += report.clamped;
-            clipped += report.clipped;
-        }
-        frames += 1;
-        bar.inc(1);
-    }
-    if let Some(recorder) = recorder {
-        recorder.finish()?;
-    }
+    let recorder = written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
+    let simulated = Simulated::record(&mut simulator, recorder, end - first)?;
     if let (Some(_), Some(written), Some(file)) = (arguments.shard, &written, &file) {
         if output::interrupted() {
             let _ = std::fs::remove_file(written);
@@ -137,26 +116,70 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         rename_synced(written, file)?;
     }
-    bar.finish_and_clear();
-    let seconds = started.elapsed().as_secs_f64();
-    let rate = frames as f64 / seconds;
-    if arguments.json {
-        return output::json_line(&json!({
-            "file": file.as_ref().map(|path| path.display().to_string()),
-            "seed": arguments.seed,
-            "frames": frames,
-            "seconds": seconds,
-            "frames_per_second": rate,
-            "tolerance_db": options.tolerance_db,
-            "worst_estimate_db": estimate_db,
-            "clamped_amplitudes": clamped,
-            "clipped_codes": clipped,
-        }));
+    simulated.tell(arguments, file.as_deref(), options.tolerance_db)
+}
+
+/// Numbers of a simulation.
+struct Simulated {
+    frames: u64,
+    /// The largest estimate of any frame.
+    estimate_db: Option<f64>,
+    clamped: usize,
+    clipped: usize,
+    seconds: f64,
+}
+
+impl Simulated {
+    /// Simulates to the end, or until the user interrupts, and finishes the recording.
+    fn record(simulator: &mut Simulator, mut recorder: Option<Recorder>, frames: u64) -> anyhow::Result<Self> {
+        let started = Instant::now();
+        let bar = output::progress(frames, "simulating");
+        let mut frame = Frame::zeroed(simulator.waveform().shape());
+        let mut all = Simulated { frames: 0, estimate_db: None, clamped: 0, clipped: 0, seconds: 0.0 };
+        while !output::interrupted() {
+            match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::Frame => recorder.as_mut().map_or(Ok(()), |r| r.frame(&frame))?,
+                SourceEvent::Gap(gap) => recorder.as_mut().map_or(Ok(()), |r| r.gap(&gap))?,
+                SourceEvent::End => break,
+            }
+            if let Some(report) = simulator.last_report() {
+                let worst = all.estimate_db;
+                all.estimate_db = report.estimate_db.map(|e| worst.map_or(e, |worst| worst.max(e))).or(worst);
+                all.clamped += report.clamped;
+                all.clipped += report.clipped;
+            }
+            all.frames += 1;
+            bar.inc(1);
+        }
+        if let Some(recorder) = recorder {
+            recorder.finish()?;
+        }
+        bar.finish_and_clear();
+        all.seconds = started.elapsed().as_secs_f64();
+        Ok(all)
     }
-    let estimate =
-        estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
-    let what = file.as_ref().unwrap_or(&arguments.scene).display();
-    output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+
+    fn tell(&self, arguments: &Arguments, file: Option<&Path>, tolerance_db: f64) -> anyhow::Result<()> {
+        let Simulated { frames, estimate_db, clamped, clipped, seconds } = *self;
+        let rate = frames as f64 / seconds;
+        if arguments.json {
+            return output::json_line(&json!({
+                "file": file.map(|path| path.display().to_string()),
+                "seed": arguments.seed,
+                "frames": frames,
+                "seconds": seconds,
+                "frames_per_second": rate,
+                "tolerance_db": tolerance_db,
+                "worst_estimate_db": estimate_db,
+                "clamped_amplitudes": clamped,
+                "clipped_codes": clipped,
+            }));
+        }
+        let estimate = estimate_db
+            .map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
+        let what = file.unwrap_or(&arguments.scene).display();
+        output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+    }
 }
 
 /// Says that a shard was there.

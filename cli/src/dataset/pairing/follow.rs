@@ -159,15 +159,17 @@ fn explains(state: &Smoothed, echo: &Detection, sensor: &Sensor) -> bool {
     })
 }
 
+/// Predecessor of a chain: an echo before, or nothing, after the best set of tracklets that ended by then.
+#[derive(Clone, Copy)]
+enum Predecessor {
+    Echo(Place),
+    Ended(Option<Place>),
+}
+
 /// The best tracklets that do not overlap, in order of time.
 fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
-    /// Predecessor of a chain: an echo before, or nothing, after the best set of tracklets that ended by then.
-    #[derive(Clone, Copy)]
-    enum From {
-        Echo(Place),
-        Ended(Option<Place>),
-    }
-    let mut best: Vec<Vec<(f64, From)>> = detections.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
+    let mut best: Vec<Vec<(f64, Predecessor)>> =
+        detections.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
     // By frame, the best set of tracklets that have ended before it.
     let mut ended: Vec<(f64, Option<Place>)> = vec![(0.0, None)];
     for (k, detected) in detections.iter().enumerate() {
@@ -176,11 +178,11 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
         for (i, echo) in detected.echoes.iter().enumerate() {
             if !free.get(k).and_then(|f| f.get(i)).is_some_and(|f| *f) {
                 if let Some(row) = best.get_mut(k) {
-                    row.push((f64::NEG_INFINITY, From::Ended(None)));
+                    row.push((f64::NEG_INFINITY, Predecessor::Ended(None)));
                 }
                 continue;
             }
-            let mut reached = (before.0 - LEAST_WORTH, From::Ended(before.1));
+            let mut reached = (before.0 - LEAST_WORTH, Predecessor::Ended(before.1));
             for (j, earlier) in detections.iter().enumerate().take(k).rev() {
                 let gap_s = detected.time_s - earlier.time_s;
                 if gap_s > BRIDGE_S {
@@ -191,7 +193,7 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
                 {
                     let score = score + missed - step_cost(other, echo, gap_s, sensor);
                     if score > reached.0 {
-                        reached = (score, From::Echo((j, n)));
+                        reached = (score, Predecessor::Echo((j, n)));
                     }
                 }
             }
@@ -205,14 +207,19 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
         }
         ended.push(now);
     }
+    unrolled(&best, ended.last().and_then(|e| e.1))
+}
+
+/// Chains from the last echo back, in order of time.
+fn unrolled(best: &[Vec<(f64, Predecessor)>], last: Option<Place>) -> Vec<Vec<Place>> {
     let mut chains = Vec::new();
-    let mut at = ended.last().and_then(|e| e.1);
+    let mut at = last;
     let mut chain = Vec::new();
     while let Some(place) = at {
         chain.push(place);
         at = match best.get(place.0).and_then(|row| row.get(place.1)).map(|b| b.1) {
-            Some(From::Echo(earlier)) => Some(earlier),
-            Some(From::Ended(earlier)) => {
+            Some(Predecessor::Echo(earlier)) => Some(earlier),
+            Some(Predecessor::Ended(earlier)) => {
                 chain.reverse();
                 chains.push(std::mem::take(&mut chain));
                 earlier

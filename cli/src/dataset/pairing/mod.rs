@@ -21,11 +21,13 @@ use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::{Frame, MapStatus, Occupancy, RdmProcessor, SourceEvent, Truth};
+use radome_dsp::detect::Baseline;
+use radome_dsp::{Frame, MapStatus, Occupancy, RdmProcessor, RdmSpec, SourceEvent, Truth, Waveform};
 use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
+use self::detections::Detections;
 use self::mirror::Stage;
 pub use self::report::Report;
 use self::script::{Role, WayPoints};
@@ -34,42 +36,56 @@ use self::store::Store;
 use self::watcher::{Taken, Watcher};
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
-use crate::source::{self, SourceOptions};
+use crate::source::{self, DEFAULT_SEED, Source, SourceOptions};
 use crate::{files, labels, output};
 
 /// Frames that are rendered before maps are made of them.
 const CHUNK: usize = 32;
 
 /// Inputs and options of a pair.
+#[derive(clap::Args)]
 pub struct Settings {
-    /// Recording of any kind, or another source if `frames` is given.
-    pub recording: String,
-    /// Scene file: room, furniture, radar, receiver. Its people and waveform are not used.
-    pub scene: PathBuf,
-    /// Dataset folder to make.
+    /// Recording of any kind, or another source with --frames
+    #[arg(value_hint = clap::ValueHint::AnyPath)]
+    recording: String,
+    /// Scene file: room, furniture, radar, receiver. Its people and waveform are not used
+    scene: PathBuf,
+    /// Dataset folder to make
+    #[arg(short, long)]
     pub output: PathBuf,
-    /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file.
-    pub labels: Option<PathBuf>,
-    /// Number of people where there is no label.
-    pub people: Option<u8>,
-    /// Positions of people at times when they were not seen: TOML with a list `person` of `point`s.
-    pub waypoints: Option<PathBuf>,
-    /// Body height of the people, m.
-    pub height_m: f64,
-    /// Whether people who stay in one place sit.
-    pub seated: bool,
-    /// Kind of map.
-    pub map: MapPreset,
-    /// Name of the pair; the recording's name if `None`.
-    pub name: Option<String>,
-    /// Name of the person in the recording.
-    pub subject: Option<String>,
-    /// Number of times that the trajectory is corrected by following the mirror.
-    pub corrections: u8,
-    /// Number of frames to read; all if `None`.
-    pub frames: Option<u64>,
-    /// Seed of the mirror.
-    pub seed: u64,
+    /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file
+    #[arg(long)]
+    labels: Option<PathBuf>,
+    /// Number of people wherever no label says otherwise
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
+    people: Option<u8>,
+    /// Positions of people at times when they were not seen: TOML, [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
+    #[arg(long)]
+    waypoints: Option<PathBuf>,
+    /// Body height of the people, m
+    #[arg(long, default_value_t = 1.75)]
+    height_m: f64,
+    /// Those who stay in one place sit
+    #[arg(long)]
+    seated: bool,
+    /// Kind of map
+    #[arg(long, alias = "map", value_enum, default_value_t)]
+    preset: MapPreset,
+    /// Name of the pair; the recording's without
+    #[arg(long)]
+    name: Option<String>,
+    /// Name of the person in the recording
+    #[arg(long)]
+    subject: Option<String>,
+    /// Number of times that the trajectory is corrected by following the mirror
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=4))]
+    corrections: u8,
+    /// End after this many frames
+    #[arg(long)]
+    frames: Option<u64>,
+    /// Seed of what is random in the mirror
+    #[arg(long, default_value_t = DEFAULT_SEED)]
+    seed: u64,
 }
 
 /// Pair that was stored.
@@ -93,201 +109,265 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
         bail!("--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
     }
     let points = settings.waypoints.as_deref().map_or(Ok(WayPoints::default()), read_waypoints)?;
-    let options = SourceOptions { frames: settings.frames, seed: settings.seed, ..SourceOptions::default() };
-    let mut source = source::open(&settings.recording, &options)?;
-    let is_recording = Recording::open(Path::new(&settings.recording)).is_ok();
-    if settings.frames.is_none() && source.frames.frame_count().is_none() && !is_recording {
-        bail!("{} has no end\n\nhint: say how much of it with --frames", settings.recording);
-    }
-    let waveform = source.frames.waveform().clone();
-    let stage = Stage::load(&settings.scene, &waveform)?;
-    let name = settings.name.clone().unwrap_or_else(|| {
-        Path::new(&settings.recording).file_stem().unwrap_or_default().to_string_lossy().into_owned()
-    });
+    let source = open(settings)?;
+    let pairing = Pairing::new(settings, source.frames.waveform().clone())?;
     let spans = spans(settings)?;
-    let spec = settings.map.spec(&waveform);
-    let header = DatasetHeader::new(waveform.clone(), spec)?;
-    let writer = DatasetWriter::create(&settings.output, &header)?;
-    let scene_name = settings.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut store = Store { writer, pair: name.clone(), scene: scene_name, subject: settings.subject.clone() };
-
-    // The recording.
-    let mut height_m = settings.height_m;
-    if settings.seated {
-        // The chest of who sits is as high as that of somebody this tall who stands.
-        height_m = (0.54 + 0.19 * settings.height_m) / smooth::CHEST_HEIGHT;
-    }
-    let (sensor, baselines) = Sensor::new(&stage.scene, &waveform, height_m);
-    if !sensor.tells_direction() {
-        eprintln!("no two receivers side by side: people are taken to move along the boresight");
-    }
-    if stage.waveform_replaced {
-        eprintln!("{}: the mirror has the recording's waveform, not the scene's", settings.scene.display());
-    }
-    let mut watcher = Watcher::new(&waveform, &baselines);
-    let mut processor = RdmProcessor::new(&spec, &waveform)?;
-    let mut map = processor.empty_map();
-    let mut frame = Frame::zeroed(waveform.shape());
-    let mut taken: Vec<Taken> = Vec::new();
-    let mut unlabelled = 0u64;
-    let mut after_gap = false;
-    let bar = output::progress(source.frames.frame_count().unwrap_or(0), "following");
-    while settings.frames.is_none_or(|most| (taken.len() as u64) < most) {
-        if output::interrupted() {
-            return Err(Interrupted.into());
-        }
-        match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => {
-                processor.reset();
-                after_gap = true;
-            }
-            SourceEvent::Frame => {
-                let by_count = settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
-                let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
-                let truth = labels::by_span(&spans, &frame, &waveform).or(frame.truth).or(by_count);
-                let of = Taken { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
-                after_gap = false;
-                watcher.take(&frame)?;
-                if processor.process(&frame, &mut map)? == MapStatus::Ready {
-                    match truth {
-                        Some(truth) => store.push(Domain::Real, &map, &of, truth, None)?,
-                        None => unlabelled += 1,
-                    }
-                }
-                taken.push(of);
-                bar.inc(1);
-            }
-        }
-    }
-    bar.finish_and_clear();
-    let Some(first) = taken.first().copied() else { bail!("{}: no frame", settings.recording) };
-    if taken.iter().all(|of| of.truth.is_none()) {
-        bail!(
-            "{}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording label {0} \
-             --propose detector",
-            settings.recording
-        );
-    }
-    if let Some(pair) = taken.windows(2).find(|pair| matches!(pair, [a, b] if b.time_ns <= a.time_ns)) {
-        bail!("{}: frame {} is not later than the one before", settings.recording, pair[1].sequence);
-    }
-    let times_s: Vec<f64> = taken.iter().map(|of| (of.time_ns - first.time_ns) as f64 * 1e-9).collect();
-    if !spans.is_empty() {
-        let end_s = taken.last().map_or(0, |of| of.time_ns) as f64 * 1e-9 + waveform.frame_interval_s();
-        check_spans(&spans, Some((first.time_ns as f64 * 1e-9, end_s)))?;
-    }
-    if unlabelled > 0 {
-        eprintln!("{name}: {unlabelled} maps without a label were left out");
-    }
-    let detections = watcher.finish(&times_s, &taken, &waveform);
+    let header = DatasetHeader::new(pairing.waveform.clone(), pairing.spec)?;
+    let mut store = Store {
+        writer: DatasetWriter::create(&settings.output, &header)?,
+        pair: pairing.name.clone(),
+        scene: stem(&settings.scene),
+        subject: settings.subject.clone(),
+    };
+    let recording = pairing.follow_recording(source, &spans, &mut store)?;
 
     // Ways of the people.
-    let labelled = taken.iter().filter_map(|of| of.truth).map(|truth| truth.occupancy.index()).max().unwrap_or(0);
-    let people = labelled.max(points.person.len()).min(2);
-    let tracklets = follow::follow(&detections, people, &sensor);
+    let labelled = recording.taken.iter().filter_map(|of| of.truth).map(|truth| truth.occupancy.index()).max();
+    let people = labelled.unwrap_or(0).max(points.person.len()).min(2);
+    let tracklets = follow::follow(&recording.detections, people, &pairing.sensor);
     let mut roles = script::deal(tracklets, people);
     // Way-points have the recording's clock, the mirror begins with its first frame.
-    let points = points.shifted(-(first.time_ns as f64) * 1e-9);
-    let written = |roles: &mut [Role]| -> anyhow::Result<(String, Simulator)> {
-        script::fill(roles, &detections, stage.scene.file(), &points)
-            .with_context(|| format!("{} cannot be mirrored as it is", settings.recording))?;
-        let text = mirror_text(settings, &stage, stage.table(), &name, roles)?;
-        let scene = Scene::parse(&text, &settings.scene)?;
-        let options = SimulateOptions { seed: settings.seed, ..SimulateOptions::default() };
-        Ok((mirror_text(settings, &stage, &stage.stored, &name, roles)?, Simulator::new(&scene, options)?))
-    };
-
-    // The mirror.
-    let (mut text, mut simulator) = written(&mut roles)?;
+    let points = points.shifted(-recording.start_s);
+    let (mut text, mut simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
     for _ in 0..if roles.iter().all(|role| role.tracklets.is_empty()) { 0 } else { settings.corrections } {
-        let mut watcher = Watcher::new(&waveform, &baselines);
-        render(&simulator, &taken, &times_s, "checking", |_, frame| watcher.take(frame))?;
-        let seen = follow::follow(&watcher.finish(&times_s, &taken, &waveform), people, &sensor);
-        bias::correct(&mut roles, &seen);
-        (text, simulator) = written(&mut roles)?;
+        let mut watcher = pairing.watcher();
+        recording.render(&simulator, "checking", |_, frame| watcher.take(frame))?;
+        let seen = watcher.finish(&recording.times_s, &recording.taken, &pairing.waveform);
+        bias::correct(&mut roles, &follow::follow(&seen, people, &pairing.sensor));
+        (text, simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
     }
-    let mut watcher = Watcher::new(&waveform, &baselines);
-    let mut processor = RdmProcessor::new(&spec, &waveform)?;
-    let mut agreed = 0usize;
-    render(&simulator, &taken, &times_s, "mirroring", |of, frame| {
-        if of.after_gap {
-            processor.reset();
-        }
-        watcher.take(frame)?;
-        agreed += usize::from(frame.truth.map(|t| t.occupancy) == of.truth.map(|t| t.occupancy));
-        match of.truth {
-            Some(truth) if processor.process(frame, &mut map)? == MapStatus::Ready => {
-                store.push(Domain::Sim, &map, of, truth, Some(settings.seed))
-            }
-            Some(_) => Ok(()),
-            None => processor.process(frame, &mut map).map(|_| ()).map_err(Into::into),
-        }
-    })?;
-    let mirror_detections = watcher.finish(&times_s, &taken, &waveform);
+    let (mirrored, agreed) = pairing.store_mirror(&simulator, &recording, &mut store)?;
 
     let maps = store.writer.maps();
     store.writer.add_file(MIRROR, text.as_bytes())?;
-    for (name, bytes) in stage.mesh_files()? {
+    for (name, bytes) in pairing.stage.mesh_files()? {
         store.writer.add_file(name, &bytes)?;
     }
-    let report = report::Report::new(&roles, &detections, &mirror_detections, &sensor, agreed);
-    store.writer.add_file(TRACK, report::track_lines(&roles, &taken_numbers(&taken))?.as_bytes())?;
+    let report = Report::new(&roles, &recording.detections, &mirrored, &pairing.sensor, agreed);
+    let frames: Vec<(u64, f64)> = recording.taken.iter().map(|of| (of.sequence, of.time_ns as f64 * 1e-9)).collect();
+    store.writer.add_file(TRACK, report::track_lines(&roles, &frames)?.as_bytes())?;
     store.writer.finish()?;
-    Ok(Paired { name, maps, report })
+    Ok(Paired { name: pairing.name, maps, report })
 }
 
 /// Names in the dataset's folder: of the mirror's scene, and of people's positions, a line a frame and person.
 const MIRROR: &str = "mirror.toml";
 const TRACK: &str = "track.jsonl";
 
-/// The scene file of a mirror.
-fn mirror_text(
-    settings: &Settings,
-    stage: &Stage,
-    table: &toml::Table,
-    name: &str,
-    roles: &[Role],
-) -> anyhow::Result<String> {
-    let radar = stage.scene.radar_position().truncate();
-    let mut scripts = Vec::new();
-    for (person, role) in roles.iter().enumerate() {
-        scripts.extend(script::steps(person, &role.knots, radar, settings.seated)?);
-    }
-    Ok(format!(
-        "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome scene pair {} {} -o {}\n# Schema: \
-         sim/src/scene_file/mod.rs.\n{}",
-        settings.recording,
-        settings.scene.display(),
-        settings.output.display(),
-        Stage::with_scripts(table, &format!("{name}-mirror"), settings.height_m, &scripts)
-    ))
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Frames of a simulation at the times of those taken, in order.
-fn render(
-    simulator: &Simulator,
-    taken: &[Taken],
-    times_s: &[f64],
-    what: &'static str,
-    mut each: impl FnMut(&Taken, &Frame) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    let bar = output::progress(taken.len() as u64, what);
-    for (chunk, times_s) in taken.chunks(CHUNK).zip(times_s.chunks(CHUNK)) {
-        if output::interrupted() {
-            return Err(Interrupted.into());
+/// Opens what is to be mirrored, which must have an end.
+fn open(settings: &Settings) -> anyhow::Result<Source> {
+    let options = SourceOptions { frames: settings.frames, seed: settings.seed, ..SourceOptions::default() };
+    let source = source::open(&settings.recording, &options)?;
+    let is_recording = Recording::open(Path::new(&settings.recording)).is_ok();
+    if settings.frames.is_none() && source.frames.frame_count().is_none() && !is_recording {
+        bail!("{} has no end\n\nhint: say how much of it with --frames", settings.recording);
+    }
+    Ok(source)
+}
+
+/// Inputs of both sides of a pair.
+struct Pairing<'a> {
+    settings: &'a Settings,
+    name: String,
+    waveform: Waveform,
+    spec: RdmSpec,
+    stage: Stage,
+    sensor: Sensor,
+    baselines: Vec<Baseline>,
+}
+
+/// Frames of the recording, and their echoes.
+struct Followed {
+    taken: Vec<Taken>,
+    /// Time of the first frame, s.
+    start_s: f64,
+    /// Times of all frames since the first, s.
+    times_s: Vec<f64>,
+    detections: Vec<Detections>,
+}
+
+impl<'a> Pairing<'a> {
+    fn new(settings: &'a Settings, waveform: Waveform) -> anyhow::Result<Self> {
+        let stage = Stage::load(&settings.scene, &waveform)?;
+        let mut height_m = settings.height_m;
+        if settings.seated {
+            // The chest of who sits is as high as that of somebody this tall who stands.
+            height_m = (0.54 + 0.19 * settings.height_m) / smooth::CHEST_HEIGHT;
         }
-        let both = chunk.par_iter().zip(times_s.par_iter());
-        let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.render_at(of.sequence, *time_s)).collect();
-        chunk.iter().zip(&frames).try_for_each(|(of, frame)| each(of, frame))?;
-        bar.inc(chunk.len() as u64);
+        let (sensor, baselines) = Sensor::new(&stage.scene, &waveform, height_m);
+        let name = settings.name.clone().unwrap_or_else(|| stem(Path::new(&settings.recording)));
+        let spec = settings.preset.spec(&waveform);
+        Ok(Pairing { settings, name, waveform, spec, stage, sensor, baselines })
     }
-    bar.finish_and_clear();
-    Ok(())
+
+    fn watcher(&self) -> Watcher {
+        Watcher::new(&self.waveform, &self.baselines)
+    }
+
+    /// Class of a frame of the recording, by its labels, by its own truth, or as the settings have it.
+    fn truth(&self, spans: &[LabelSpan], frame: &Frame) -> Option<Truth> {
+        let by_count = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
+        let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
+        labels::by_span(spans, frame, &self.waveform).or(frame.truth).or(by_count)
+    }
+
+    /// Finds the echoes of the recording, and stores its maps.
+    fn follow_recording(&self, mut source: Source, spans: &[LabelSpan], store: &mut Store) -> anyhow::Result<Followed> {
+        if !self.sensor.tells_direction() {
+            eprintln!("no two receivers side by side: people are taken to move along the boresight");
+        }
+        if self.stage.waveform_replaced {
+            let scene = self.settings.scene.display();
+            eprintln!("{scene}: the mirror has the recording's waveform, not the scene's");
+        }
+        let mut watcher = self.watcher();
+        let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
+        let mut map = processor.empty_map();
+        let mut frame = Frame::zeroed(self.waveform.shape());
+        let mut taken: Vec<Taken> = Vec::new();
+        let mut unlabelled = 0u64;
+        let mut after_gap = false;
+        let bar = output::progress(source.frames.frame_count().unwrap_or(0), "following");
+        while self.settings.frames.is_none_or(|most| (taken.len() as u64) < most) {
+            if output::interrupted() {
+                return Err(Interrupted.into());
+            }
+            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => {
+                    processor.reset();
+                    after_gap = true;
+                }
+                SourceEvent::Frame => {
+                    let truth = self.truth(spans, &frame);
+                    let of = Taken { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
+                    after_gap = false;
+                    watcher.take(&frame)?;
+                    if processor.process(&frame, &mut map)? == MapStatus::Ready {
+                        match truth {
+                            Some(truth) => store.push(Domain::Real, &map, &of, truth, None)?,
+                            None => unlabelled += 1,
+                        }
+                    }
+                    taken.push(of);
+                    bar.inc(1);
+                }
+            }
+        }
+        bar.finish_and_clear();
+        let first_ns = self.check(&taken, spans)?;
+        if unlabelled > 0 {
+            eprintln!("{}: {unlabelled} maps without a label were left out", self.name);
+        }
+        let times_s: Vec<f64> = taken.iter().map(|of| (of.time_ns - first_ns) as f64 * 1e-9).collect();
+        let detections = watcher.finish(&times_s, &taken, &self.waveform);
+        Ok(Followed { taken, start_s: first_ns as f64 * 1e-9, times_s, detections })
+    }
+
+    /// Refuses a recording without frames or labels, times that do not rise, and labels beyond its end. Gives the time of the first
+    /// frame, ns.
+    fn check(&self, taken: &[Taken], spans: &[LabelSpan]) -> anyhow::Result<u64> {
+        let recording = &self.settings.recording;
+        let (Some(first), Some(last)) = (taken.first(), taken.last()) else { bail!("{recording}: no frame") };
+        if taken.iter().all(|of| of.truth.is_none()) {
+            bail!(
+                "{recording}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording \
+                 label {recording} --propose detector"
+            );
+        }
+        if let Some(pair) = taken.windows(2).find(|pair| matches!(pair, [a, b] if b.time_ns <= a.time_ns)) {
+            bail!("{recording}: frame {} is not later than the one before", pair[1].sequence);
+        }
+        if !spans.is_empty() {
+            let end_s = last.time_ns as f64 * 1e-9 + self.waveform.frame_interval_s();
+            check_spans(spans, Some((first.time_ns as f64 * 1e-9, end_s)))?;
+        }
+        Ok(first.time_ns)
+    }
+
+    /// Fills in the ways of the people. Gives the text of the mirror's scene file, and its simulation.
+    fn mirror(
+        &self,
+        roles: &mut [Role],
+        detections: &[Detections],
+        points: &WayPoints,
+    ) -> anyhow::Result<(String, Simulator)> {
+        script::fill(roles, detections, self.stage.scene.file(), points)
+            .with_context(|| format!("{} cannot be mirrored as it is", self.settings.recording))?;
+        let scene = Scene::parse(&self.mirror_text(self.stage.table(), roles)?, &self.settings.scene)?;
+        let options = SimulateOptions { seed: self.settings.seed, ..SimulateOptions::default() };
+        Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
+    }
+
+    /// Text of the mirror's scene file.
+    fn mirror_text(&self, table: &toml::Table, roles: &[Role]) -> anyhow::Result<String> {
+        let radar = self.stage.scene.radar_position().truncate();
+        let mut scripts = Vec::new();
+        for (person, role) in roles.iter().enumerate() {
+            scripts.extend(script::steps(person, &role.knots, radar, self.settings.seated)?);
+        }
+        Ok(format!(
+            "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome scene pair {} {} -o {}\n# Schema: \
+             sim/src/scene_file/mod.rs.\n{}",
+            self.settings.recording,
+            self.settings.scene.display(),
+            self.settings.output.display(),
+            Stage::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)
+        ))
+    }
+
+    /// Stores the maps of the mirror. Gives its echoes, and the number of its frames in which as many people are there as in the
+    /// recording's.
+    fn store_mirror(
+        &self,
+        simulator: &Simulator,
+        recording: &Followed,
+        store: &mut Store,
+    ) -> anyhow::Result<(Vec<Detections>, usize)> {
+        let mut watcher = self.watcher();
+        let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
+        let mut map = processor.empty_map();
+        let mut agreed = 0usize;
+        recording.render(simulator, "mirroring", |of, frame| {
+            if of.after_gap {
+                processor.reset();
+            }
+            watcher.take(frame)?;
+            agreed += usize::from(frame.truth.map(|t| t.occupancy) == of.truth.map(|t| t.occupancy));
+            match (processor.process(frame, &mut map)?, of.truth) {
+                (MapStatus::Ready, Some(truth)) => store.push(Domain::Sim, &map, of, truth, Some(self.settings.seed)),
+                _ => Ok(()),
+            }
+        })?;
+        Ok((watcher.finish(&recording.times_s, &recording.taken, &self.waveform), agreed))
+    }
 }
 
-fn taken_numbers(taken: &[Taken]) -> Vec<(u64, f64)> {
-    taken.iter().map(|of| (of.sequence, of.time_ns as f64 * 1e-9)).collect()
+impl Followed {
+    /// Simulates a frame at the time of each of the recording's, in order.
+    fn render(
+        &self,
+        simulator: &Simulator,
+        what: &'static str,
+        mut each: impl FnMut(&Taken, &Frame) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let bar = output::progress(self.taken.len() as u64, what);
+        for (chunk, times_s) in self.taken.chunks(CHUNK).zip(self.times_s.chunks(CHUNK)) {
+            if output::interrupted() {
+                return Err(Interrupted.into());
+            }
+            let both = chunk.par_iter().zip(times_s.par_iter());
+            let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.render_at(of.sequence, *time_s)).collect();
+            chunk.iter().zip(&frames).try_for_each(|(of, frame)| each(of, frame))?;
+            bar.inc(chunk.len() as u64);
+        }
+        bar.finish_and_clear();
+        Ok(())
+    }
 }
 
 /// Labels of the recording, or of a file instead.

@@ -142,6 +142,31 @@ pub fn fill(
     Ok(())
 }
 
+/// Way-points of a person.
+///
+/// # Errors
+/// [`ScriptError::Order`] where they are out of order.
+fn way_points(points: &WayPoints, person: usize) -> Result<Vec<Knot>, ScriptError> {
+    let points = points.person.get(person).map_or(&[] as &[WayPoint], |p| p.point.as_slice());
+    for pair in points.windows(2) {
+        if let [before, after] = pair
+            && after.time_s.partial_cmp(&before.time_s) != Some(std::cmp::Ordering::Greater)
+        {
+            return Err(ScriptError::Order { person: person + 1, time_s: after.time_s, before_s: before.time_s });
+        }
+    }
+    let knot = |point: &WayPoint| Knot { time_s: point.time_s, place: DVec2::from_array(point.position_m) };
+    Ok(points.iter().map(knot).collect())
+}
+
+/// First and last time within a stretch at which labels leave no room for a person, s.
+fn absence(roles: &[Role], person: usize, detections: &[Detections], from_s: f64, to_s: f64) -> Option<(f64, f64)> {
+    let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
+    let mut away = within.filter(|(k, l)| l.people <= others(roles, person, *k)).map(|(_, l)| l.time_s);
+    let first_s = away.next()?;
+    Some((first_s, away.last().unwrap_or(first_s)))
+}
+
 fn knots(
     roles: &[Role],
     person: usize,
@@ -150,57 +175,35 @@ fn knots(
     points: &WayPoints,
 ) -> Result<Vec<Knot>, ScriptError> {
     let Some(role) = roles.get(person) else { return Ok(Vec::new()) };
-    let given: Vec<Knot> = points.person.get(person).map_or(Vec::new(), |p| {
-        p.point.iter().map(|p| Knot { time_s: p.time_s, place: DVec2::from_array(p.position_m) }).collect()
-    });
-    for pair in given.windows(2) {
-        if let [before, after] = pair
-            && after.time_s.partial_cmp(&before.time_s) != Some(std::cmp::Ordering::Greater)
-        {
-            return Err(ScriptError::Order { person: person + 1, time_s: after.time_s, before_s: before.time_s });
-        }
-    }
-    let between = |from_s: f64, to_s: f64| given.iter().copied().filter(move |k| k.time_s > from_s && k.time_s < to_s);
+    let given = way_points(points, person)?;
+    let between = |from_s: f64, to_s: f64| -> Vec<Knot> {
+        given.iter().copied().filter(|k| k.time_s > from_s && k.time_s < to_s).collect()
+    };
     let unknown = |from_s: f64, to_s: f64| ScriptError::Unknown { person: person + 1, from_s, to_s };
-    let (Some(begin_s), Some(end_s)) = (detections.first().map(|l| l.time_s), detections.last().map(|l| l.time_s))
-    else {
-        return Ok(given);
-    };
-    // Frames of a stretch in which labels leave no room for this person.
-    let absent = |from_s: f64, to_s: f64| {
-        let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
-        let away: Vec<f64> = within
-            .filter(|(frame, detected)| detected.people <= others(roles, person, *frame))
-            .map(|(_, l)| l.time_s)
-            .collect();
-        away.first().copied().zip(away.last().copied())
-    };
-    let mut knots: Vec<Knot> = Vec::new();
+    let (Some(begin), Some(end)) = (detections.first(), detections.last()) else { return Ok(given) };
+    let (begin_s, end_s) = (begin.time_s, end.time_s);
+    let ends = |tracklet: &Tracklet| Some((*tracklet.track.first()?, *tracklet.track.last()?));
     let (Some(first), Some(last)) = (role.tracklets.first(), role.tracklets.last()) else {
-        let there =
-            detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k)).map(|(_, l)| l.time_s);
-        let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), t| (t.min(a), t.max(b)));
+        let there = detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k));
+        let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), (_, l)| (l.time_s.min(a), l.time_s.max(b)));
         // Nobody was seen and nobody is missed.
         return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
     };
-    let ends = |tracklet: &Tracklet| Some((*tracklet.track.first()?, *tracklet.track.last()?));
-    // Before.
+    let absent = |from_s: f64, to_s: f64| absence(roles, person, detections, from_s, to_s);
+    let mut knots: Vec<Knot> = Vec::new();
     if let Some((start, _)) = ends(first) {
-        let given: Vec<Knot> = between(f64::NEG_INFINITY, start.time_s).collect();
-        if given.is_empty() {
+        knots = between(f64::NEG_INFINITY, start.time_s);
+        if knots.is_empty() {
             let since = absent(begin_s - 1.0, start.time_s).map(|(_, last_s)| last_s);
-            knots.extend(
-                arrive(&start, since, begin_s, scene).ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?,
-            );
-        } else {
-            knots.extend(given);
+            let way = arrive(&start, since, begin_s, scene);
+            knots = way.ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?;
         }
     }
     for (i, tracklet) in role.tracklets.iter().enumerate() {
         knots.extend(tracklet.track.iter().map(|s| Knot { time_s: s.time_s, place: place(s) }));
         let Some(next) = role.tracklets.get(i + 1) else { break };
         let (Some((_, end)), Some((start, _))) = (ends(tracklet), ends(next)) else { continue };
-        let given: Vec<Knot> = between(end.time_s, start.time_s).collect();
+        let given = between(end.time_s, start.time_s);
         let gap_s = start.time_s - end.time_s;
         if !given.is_empty() {
             knots.extend(given);
@@ -212,13 +215,13 @@ fn knots(
         }
     }
     if let Some((_, end)) = ends(last) {
-        let given: Vec<Knot> = between(end.time_s, f64::INFINITY).collect();
-        if given.is_empty() {
+        let mut after = between(end.time_s, f64::INFINITY);
+        if after.is_empty() {
             let from = absent(end.time_s, end_s + 1.0).map(|(first_s, _)| first_s);
-            knots.extend(leave(&end, from, end_s, scene).ok_or_else(|| unknown(end.time_s, from.unwrap_or(end_s)))?);
-        } else {
-            knots.extend(given);
+            let way = leave(&end, from, end_s, scene);
+            after = way.ok_or_else(|| unknown(end.time_s, from.unwrap_or(end_s)))?;
         }
+        knots.extend(after);
     }
     // Who waits outside comes again by another door: on the way there nobody sees them.
     knots.dedup_by(|b, a| b.time_s <= a.time_s + 1e-6);
@@ -323,7 +326,11 @@ pub fn steps(
 ) -> Result<Option<(f64, Vec<StepFile>)>, ScriptError> {
     let knots = simplified(knots);
     let Some(first) = knots.first() else { return Ok(None) };
-    let blank = StepFile::default();
+    let walk = |to: DVec2, speed_m_per_s: Option<f64>| StepFile {
+        walk_to_m: Some(to.to_array()),
+        speed_m_per_s,
+        ..StepFile::default()
+    };
     // From a little farther off, so that who stands faces the radar.
     let away = (first.place - radar).normalize_or(DVec2::X);
     let moves = |a: &Knot, b: &Knot| a.place.distance(b.place) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
@@ -335,12 +342,11 @@ pub fn steps(
     let mut start_s = first.time_s;
     if waits {
         start_s -= ARRIVAL_S;
-        let from = first.place + 0.25 * away;
-        steps.push(StepFile { walk_to_m: Some(from.to_array()), ..blank.clone() });
-        steps.push(StepFile { walk_to_m: Some(first.place.to_array()), speed_m_per_s: Some(0.25), ..blank.clone() });
-        steps.push(still(ARRIVAL_S - 1.0, seated, &blank));
+        steps.push(walk(first.place + 0.25 * away, None));
+        steps.push(walk(first.place, Some(0.25)));
+        steps.push(still(ARRIVAL_S - 1.0, seated));
     } else {
-        steps.push(StepFile { walk_to_m: Some(first.place.to_array()), ..blank.clone() });
+        steps.push(walk(first.place, None));
     }
     let (mut at, mut now_s) = (first.place, first.time_s);
     for knot in knots.iter().skip(1) {
@@ -357,14 +363,10 @@ pub fn steps(
         if speed < SPEEDS_M_PER_S[0] || way_m < 2e-3 {
             match steps.last_mut() {
                 Some(StepFile { stand_s: Some(s), .. } | StepFile { sit_s: Some(s), .. }) => *s += time_s,
-                _ => steps.push(still(time_s, seated, &blank)),
+                _ => steps.push(still(time_s, seated)),
             }
         } else {
-            steps.push(StepFile {
-                walk_to_m: Some(knot.place.to_array()),
-                speed_m_per_s: Some(speed),
-                ..blank.clone()
-            });
+            steps.push(walk(knot.place, Some(speed)));
             at = knot.place;
         }
     }
@@ -377,12 +379,9 @@ pub fn steps(
     Ok(Some((start_s, steps)))
 }
 
-fn still(time_s: f64, seated: bool, blank: &StepFile) -> StepFile {
-    if seated {
-        StepFile { sit_s: Some(time_s), ..blank.clone() }
-    } else {
-        StepFile { stand_s: Some(time_s), ..blank.clone() }
-    }
+fn still(time_s: f64, seated: bool) -> StepFile {
+    let (sit_s, stand_s) = if seated { (Some(time_s), None) } else { (None, Some(time_s)) };
+    StepFile { sit_s, stand_s, ..StepFile::default() }
 }
 
 /// The fewest of the knots between which straight walks at even speed stay within [`LEG_M`] of all (Ramer, Douglas and

@@ -267,42 +267,52 @@ struct Measure {
     doubt: f64,
 }
 
+/// Measures from the echoes of a tracklet, by frame from its first to its last.
+struct Seen<'a> {
+    frames: Vec<&'a Detections>,
+    measures: Vec<Vec<Measure>>,
+    /// Levels of the echoes over noise, dB.
+    snr_db: Vec<Option<f64>>,
+    /// Times, s, and rough places.
+    places: Vec<(f64, DVec2)>,
+}
+
+impl<'a> Seen<'a> {
+    fn new(detections: &'a [Detections], places: &[Place], sensor: &Sensor) -> Option<Self> {
+        let (first, last) = (places.first()?.0, places.last()?.0);
+        let frames: Vec<&Detections> = detections.iter().take(last + 1).skip(first).collect();
+        let measures = frames.iter().map(|_| Vec::new()).collect();
+        let snr_db = vec![None; frames.len()];
+        let mut seen = Seen { frames, measures, snr_db, places: Vec::new() };
+        for &(frame, echo) in places {
+            let index = frame - first;
+            let Some(detected) = seen.frames.get(index) else { continue };
+            let Some(echo) = detected.echoes.get(echo) else { continue };
+            let (Some(row), Some(level)) = (seen.measures.get_mut(index), seen.snr_db.get_mut(index)) else { continue };
+            *level = Some(echo.snr_db);
+            let noise = 10f64.powf(-0.05 * echo.snr_db);
+            let mut add = |which, value, sigma: f64| row.push(Measure { which, value, sigma, doubt: 1.0 });
+            add(0, echo.range_m, RANGE_M * if echo.is_still { 2.0 } else { 1.0 });
+            add(1, echo.velocity_m_per_s, SPEED_M_PER_S);
+            let cosine = echo.cosines.first().copied().unwrap_or(Some(0.0));
+            if let Some(cosine) = cosine {
+                let at = sensor.place(echo.range_m, cosine);
+                let pull = sensor.merged_repeats(at.x, at.y).1;
+                let across = ACROSS_M / echo.range_m.max(0.3);
+                add(2, cosine, (COSINE.powi(2) + pull * pull + across.powi(2) + noise * noise).sqrt());
+            }
+            seen.places.push((detected.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
+        }
+        Some(seen)
+    }
+}
+
 /// The trajectory of a tracklet, a state for each frame from its first to its last.
 pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
-    let (Some(first), Some(last)) = (places.first().map(|p| p.0), places.last().map(|p| p.0)) else {
+    let Some(Seen { frames, mut measures, snr_db, places: seen }) = Seen::new(detections, places, sensor) else {
         return Vec::new();
     };
-    let frames: Vec<&Detections> = detections.iter().take(last + 1).skip(first).collect();
-    let mut measures: Vec<Vec<Measure>> = frames.iter().map(|_| Vec::new()).collect();
-    let mut snr_db = vec![None; frames.len()];
-    let mut seen: Vec<(f64, DVec2)> = Vec::new();
-    for &(frame, echo) in places {
-        let Some(echo) = detections.get(frame).and_then(|detected| detected.echoes.get(echo)) else { continue };
-        let Some((row, (level, detected))) =
-            measures.get_mut(frame - first).zip(snr_db.get_mut(frame - first).zip(frames.get(frame - first)))
-        else {
-            continue;
-        };
-        *level = Some(echo.snr_db);
-        let noise = 10f64.powf(-0.05 * echo.snr_db);
-        let mut add = |which, value, sigma: f64| row.push(Measure { which, value, sigma, doubt: 1.0 });
-        add(0, echo.range_m, RANGE_M * if echo.is_still { 2.0 } else { 1.0 });
-        add(1, echo.velocity_m_per_s, SPEED_M_PER_S);
-        let cosine = match echo.cosines.first() {
-            Some(cosine) => *cosine,
-            None => Some(0.0),
-        };
-        if let Some(cosine) = cosine {
-            let at = sensor.place(echo.range_m, cosine);
-            let pull = sensor.merged_repeats(at.x, at.y).1;
-            add(
-                2,
-                cosine,
-                (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt(),
-            );
-        }
-        seen.push((detected.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
-    }
+    let first = places.first().map_or(0, |place| place.0);
     let mut states = first_guess(&frames, &seen);
     let mut sigmas = vec![0.0; states.len()];
     let mut restless = vec![4.0; states.len()];
@@ -374,6 +384,15 @@ fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
     frames.iter().map(guess).collect()
 }
 
+/// A frame's part of the filter: the step from the frame before, the state and covariance that this foretells, and those that the
+/// frame's measures make of them.
+#[derive(Clone, Copy)]
+struct Filtered {
+    step: DMat4,
+    predicted: (DVec4, DMat4),
+    filtered: (DVec4, DMat4),
+}
+
 /// Forth and back once, with all measures linear about `about`. States, and standard deviations of the places.
 fn once(
     frames: &[&Detections],
@@ -386,8 +405,7 @@ fn once(
     // Little is known before.
     let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
     let mut before_s = frames.first().map_or(0.0, |detected| detected.time_s);
-    // Of each frame: what the frame before made of it, and what its echo added; and how it came from there.
-    let mut passed: Vec<(DMat4, DVec4, DMat4, DVec4, DMat4)> = Vec::with_capacity(frames.len());
+    let mut passed: Vec<Filtered> = Vec::with_capacity(frames.len());
     for ((detected, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
         let dt = detected.time_s - before_s;
         before_s = detected.time_s;
@@ -416,26 +434,28 @@ fn once(
             covariance -= taken;
             covariance = (covariance + covariance.transpose()) * 0.5;
         }
-        passed.push((step, predicted.0, predicted.1, state, covariance));
+        passed.push(Filtered { step, predicted, filtered: (state, covariance) });
     }
-    let mut states = vec![state; passed.len()];
-    let mut sigmas = vec![0.0; passed.len()];
-    let mut after: Option<(DMat4, DVec4, DMat4, DVec4, DMat4)> = None;
-    for (i, (step, predicted, predicted_covariance, filtered, filtered_covariance)) in
-        passed.into_iter().enumerate().rev()
-    {
-        let (mut state, mut covariance) = (filtered, filtered_covariance);
-        if let Some((step, predicted, predicted_covariance, later, later_covariance)) = after {
-            let gain = filtered_covariance * step.transpose() * predicted_covariance.inverse();
-            state = filtered + gain * (later - predicted);
-            covariance = filtered_covariance + gain * (later_covariance - predicted_covariance) * gain.transpose();
+    back(&passed)
+}
+
+/// States by all measures, later ones too, from those by earlier ones.
+fn back(passed: &[Filtered]) -> (Vec<DVec4>, Vec<f64>) {
+    let (mut states, mut sigmas) = (Vec::with_capacity(passed.len()), Vec::with_capacity(passed.len()));
+    let mut after: Option<(Filtered, DVec4, DMat4)> = None;
+    for frame in passed.iter().rev() {
+        let (mut state, mut covariance) = frame.filtered;
+        if let Some((Filtered { step, predicted, .. }, later, later_covariance)) = after {
+            let gain = frame.filtered.1 * step.transpose() * predicted.1.inverse();
+            state = frame.filtered.0 + gain * (later - predicted.0);
+            covariance = frame.filtered.1 + gain * (later_covariance - predicted.1) * gain.transpose();
         }
-        if let (Some(s), Some(sigma)) = (states.get_mut(i), sigmas.get_mut(i)) {
-            *s = state;
-            *sigma = (covariance.x_axis.x + covariance.y_axis.y).max(0.0).sqrt();
-        }
-        after = Some((step, predicted, predicted_covariance, state, covariance));
+        states.push(state);
+        sigmas.push((covariance.x_axis.x + covariance.y_axis.y).max(0.0).sqrt());
+        after = Some((*frame, state, covariance));
     }
+    states.reverse();
+    sigmas.reverse();
     (states, sigmas)
 }
 

@@ -12,6 +12,7 @@ mod systemd;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -100,22 +101,9 @@ impl Integrations {
             .thread_name("integrations")
             .enable_all()
             .build()?;
-        let _inside = runtime.enter();
+        let inside = runtime.enter();
         if let Some(address) = arguments.metrics {
-            let token = access.token()?;
-            if token.is_none() && !address.ip().is_loopback() {
-                bail!(
-                    "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE \
-                     protects them, and Prometheus is given the file as authorization: credentials_file"
-                );
-            }
-            let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
-                format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
-            })?;
-            let address = listener.local_addr()?;
-            eprintln!("metrics: http://{address}/metrics");
-            let access = Access::new(address, access, token.as_ref());
-            tokio::spawn(http::serve(listener, access, latest.clone(), reports.clone()));
+            serve_metrics(&runtime, address, access, latest.clone(), reports.clone())?;
         }
         if let Some(broker) = arguments.broker.broker()? {
             let name = arguments.mqtt_name.as_deref();
@@ -135,7 +123,7 @@ impl Integrations {
                 }
             });
         }
-        drop(_inside);
+        drop(inside);
         integrations.runtime = Some(runtime);
         Ok(integrations)
     }
@@ -144,6 +132,31 @@ impl Integrations {
     pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
         std::mem::take(&mut self.sinks)
     }
+}
+
+/// Opens the metrics' port, which the network reaches only with a token.
+fn serve_metrics(
+    runtime: &Runtime,
+    address: SocketAddr,
+    access: &access::Arguments,
+    latest: Arc<Latest>,
+    reports: Option<Reports>,
+) -> anyhow::Result<()> {
+    let token = access.token()?;
+    if token.is_none() && !address.ip().is_loopback() {
+        bail!(
+            "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE protects \
+             them, and Prometheus is given the file as authorization: credentials_file"
+        );
+    }
+    let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
+        format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
+    })?;
+    let address = listener.local_addr()?;
+    eprintln!("metrics: http://{address}/metrics");
+    let access = Access::new(address, access, token.as_ref());
+    runtime.spawn(http::serve(listener, access, latest, reports));
+    Ok(())
 }
 
 fn report_false_alarm(reports: &Reports) {

@@ -80,12 +80,10 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             transport.play();
         }
         Command::Pause => transport()?.pause(),
-        Command::Speed { times } => {
-            if !(0.0..=MOST_SPEED).contains(&times) {
-                bail!("a speed of {times} times, expected 0 to {MOST_SPEED}");
-            }
-            transport()?.set_speed(times);
+        Command::Speed { times } if !(0.0..=MOST_SPEED).contains(&times) => {
+            bail!("a speed of {times} times, expected 0 to {MOST_SPEED}")
         }
+        Command::Speed { times } => transport()?.set_speed(times),
         Command::Seek { time_s } => {
             let transport = transport()?;
             if !time_s.is_finite() {
@@ -99,12 +97,10 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             shared.labels.before_jump();
             transport.seek_frame(sequence);
         }
-        Command::Step { frames } => {
-            if !(-100..=100).contains(&frames) {
-                bail!("a step of {frames} frames, expected -100 to 100");
-            }
-            transport()?.step(frames);
+        Command::Step { frames } if !(-100..=100).contains(&frames) => {
+            bail!("a step of {frames} frames, expected -100 to 100")
         }
+        Command::Step { frames } => transport()?.step(frames),
         Command::Label { occupancy, who } => edit(Edit::Press(occupancy, name(who)?))?,
         Command::Stop => edit(Edit::Stop)?,
         Command::Move { id, start_s, end_s } => edit(Edit::Move(id, start_s, end_s))?,

@@ -4,10 +4,10 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -15,8 +15,10 @@ use axum::{Extension, Router};
 use radome_driver::recording::label_text;
 use serde_json::json;
 use tokio::net::TcpListener;
+use tokio::sync::mpsc;
 
 use super::control;
+use super::feed::PageId;
 use super::policy::Refusal;
 use super::shared::Shared;
 use crate::live::access::{self, Access};
@@ -73,9 +75,6 @@ pub async fn serve(listener: TcpListener, shared: Arc<Shared>) {
         .route("/", get(|| async { file("") }))
         .route("/stream", get(stream))
         .route("/health.json", get(health))
-        .route("/labels.json", get(labels_json))
-        .route("/labels.txt", get(labels_audacity))
-        .route("/labels.label", get(labels_deepcraft))
         .route("/{file}", get(named))
         .fallback(|| async { StatusCode::NOT_FOUND })
         .layer(middleware::from_fn_with_state(shared.clone(), guard))
@@ -166,35 +165,23 @@ fn file(name: &str) -> Response {
     }
 }
 
-async fn named(Path(name): Path<String>) -> Response {
-    file(&name)
+/// A file of the page, or the labels as a file.
+async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> Response {
+    let labels = || shared.labels.labels();
+    let (kind, text) = match name.as_str() {
+        "labels.json" => ("application/json", json!(labels()).to_string()),
+        "labels.txt" => ("text/plain; charset=utf-8", label_text::to_audacity(&labels())),
+        "labels.label" => ("text/csv; charset=utf-8", label_text::to_deepcraft(&labels())),
+        _ => return file(&name),
+    };
+    let attachment = format!("attachment; filename=\"{name}\"");
+    let headers = [(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, attachment)];
+    (headers, text).into_response()
 }
 
 async fn health(State(shared): State<Arc<Shared>>) -> Response {
     let told = json!({ "pages": shared.feed.pages(), "refused": shared.policy.refused() });
     ([(header::CONTENT_TYPE, "application/json")], told.to_string()).into_response()
-}
-
-fn download(name: &'static str, kind: &'static str, text: String) -> Response {
-    let mut headers = HeaderMap::new();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    headers.insert(header::CONTENT_DISPOSITION, HeaderValue::from_static(name));
-    (headers, text).into_response()
-}
-
-async fn labels_json(State(shared): State<Arc<Shared>>) -> Response {
-    let text = json!(shared.labels.labels()).to_string();
-    download("attachment; filename=\"labels.json\"", "application/json", text)
-}
-
-async fn labels_audacity(State(shared): State<Arc<Shared>>) -> Response {
-    let text = label_text::to_audacity(&shared.labels.labels());
-    download("attachment; filename=\"labels.txt\"", "text/plain; charset=utf-8", text)
-}
-
-async fn labels_deepcraft(State(shared): State<Arc<Shared>>) -> Response {
-    let text = label_text::to_deepcraft(&shared.labels.labels());
-    download("attachment; filename=\"labels.label\"", "text/csv; charset=utf-8", text)
 }
 
 async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) -> Response {
@@ -220,89 +207,101 @@ struct Told {
     refused: Option<serde_json::Value>,
 }
 
-/// Until the page goes, is thrown out, or the run is over.
-async fn converse(
-    mut socket: WebSocket,
-    shared: &Shared,
-    page: super::feed::PageId,
-    mut pictures: tokio::sync::mpsc::Receiver<axum::body::Bytes>,
-) {
-    let mut told = Told::default();
+/// Talks until the page goes, is thrown out, or the run is over.
+async fn converse(socket: WebSocket, shared: &Shared, page: PageId, mut pictures: mpsc::Receiver<Bytes>) {
+    let now = Instant::now();
+    let (told, heard, pinged, second) = (Told::default(), now, now, now);
+    let mut page = Visitor { socket, shared, page, told, heard, pinged, second, messages: 0, malformed: 0 };
     let mut tick = tokio::time::interval(TICK);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let (mut heard, mut pinged) = (Instant::now(), Instant::now());
-    let (mut second, mut messages, mut malformed) = (Instant::now(), 0, 0);
-    if !say(&mut socket, shared.about.hello()).await {
-        return;
-    }
-    loop {
-        tokio::select! {
-            said = socket.recv() => match said {
-                None => return,
-                Some(Err(error)) => {
-                    let is_size = std::error::Error::source(&error).is_some_and(|e| e.to_string().contains("too long"))
-                        || error.to_string().contains("too long");
-                    shared.policy.count(if is_size { Refusal::Oversized } else { Refusal::Message });
-                    return;
-                }
-                Some(Ok(Message::Close(_))) => return,
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => heard = Instant::now(),
-                Some(Ok(message)) => {
-                    heard = Instant::now();
-                    if second.elapsed() >= Duration::from_secs(1) {
-                        (second, messages) = (Instant::now(), 0);
-                    }
-                    messages += 1;
-                    if messages > MOST_MESSAGES {
-                        shared.policy.count(Refusal::Flood);
-                        return throw_out(&mut socket, "too many messages").await;
-                    }
-                    let obeyed = match &message {
-                        Message::Text(text) => control::handle(shared, page, text.as_str()),
-                        _ => Err(anyhow::anyhow!("that is no message of this page")),
-                    };
-                    if let Err(error) = obeyed {
-                        if error.downcast_ref::<serde_json::Error>().is_some() || matches!(message, Message::Binary(_)) {
-                            shared.policy.count(Refusal::Message);
-                            malformed += 1;
-                            if malformed > MOST_MALFORMED {
-                                return throw_out(&mut socket, "too many malformed messages").await;
-                            }
-                        }
-                        if !say(&mut socket, json!({ "refused": crate::output::chain(&error) })).await {
-                            return;
-                        }
-                    }
-                }
-            },
+    let mut stays = say(&mut page.socket, shared.about.hello()).await;
+    while stays {
+        stays = tokio::select! {
+            said = page.socket.recv() => page.hear(said).await,
             picture = pictures.recv() => match picture {
-                Some(picture) => {
-                    if !send(&mut socket, Message::Binary(picture)).await {
-                        return;
-                    }
-                }
-                None => return,
+                Some(picture) => send(&mut page.socket, Message::Binary(picture)).await,
+                None => false,
             },
-            _ = tick.tick() => {
-                if !news(&mut socket, shared, &mut told).await {
-                    return;
-                }
-                let over = shared.over().clone();
-                if let Some(over) = over {
-                    say(&mut socket, over).await;
-                    return throw_out(&mut socket, "the run is over").await;
-                }
-                if heard.elapsed() > SILENCE {
-                    return;
-                }
-                if pinged.elapsed() > PING {
-                    pinged = Instant::now();
-                    if !send(&mut socket, Message::Ping(axum::body::Bytes::new())).await {
-                        return;
-                    }
-                }
+            _ = tick.tick() => page.look_after().await,
+        };
+    }
+}
+
+/// A page that is connected. Its methods say whether it stays.
+struct Visitor<'a> {
+    socket: WebSocket,
+    shared: &'a Shared,
+    page: PageId,
+    told: Told,
+    /// Times of its last whole message, and of the last ping.
+    heard: Instant,
+    pinged: Instant,
+    /// Begin of the second in which `messages` are counted.
+    second: Instant,
+    messages: u32,
+    malformed: u32,
+}
+
+impl Visitor<'_> {
+    async fn hear(&mut self, said: Option<Result<Message, axum::Error>>) -> bool {
+        match said {
+            None | Some(Ok(Message::Close(_))) => false,
+            Some(Err(error)) => {
+                let is_size = std::error::Error::source(&error).is_some_and(|e| e.to_string().contains("too long"))
+                    || error.to_string().contains("too long");
+                self.shared.policy.count(if is_size { Refusal::Oversized } else { Refusal::Message });
+                false
+            }
+            Some(Ok(message)) => {
+                self.heard = Instant::now();
+                matches!(message, Message::Ping(_) | Message::Pong(_)) || self.obey(&message).await
             }
         }
+    }
+
+    /// Does what a message asks for, unless there are too many.
+    async fn obey(&mut self, message: &Message) -> bool {
+        if self.second.elapsed() >= Duration::from_secs(1) {
+            (self.second, self.messages) = (Instant::now(), 0);
+        }
+        self.messages += 1;
+        if self.messages > MOST_MESSAGES {
+            self.shared.policy.count(Refusal::Flood);
+            return throw_out(&mut self.socket, "too many messages").await;
+        }
+        let obeyed = match message {
+            Message::Text(text) => control::handle(self.shared, self.page, text.as_str()),
+            _ => Err(anyhow::anyhow!("that is no message of this page")),
+        };
+        let Err(error) = obeyed else { return true };
+        if error.downcast_ref::<serde_json::Error>().is_some() || matches!(message, Message::Binary(_)) {
+            self.shared.policy.count(Refusal::Message);
+            self.malformed += 1;
+            if self.malformed > MOST_MALFORMED {
+                return throw_out(&mut self.socket, "too many malformed messages").await;
+            }
+        }
+        say(&mut self.socket, json!({ "refused": crate::output::chain(&error) })).await
+    }
+
+    /// Sends news and pings; gives up a page that is silent, and says farewell at the end of the run.
+    async fn look_after(&mut self) -> bool {
+        if !news(&mut self.socket, self.shared, &mut self.told).await {
+            return false;
+        }
+        let over = self.shared.over().clone();
+        if let Some(over) = over {
+            say(&mut self.socket, over).await;
+            return throw_out(&mut self.socket, "the run is over").await;
+        }
+        if self.heard.elapsed() > SILENCE {
+            return false;
+        }
+        if self.pinged.elapsed() <= PING {
+            return true;
+        }
+        self.pinged = Instant::now();
+        send(&mut self.socket, Message::Ping(Bytes::new())).await
     }
 }
 
@@ -349,6 +348,8 @@ async fn send(socket: &mut WebSocket, message: Message) -> bool {
     matches!(tokio::time::timeout(SLOWEST_SEND, socket.send(message)).await, Ok(Ok(())))
 }
 
-async fn throw_out(socket: &mut WebSocket, why: &'static str) {
+/// Closes the connection. The page does not stay: `false`.
+async fn throw_out(socket: &mut WebSocket, why: &'static str) -> bool {
     send(socket, Message::Close(Some(CloseFrame { code: 1008, reason: why.into() }))).await;
+    false
 }

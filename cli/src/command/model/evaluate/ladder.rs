@@ -62,20 +62,17 @@ pub fn run(
                 .judge(&mut candidates, &mut scores, keep, &bar)
                 .with_context(|| format!("rung {}, recording {}", rung.name, simulation.name))?;
         }
-        for (all, scores) in all.iter_mut().zip(scores) {
-            all.push(scores);
-        }
+        all.iter_mut().zip(scores).for_each(|(all, scores)| all.push(scores));
     }
     bar.finish_and_clear();
     let answers: Vec<OfModel> =
         candidates.iter().zip(&all).map(|(candidate, scores)| OfModel::new(candidate.path(), &rungs, scores)).collect();
-    let fitted = if fit {
-        let groups: Vec<Vec<FilterSequence>> =
-            all.iter_mut().flatten().map(|scores| std::mem::take(&mut scores.sequences)).collect();
+    let fit = fit.then(|| {
+        let sequences = |scores: &mut RungScores| std::mem::take(&mut scores.sequences);
+        let groups: Vec<Vec<FilterSequence>> = all.iter_mut().flatten().map(sequences).collect();
         fit_smoothing(&groups, Smoothing::default().newest)
-    } else {
-        None
-    };
+    });
+    let fitted = fit.flatten();
     if json {
         let of_rung = |rung: &Rung| {
             let frames: u64 = rung.simulations.iter().map(|simulation| simulation.frames).sum();

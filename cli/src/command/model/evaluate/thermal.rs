@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::{Frame, FrameSource};
 use rand_distr::{Distribution, Normal};
 
 use crate::dataset::thermal::signal_squares;
+use crate::source;
 
 /// Gaussian noise on every sample, before it is a code again.
 pub struct ThermalNoise {
@@ -27,15 +28,9 @@ impl ThermalNoise {
         let shape = source.waveform().shape();
         let mut frame = Frame::zeroed(shape);
         let (mut sum, mut count) = (0.0, 0u64);
-        loop {
-            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => {}
-                SourceEvent::Frame => {
-                    sum += signal_squares(&frame.codes, shape.samples);
-                    count += frame.codes.len() as u64;
-                }
-            }
+        while source::next_frame(&mut source, &mut frame)? {
+            sum += signal_squares(&frame.codes, shape.samples);
+            count += frame.codes.len() as u64;
         }
         let sigma = (sum / count.max(1) as f64 / 10f64.powf(0.1 * snr_db)).sqrt();
         Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: snr_db.to_bits() })

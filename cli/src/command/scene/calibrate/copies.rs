@@ -2,14 +2,14 @@
 
 use anyhow::Context;
 use radome_dsp::statistics::{MotionLine, Regions, SlowTimeStatistics};
-use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_dsp::{Frame, Waveform};
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, ChannelFit, LEAST_FRAMES};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use super::arguments::{Arguments, WINDOW_S};
 use super::sample::{Sample, Sampler};
-use crate::output;
+use crate::{output, source};
 
 /// A scene to be simulated through one receiver after the other.
 pub struct Copies {
@@ -117,7 +117,7 @@ impl Copies {
         let options = SimulateOptions { seed, people, frames: Some(self.frames), ..SimulateOptions::default() };
         let mut simulator = Simulator::new(&self.scene.clone().with_receiver(receiver.clone()), options)?;
         let mut frame = Frame::zeroed(self.scene.waveform().shape());
-        while simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? == SourceEvent::Frame {
+        while source::next_frame(&mut simulator, &mut frame)? {
             visit(&frame)?;
         }
         Ok(())

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use radome_driver::recording::Recording;
-use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_sim::receiver::calibration::LEAST_FRAMES;
 
-use crate::output;
+use crate::{output, source};
 
 /// Recordings of one waveform, each cut in two.
 pub struct Recordings {
@@ -119,19 +119,13 @@ impl Cut {
         let bar = output::progress(self.frames, what);
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut index = 0;
-        loop {
-            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => {}
-                SourceEvent::Frame => {
-                    let is_fitted = index < self.fitted;
-                    let (at, of) =
-                        if is_fitted { (index, self.fitted) } else { (index - self.fitted, self.frames - self.fitted) };
-                    visit(Place { is_fitted, in_part: at as f64 / of.max(1) as f64 }, &frame)?;
-                    index += 1;
-                    bar.inc(1);
-                }
-            }
+        while source::next_frame(&mut source, &mut frame)? {
+            let is_fitted = index < self.fitted;
+            let (at, of) =
+                if is_fitted { (index, self.fitted) } else { (index - self.fitted, self.frames - self.fitted) };
+            visit(Place { is_fitted, in_part: at as f64 / of.max(1) as f64 }, &frame)?;
+            index += 1;
+            bar.inc(1);
         }
         bar.finish_and_clear();
         Ok(())

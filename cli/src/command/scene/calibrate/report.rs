@@ -124,12 +124,26 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
     if is_json {
         return output::json_line(answer);
     }
-    let line = |text: String| output::text_line(&text);
-    line(format!(
+    output::text_line(&format!(
         "fitted to {} frames, judged by {} others beside {} copies",
         answer.frames_fitted, answer.frames_judged, answer.copies
     ))?;
-    line(format!(
+    channels(answer)?;
+    still(answer)?;
+    if let Some(lines) = &answer.line {
+        slow_time(lines)?;
+    }
+    let residuals: Vec<String> = answer.fit_residual_lsb.iter().map(|r| format!("{r:.1}")).collect();
+    output::text_line(&format!("the fit leaves {} LSB rms of the mean chirps", residuals.join(", ")))?;
+    match answer.receiver {
+        Some(path) => output::text_line(&format!("{} written", path.display())),
+        None => Ok(()),
+    }
+}
+
+/// The table of receivers, simulated and real.
+fn channels(answer: &Answer) -> anyhow::Result<()> {
+    output::text_line(&format!(
         "{:>9} {:>3} {:>16} {:>9} {:>14} {:>12} {:>23} {:>6} {:>6} {:>11} {:>12} {:>7} {:>6}",
         "receiver",
         "RX",
@@ -154,15 +168,22 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
                 100.0 * channel.leakage_error
             );
             let [low, high] = channel.interval.get("wasserstein_db").copied().unwrap_or_default();
-            let interval = format!("{low:.2}..{high:.2}");
-            line(format!("{which:>9} {:>3} {receiver} {}", channel.rx, figures(&channel.figures, &interval)))?;
+            let figures = figures(&channel.figures, &format!("{low:.2}..{high:.2}"));
+            output::text_line(&format!("{which:>9} {:>3} {receiver} {figures}", channel.rx))?;
         }
     }
     for (rx, between) in answer.between_real.iter().enumerate() {
-        line(format!("{:>9} {:>3} {:>26} {}", "real", rx + 1, "", figures(between, "")))?;
+        output::text_line(&format!("{:>9} {:>3} {:>26} {}", "real", rx + 1, "", figures(between, "")))?;
     }
-    line(format!("intervals: {} drawn anew; real: between them, or between the two parts of one", answer.resampled))?;
-    line(match &answer.clutter {
+    let resampled = answer.resampled;
+    output::text_line(&format!(
+        "intervals: {resampled} drawn anew; real: between them, or between the two parts of one"
+    ))
+}
+
+/// Lines of what stands still: its jitter, and its level.
+fn still(answer: &Answer) -> anyhow::Result<()> {
+    output::text_line(&match &answer.clutter {
         Some(clutter) => format!(
             "clutter jitters by {:.0} mrad and {:.1} % and drifts by {:.2} rad in ten seconds, from {} bins that stand still",
             1e3 * clutter.phase_jitter_rad,
@@ -172,26 +193,16 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
         ),
         None => "clutter jitters as the base has it: too little stands still".to_owned(),
     })?;
-    if let Some(gain) = &answer.gain {
-        line(match (gain.gain_db, gain.error_db) {
-            (Some(db), Some(error)) => {
-                format!("echoes {db:+.1} dB +- {error:.1}, from {} bins of {} that stand still", gain.bins, gain.of)
-            }
-            _ => format!(
-                "echoes as the base has them: {} bins of {} beyond {LEAST_RANGE_M} m stand still in both and above noise, {LEAST_BINS} are needed",
-                gain.bins, gain.of
-            ),
-        })?;
-    }
-    if let Some(lines) = &answer.line {
-        slow_time(lines)?;
-    }
-    let residuals: Vec<String> = answer.fit_residual_lsb.iter().map(|r| format!("{r:.1}")).collect();
-    line(format!("the fit leaves {} LSB rms of the mean chirps", residuals.join(", ")))?;
-    match answer.receiver {
-        Some(path) => line(format!("{} written", path.display())),
-        None => Ok(()),
-    }
+    let Some(Gain { gain_db, error_db, bins, of }) = &answer.gain else { return Ok(()) };
+    output::text_line(&match (gain_db, error_db) {
+        (Some(db), Some(error)) => {
+            format!("echoes {db:+.1} dB +- {error:.1}, from {bins} bins of {of} that stand still")
+        }
+        _ => format!(
+            "echoes as the base has them: {bins} bins of {of} beyond {LEAST_RANGE_M} m stand still in both and above noise, \
+             {LEAST_BINS} are needed"
+        ),
+    })
 }
 
 /// The columns of maps.
