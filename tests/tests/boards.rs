@@ -93,11 +93,9 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
 fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    simulate(40, &fed);
-    let (mut board, port) = emulate(&fed, &["--protocol", "esp32"]);
+    desk(40, &fed);
+    let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
     let judged = json_lines(radome().args(["live", &format!("serial:{port}"), "--frames", "10", "--json"]));
-    let _ = board.kill();
-    let _ = board.wait();
     assert!(judged.iter().filter(|line| line["probabilities"].is_array()).count() >= 10, "{judged:?}");
 }
 

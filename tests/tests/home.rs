@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, emulated_board, free_port, wait_for};
-use radome_tests::{emulated_corridor, fixture, json_lines, live_command, radome, skip, subcommand};
+use radome_tests::{emulated_corridor, fixture, json_lines, live_command, skip, subcommand};
 use serde_json::Value;
 
 /// Id of the emulated board.

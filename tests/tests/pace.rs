@@ -182,7 +182,7 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run.mcap");
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {}", frames + 20), &run);
-    let (board, port) = emulated_board(&run, &["--speed", "1"]);
+    let (_board, port) = emulated_board(&run, &["--speed", "1"]);
     let night = folder.path().join("night.mcap");
     let options = format!("--json --frames {frames} --view --listen 127.0.0.1:0 -o");
     let mut live = Running::start(live_command(format!("serial:{port}"), &options).arg(&night));

@@ -164,7 +164,7 @@ fn absence(roles: &[Role], person: usize, detections: &[Detections], from_s: f64
     let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
     let mut away = within.filter(|(k, l)| l.people <= others(roles, person, *k)).map(|(_, l)| l.time_s);
     let first_s = away.next()?;
-    Some((first_s, away.last().unwrap_or(first_s)))
+    Some((first_s, away.next_back().unwrap_or(first_s)))
 }
 
 fn knots(
