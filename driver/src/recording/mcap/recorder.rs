@@ -124,6 +124,20 @@ pub struct Recorder {
     message: u32,
 }
 
+/// Fields of the metadata record of a recording.
+fn metadata(header: &RecordingHeader) -> serde_json::Result<BTreeMap<String, String>> {
+    let mut fields = BTreeMap::from([
+        ("format_version".to_owned(), FORMAT_VERSION.to_string()),
+        ("waveform".to_owned(), serde_json::to_string(&header.waveform)?),
+        ("board".to_owned(), serde_json::to_string(&header.board)?),
+        ("registers".to_owned(), serde_json::to_string(&header.registers)?),
+    ]);
+    if let Some(judge) = &header.judge {
+        fields.insert("judge".to_owned(), serde_json::to_string(judge)?);
+    }
+    Ok(fields)
+}
+
 /// The schema and the channels of a recording, opcode and body.
 fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
     let mut definitions = vec![
@@ -181,16 +195,7 @@ impl Recorder {
         sync: Option<SyncOptions>,
     ) -> Result<Self, RecordingError> {
         let cannot = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be written", source };
-        let json = |value: serde_json::Result<String>| value.map_err(|e| cannot(io::Error::other(e)));
-        let mut metadata = BTreeMap::from([
-            ("format_version".to_owned(), FORMAT_VERSION.to_string()),
-            ("waveform".to_owned(), json(serde_json::to_string(&header.waveform))?),
-            ("board".to_owned(), json(serde_json::to_string(&header.board))?),
-            ("registers".to_owned(), json(serde_json::to_string(&header.registers))?),
-        ]);
-        if let Some(judge) = &header.judge {
-            metadata.insert("judge".to_owned(), json(serde_json::to_string(judge))?);
-        }
+        let metadata = metadata(header).map_err(|e| cannot(io::Error::other(e)))?;
         let mut pending = mcap::MAGIC.to_vec();
         record(&mut pending, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
         let metadata_start = pending.len();
