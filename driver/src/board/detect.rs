@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
+use super::host::{lost, open_port};
 use super::{BoardError, DeepcraftBoard, Esp32Stream, Mcu7Board};
-use crate::transport::serial::{open_port, read_more};
+use crate::transport::serial::read_more;
 use crate::transport::{Address, trace};
 
-const BAUD_RATE: u32 = 921_600;
 /// Longest silence of a board that prints by itself.
 const LISTEN: Duration = Duration::from_millis(300);
 /// Number of bytes that suffices to decide whether they are text.
@@ -49,12 +49,11 @@ impl Detected {
     /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
     /// The requests sent do not harm a board of another protocol.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
-        let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
+        let mut port = open_port(path)?;
         let mut heard = Vec::new();
         let began = Instant::now();
         while began.elapsed() < LISTEN && heard.len() < ENOUGH {
-            let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
-            read_more(&mut port, &mut heard).map_err(lost)?;
+            read_more(&mut port, &mut heard).map_err(lost(path))?;
         }
         if is_text(&heard) {
             trace::received(&heard);
