@@ -272,7 +272,7 @@ impl Quantity {
         Quantity { name, unit, origin, step: 1.0, range }
     }
 
-    /// Puts `n` into the field.
+    /// Field with `n` in it, if that lies in the range.
     fn in_field(&self, field: Field, n: i64, hint: &'static str) -> Result<(Field, u32), ChipError> {
         let at = |n: i64| self.origin + self.step * n as f64;
         let (least, most) = self.range;
