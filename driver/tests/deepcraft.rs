@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use prost::Message;
 use radome_driver::protocol::deepcraft::*;
 
-use crate::common::captured_waveform;
+use crate::common::{captured_waveform, unhex};
 
 const LAYOUT: ChunkLayout = ChunkLayout { device: 0, stream: 0, frame_codes: 40 };
 
@@ -97,9 +97,7 @@ fn receive(layout: ChunkLayout, first: u32, line: &[u8], pieces: &[usize], silen
 
 /// Bytes written as hexadecimal digits; what follows a bar is said of them.
 fn hex(text: &str) -> Vec<u8> {
-    let digits: String =
-        text.lines().filter_map(|line| line.split('|').next()).flat_map(str::split_whitespace).collect();
-    (0..digits.len() / 2).map(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16).expect("hex")).collect()
+    unhex(&text.lines().filter_map(|line| line.split('|').next()).flat_map(str::split_whitespace).collect::<String>())
 }
 
 /// The messages below were written by hand from the rules of protobuf (key = field << 3 | wire type; varints seven bits

@@ -20,6 +20,14 @@ impl Machine {
         Machine { folder: tempfile::tempdir().expect("a folder") }
     }
 
+    /// A machine with a serial board on its port.
+    fn with_board() -> Self {
+        let machine = Machine::new();
+        machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+        machine.give("1-1", "tty", "ttyACM0", "");
+        machine
+    }
+
     fn roots(&self) -> Roots {
         Roots { sys: self.folder.path().join("sys"), dev: self.folder.path().join("dev") }
     }
@@ -75,9 +83,7 @@ impl Machine {
 
 #[test]
 fn a_serial_board_is_one_candidate_with_its_usb_device() {
-    let machine = Machine::new();
-    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-    machine.give("1-1", "tty", "ttyACM0", "");
+    let machine = Machine::with_board();
     let found = machine.found();
     let [board] = found.as_slice() else { panic!("{found:?}") };
     let path = machine.roots().dev.join("ttyACM0");
@@ -186,9 +192,7 @@ fn candidate_at(machine: &Machine, board: &EmulatedBoard) -> Candidate {
 
 #[test]
 fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
-    let machine = Machine::new();
-    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-    machine.give("1-1", "tty", "ttyACM0", "");
+    let machine = Machine::with_board();
     let waveform = common::waveform(&[1, 2, 3], 8, 64, 0.1);
     let state = |faults: &[Fault]| {
         let board = common::board(&waveform, 10, Kind::default(), faults);
@@ -240,9 +244,7 @@ fn left(board: &EmulatedBoard) -> Option<Waveform> {
 /// Found by hand: after `radome board list` nothing could be recorded without naming the waveform anew.
 #[test]
 fn whoever_was_asked_keeps_what_it_was_programmed_with() {
-    let machine = Machine::new();
-    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-    machine.give("1-1", "tty", "ttyACM0", "");
+    let machine = Machine::with_board();
     let waveform = common::waveform(&[1, 3], 8, 64, 0.1);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
         let board = common::board(&waveform, 1000, kind, &[]);
@@ -272,9 +274,7 @@ mod hard_cases {
     /// Devices come and go while they are looked at: half of one is none.
     #[test]
     fn half_a_device_is_no_device_and_nonsense_is_none() {
-        let machine = Machine::new();
-        machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-        machine.give("1-1", "tty", "ttyACM0", "");
+        let machine = Machine::with_board();
         let device = machine.roots().sys.join("devices/usb1/1-1");
         fs::write(device.join("idProduct"), "zz\n").expect("written");
         fs::write(device.join("serial"), [0xFF, 0xFE]).expect("written");

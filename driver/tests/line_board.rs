@@ -2,14 +2,13 @@
 
 use std::time::Duration;
 
-use radome_driver::{EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, Pace, Reconnect};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{self, POLICY, Pattern, read_frames, waveform};
 
 fn board(source: Pattern) -> EmulatedBoard {
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Esp32, ..EmulatorOptions::default() };
-    EmulatedBoard::spawn(Box::new(source), options).expect("a pty")
+    EmulatedBoard::spawn(Box::new(source), common::options(Kind::Esp32, &[])).expect("a pty")
 }
 
 #[test]
@@ -44,33 +43,11 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
     let folder = tempfile::tempdir().expect("folder");
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let fault = Fault::Unplug { packet: 60, duration: Duration::from_millis(50) };
-    let options = EmulatorOptions {
-        pace: Pace::AsFastAsRead,
-        kind: Kind::Esp32,
-        faults: vec![fault],
-        link: Some(folder.path().join("board")),
-        ..EmulatorOptions::default()
-    };
+    let options = EmulatorOptions { link: Some(folder.path().join("board")), ..common::options(Kind::Esp32, &[fault]) };
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("a pty");
-    let policy = Reconnect { longest_wait: Duration::from_millis(50), ..Reconnect::default() };
-    let mut stream = Esp32Stream::open(board.path(), Some(&w)).expect("opens").with_reconnect(policy);
-    let mut frame = Frame::zeroed(w.shape());
-    let (mut next, mut lost) = (0, 0);
-    while next < 100 {
-        match stream.next_frame(&mut frame).expect("comes back") {
-            SourceEvent::Frame => {
-                assert_eq!(frame.sequence, next);
-                next += 1;
-            }
-            SourceEvent::Gap(gap) => {
-                assert_eq!((gap.first_sequence, gap.reason), (next, GapReason::Disconnected));
-                lost += gap.frames;
-                next += gap.frames;
-            }
-            SourceEvent::End => panic!("boards do not end"),
-        }
-    }
-    assert!(lost > 0);
+    let mut stream = Esp32Stream::open(board.path(), Some(&w)).expect("opens").with_reconnect(POLICY);
+    let gaps = read_frames(&mut stream, 100, |_| {});
+    assert!(!gaps.is_empty() && gaps.iter().all(|gap| gap.reason == GapReason::Disconnected), "{gaps:?}");
 }
 
 mod hard_cases {

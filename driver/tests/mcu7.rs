@@ -5,21 +5,7 @@ use radome_driver::chip::ChipConfiguration;
 use radome_driver::protocol::mcu7::*;
 use radome_driver::protocol::packed12;
 
-use crate::common::captured_waveform;
-
-/// Messages of `protocol4.txt`: whether the host sent it, and its bytes.
-fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
-    let text = std::fs::read_to_string(radome_skip::shared("data/wire/protocol4.txt")?).expect("transcript is text");
-    let unhex = |hex: &str| -> Vec<u8> {
-        (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex")).collect()
-    };
-    let line = |line: &str| {
-        let mut words = line.split_whitespace();
-        let host = words.next() == Some("H");
-        (host, unhex(words.nth(1).expect("three columns")))
-    };
-    Some(text.lines().map(line).collect())
-}
+use crate::common::{captured_waveform, transcript};
 
 /// Requests of the session of the transcript, in its order.
 fn session() -> Vec<Command> {
@@ -48,7 +34,7 @@ fn session() -> Vec<Command> {
 
 #[test]
 fn requests_of_the_session_are_those_of_the_vendor_client() {
-    let Some(transcript) = transcript() else { return };
+    let Some(transcript) = transcript(Protocol::V4) else { return };
     let sent: Vec<_> = transcript.into_iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes).collect();
     assert_eq!(sent.len(), session().len());
     for (bytes, command) in sent.iter().zip(session()) {
@@ -98,7 +84,7 @@ fn requests_of_the_other_version_are_refused() {
 
 #[test]
 fn answers_and_data_of_the_session_decode_to_an_unbroken_ramp() {
-    let Some(transcript) = transcript() else { return };
+    let Some(transcript) = transcript(Protocol::V4) else { return };
     let mut parser = BoardParser::new();
     let (mut responses, mut packets, mut slice, mut codes) = (0, 0u16, Vec::new(), 0u64);
     for (host, bytes) in transcript {

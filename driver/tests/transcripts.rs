@@ -14,24 +14,13 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::{SerialPort, TTYPort};
 
+use crate::common::transcript;
+
 /// Far more than any machine needs: only a hang takes so long.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A message of a transcript: whether the host sent it, and its bytes.
 type Message = (bool, Vec<u8>);
-
-fn transcript(protocol: Protocol) -> Option<Vec<Message>> {
-    let path = radome_skip::shared(&format!("data/wire/protocol{}.txt", protocol.major()))?;
-    let text = std::fs::read_to_string(path).expect("transcript is text");
-    let unhex = |hex: &str| -> Vec<u8> {
-        (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex")).collect()
-    };
-    let line = |line: &str| {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        (words[0] == "H", unhex(words[2]))
-    };
-    Some(text.lines().map(line).collect())
-}
 
 fn sent_by_host(transcript: &[Message]) -> Vec<Vec<u8>> {
     transcript.iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes.clone()).collect()

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 ///
 /// let weights = Window::Hann.weights(64);
 /// assert!((weights.iter().sum::<f64>() - 32.0).abs() < 1e-12);
-/// assert_eq!(Window::Rectangular.noise_bandwidth_bins(64), 1.0);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -54,13 +53,6 @@ impl Window {
             })
             .collect()
     }
-
-    /// Equivalent noise bandwidth in bins: `N sum w^2 / (sum w)^2`; 1.5 for Hann.
-    pub fn noise_bandwidth_bins(self, length: usize) -> f64 {
-        let w = self.weights(length);
-        let (sum, squares) = w.iter().fold((0.0, 0.0), |(s, q), x| (s + x, q + x * x));
-        length as f64 * squares / (sum * sum)
-    }
 }
 
 #[cfg(test)]
@@ -73,7 +65,9 @@ mod tests {
         for (window, bins) in
             [(Window::Rectangular, 1.0), (Window::Hann, 1.5), (Window::Hamming, 1.363), (Window::BlackmanHarris, 2.004)]
         {
-            assert!((window.noise_bandwidth_bins(256) - bins).abs() < 2e-3, "{window:?}");
+            // Equivalent noise bandwidth: N sum w^2 / (sum w)^2.
+            let (sum, squares) = window.weights(256).iter().fold((0.0, 0.0), |(s, q), x| (s + x, q + x * x));
+            assert!((256.0 * squares / (sum * sum) - bins).abs() < 2e-3, "{window:?}");
         }
     }
 

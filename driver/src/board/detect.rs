@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use radome_dsp::Waveform;
 use serialport::TTYPort;
 
+use super::host::{lost, open_port};
 use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board};
-use crate::transport::serial::{open_port, read_more};
+use crate::transport::serial::read_more;
 use crate::transport::{Address, trace};
 
-const BAUD_RATE: u32 = 921_600;
 /// Longest silence of a board that prints by itself.
 const LISTEN: Duration = Duration::from_millis(300);
 /// Number of bytes that suffices to decide whether they are text.
@@ -74,12 +74,11 @@ pub(crate) fn identity_on(path: &Path) -> Result<Option<BoardIdentity>, BoardErr
 
 /// Opens a port and listens: the port and what was heard, if that is text.
 fn printing(path: &Path) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
-    let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
+    let mut port = open_port(path)?;
     let mut heard = Vec::new();
     let began = Instant::now();
     while began.elapsed() < LISTEN && heard.len() < ENOUGH {
-        let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
-        read_more(&mut port, &mut heard).map_err(lost)?;
+        read_more(&mut port, &mut heard).map_err(lost(path))?;
     }
     if is_text(&heard) {
         trace::received(&heard);

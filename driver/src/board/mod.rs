@@ -5,6 +5,7 @@ mod deepcraft;
 mod detect;
 mod error;
 mod esp32;
+mod host;
 mod identity;
 mod mcu7;
 mod reconnect;

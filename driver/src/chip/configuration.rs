@@ -80,6 +80,15 @@ impl From<RegisterValue> for SpiWord {
     }
 }
 
+impl From<&RegisterList> for RegisterFile {
+    /// Returns the contents after a reset and the writing of these registers.
+    fn from(list: &RegisterList) -> Self {
+        let mut file = RegisterFile::default();
+        list.iter().for_each(|register| file.set(register.address, register.value));
+        file
+    }
+}
+
 impl RegisterValue {
     /// Returns the name of the register, and its fields that are not zero with their values.
     pub fn named(self) -> Option<(&'static str, Vec<(&'static str, u32)>)> {
@@ -89,54 +98,114 @@ impl RegisterValue {
     }
 }
 
-/// A register whose fields hold these values and zero otherwise. Computed values have been checked to fit.
-fn content(address: u8, fields: &[(Field, u32)]) -> RegisterValue {
-    RegisterValue { address, value: fields.iter().fold(0, |content, (field, value)| field.put(content, *value)) }
-}
-
-/// Analog part of the PLL, as captured.
-const PLL_ANALOG: &[(Field, u32)] = &[
-    (PACR1::OSCCLKEN, 1),
-    (PACR1::LFEN, 1),
-    (PACR1::CPEN, 1),
-    (PACR1::ICPSEL, 4),
-    (PACR1::LOCKFORC, 1),
-    (PACR1::LOCKSEL, 3),
-    (PACR1::RFILTSEL, 1),
-    (PACR1::VREFSEL, 3),
-    (PACR1::U2IEN, 1),
-    (PACR1::BGAPEN, 1),
-    (PACR1::VDIGREG, 3),
-    (PACR1::DIGPON, 1),
-    (PACR1::VANAREG, 2),
-    (PACR1::ANAPON, 1),
+/// Registers in the order of writing, each with the fields that are the same for every waveform, as captured.
+const CAPTURED: [(u8, &[(Field, u32)]); 38] = [
+    (ADC0, &[(ADC0::TRACK_CFG, 1), (ADC0::BG_TC_TRIM, 4)]),
+    // Analog part of the PLL.
+    (
+        PACR1,
+        &[
+            (PACR1::OSCCLKEN, 1),
+            (PACR1::LFEN, 1),
+            (PACR1::CPEN, 1),
+            (PACR1::ICPSEL, 4),
+            (PACR1::LOCKFORC, 1),
+            (PACR1::LOCKSEL, 3),
+            (PACR1::RFILTSEL, 1),
+            (PACR1::VREFSEL, 3),
+            (PACR1::U2IEN, 1),
+            (PACR1::BGAPEN, 1),
+            (PACR1::VDIGREG, 3),
+            (PACR1::DIGPON, 1),
+            (PACR1::VANAREG, 2),
+            (PACR1::ANAPON, 1),
+        ],
+    ),
+    // Digital part of the PLL. DIVSET 20 sets the frequency at FSU 0.
+    (PACR2, &[(PACR2::DTSEL, 2), (PACR2::FSDNTMR, 5), (PACR2::FSTDNEN, 2), (PACR2::DIVEN, 1), (PACR2::DIVSET, 20)]),
+    (SFCTL, &[(SFCTL::QSPI_WT, 1), (SFCTL::FIFO_LP_MODE, 1)]),
+    // ADC of the temperature sensor.
+    (SADC_CTRL, &[(SADC_CTRL::TC_TRIM, 4), (SADC_CTRL::SESP, 1), (SADC_CTRL::OVERS_CFG, 2), (SADC_CTRL::SD_EN, 1)]),
+    (CSP_I_0, &[]),
+    (CSP_I_1, &[]),
+    (CSP_I_2, &[]),
+    // Blocks that stay on between chirps.
+    (
+        CSCI,
+        &[
+            (CSCI::PLL_ISOPD, 1),
+            (CSCI::SADC_ISOPD, 1),
+            (CSCI::MADC_ISOPD, 1),
+            (CSCI::BG_EN, 1),
+            (CSCI::RF_ISOPD, 1),
+            (CSCI::ABB_ISOPD, 1),
+        ],
+    ),
+    (CSP_D_0, &[]),
+    (CSP_D_1, &[]),
+    (CSP_D_2, &[]),
+    // Blocks that stay on between frames.
+    (
+        CSCDS,
+        &[
+            (CSCDS::PLL_ISOPD, 1),
+            (CSCDS::SADC_ISOPD, 1),
+            (CSCDS::MADC_ISOPD, 1),
+            (CSCDS::RF_ISOPD, 1),
+            (CSCDS::ABB_ISOPD, 1),
+        ],
+    ),
+    (
+        CS1_U_0,
+        &[
+            (CS1_U_0::BBCHGLOB_EN, 1),
+            (CS1_U_0::LO_DISTRIB_EN, 1),
+            (CS1_U_0::LO_MOD1_EN, 1),
+            (CS1_U_0::FDIV_EN, 1),
+            (CS1_U_0::VCO_EN, 1),
+            (CS1_U_0::TX1_EN, 1),
+        ],
+    ),
+    (CS1_U_1, &[(CS1_U_1::BB_RSTCNT, 127), (CS1_U_1::TEMP_MEAS_EN, 1), (CS1_U_1::MADC_EN, 1)]),
+    (CS1_U_2, &[]),
+    (CS1, &[(CS1::BG_TMRF_EN, 1), (CS1::BG_EN, 1), (CS1::CS_EN, 1)]),
+    (CS2, &[(CS2::BG_TMRF_EN, 1), (CS2::BG_EN, 1)]),
+    (CS3, &[(CS3::BG_TMRF_EN, 1), (CS3::BG_EN, 1)]),
+    (CS4, &[(CS4::BG_TMRF_EN, 1), (CS4::BG_EN, 1)]),
+    (CCR0, &[(CCR0::TR_INIT1, 70), (CCR0::REPT, 15), (CCR0::CONT_MODE, 1), (CCR0::TMREND, 14)]),
+    (CCR1, &[(CCR1::TMRSTRT, 10)]),
+    (CCR2, &[]),
+    (CCR3, &[(CCR3::TR_MUL0, 1), (CCR3::TR_INIT0, 225), (CCR3::T_SSTRT, 31), (CCR3::T_PAEN, 30)]),
+    (PLL1_0, &[]),
+    (PLL1_1, &[]),
+    (PLL1_2, &[]),
+    (PLL1_3, &[]),
+    (PLL1_4, &[]),
+    (PLL1_5, &[]),
+    (PLL1_6, &[]),
+    (PLL1_7, &[(PLL1_7::CONT_MODE, 1), (PLL1_7::SH_EN, 1)]),
+    (PLL2_7, &[(PLL2_7::CONT_MODE, 1)]),
+    (PLL3_7, &[(PLL3_7::CONT_MODE, 1)]),
+    (PLL4_7, &[(PLL4_7::CONT_MODE, 1)]),
+    (RFT1, &[]),
+    (SDFT0, &[]),
+    (
+        MAIN,
+        &[
+            (MAIN::BG_CLK_DIV, 3),
+            (MAIN::SADC_CLK_DIV, 3),
+            (MAIN::TWKUP_MUL, 8),
+            (MAIN::TWKUP, 39),
+            (MAIN::FRAME_START, 1),
+        ],
+    ),
 ];
 
-/// Digital part of the PLL, as captured. DIVSET 20 sets the frequency at FSU 0.
-const PLL_DIGITAL: &[(Field, u32)] =
-    &[(PACR2::DTSEL, 2), (PACR2::FSDNTMR, 5), (PACR2::FSTDNEN, 2), (PACR2::DIVEN, 1), (PACR2::DIVSET, 20)];
-
-/// ADC of the temperature sensor, as captured.
-const TEMPERATURE_ADC: &[(Field, u32)] =
-    &[(SADC_CTRL::TC_TRIM, 4), (SADC_CTRL::SESP, 1), (SADC_CTRL::OVERS_CFG, 2), (SADC_CTRL::SD_EN, 1)];
-
-/// Blocks that stay on between chirps, as captured.
-const IDLE_CONTROL: &[(Field, u32)] = &[
-    (CSCI::PLL_ISOPD, 1),
-    (CSCI::SADC_ISOPD, 1),
-    (CSCI::MADC_ISOPD, 1),
-    (CSCI::BG_EN, 1),
-    (CSCI::RF_ISOPD, 1),
-    (CSCI::ABB_ISOPD, 1),
-];
-
-/// Blocks that stay on between frames, as captured.
-const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
-    (CSCDS::PLL_ISOPD, 1),
-    (CSCDS::SADC_ISOPD, 1),
-    (CSCDS::MADC_ISOPD, 1),
-    (CSCDS::RF_ISOPD, 1),
-    (CSCDS::ABB_ISOPD, 1),
+/// Fields of each receiver: mixer, buffer of its oscillator, gain, high-pass filter.
+const RECEIVERS: [[Field; 4]; 3] = [
+    [CS1_U_0::RX1MIX_EN, CS1_U_0::RX1LOBUF_EN, CS1_U_2::VGA_GAIN1, CS1_U_2::HPF_SEL1],
+    [CS1_U_0::RX2MIX_EN, CS1_U_0::RX2LOBUF_EN, CS1_U_2::VGA_GAIN2, CS1_U_2::HPF_SEL2],
+    [CS1_U_0::RX3MIX_EN, CS1_U_0::RX3LOBUF_EN, CS1_U_2::VGA_GAIN3, CS1_U_2::HPF_SEL3],
 ];
 
 /// Error of a waveform that the registers cannot hold, or of registers that do not hold a waveform.
@@ -203,16 +272,17 @@ impl Quantity {
         Quantity { name, unit, origin, step: 1.0, range }
     }
 
-    fn check(&self, field: &'static str, n: i64, hint: &'static str) -> Result<u32, ChipError> {
+    /// Field with `n` in it, if that lies in the range.
+    fn in_field(&self, field: Field, n: i64, hint: &'static str) -> Result<(Field, u32), ChipError> {
         let at = |n: i64| self.origin + self.step * n as f64;
         let (least, most) = self.range;
         if n < least || n > most {
             // A negative step turns the interval around.
             let (min, max) = (at(least).min(at(most)), at(least).max(at(most)));
-            let (quantity, unit) = (self.name, self.unit);
+            let (field, quantity, unit) = (field.name, self.name, self.unit);
             return Err(ChipError::FieldRange { field, quantity, value: at(n), min, max, unit, hint });
         }
-        Ok((n & 0xFF_FFFF) as u32)
+        Ok((field, (n & 0xFF_FFFF) as u32))
     }
 }
 
@@ -255,142 +325,91 @@ impl ChipConfiguration {
     /// # Errors
     /// [`ChipError::FieldRange`] or [`ChipError::TooShort`] if the registers cannot hold the waveform.
     pub fn compile(&self) -> Result<RegisterList, ChipError> {
-        let w = &self.waveform;
-        let r = &w.request;
-        let rsu = (w.slope_hz_per_s / SLOPE_STEP_HZ_PER_S).round() as i64;
+        let fields = [self.ramp_fields()?, self.interval_fields()?, self.receiver_fields()].concat();
+        let register = |(address, captured): &(u8, &[(Field, u32)])| {
+            let derived = fields.iter().filter(|(field, _)| field.address == *address);
+            let value = captured.iter().chain(derived).fold(0, |content, (field, value)| field.put(content, *value));
+            RegisterValue { address: *address, value }
+        };
+        Ok(CAPTURED.iter().map(register).collect())
+    }
+
+    /// Computes the fields of the ramp, of its samples and of the counts of chirps and codes.
+    fn ramp_fields(&self) -> Result<Vec<(Field, u32)>, ChipError> {
+        let r = &self.waveform.request;
+        let rsu = (self.waveform.slope_hz_per_s / SLOPE_STEP_HZ_PER_S).round() as i64;
         let start = ((r.start_frequency_hz - FREQUENCY_ORIGIN_HZ) / FREQUENCY_STEP_HZ).round() as i64;
         let fsu = start - rsu * (TX_ON_CYCLES - RAMP_START_CYCLES) as i64;
-        let (rtu, divider) = ramp(w);
+        let (rtu, divider) = ramp(&self.waveform);
+        Ok(vec![
+            RAMP_START.in_field(PLL1_0::FSU, fsu, "start_frequency_hz")?,
+            SLOPE.in_field(PLL1_1::RSU, rsu, "end_frequency_hz or samples_per_chirp")?,
+            RAMP_TIME.in_field(PLL1_2::RTU, rtu as i64, "samples_per_chirp or sample_rate_hz")?,
+            CLOCK_DIVIDER.in_field(ADC0::ADC_DIV, divider as i64, "sample_rate_hz")?,
+            SAMPLES.in_field(PLL1_3::APU, r.samples_per_chirp as i64, "samples_per_chirp")?,
+            CHIRPS.in_field(CCR2::FRAME_LEN, r.chirps_per_frame as i64 - 1, "chirps_per_frame")?,
+            SLICE.in_field(SFCTL::FIFO_CREF, (self.slice_samples / 2) as i64 - 1, "the slice")?,
+        ])
+    }
 
-        let fsu = RAMP_START.check("FSU", fsu, "start_frequency_hz")?;
-        let rsu = SLOPE.check("RSU", rsu, "end_frequency_hz or samples_per_chirp")?;
-        let rtu_field = RAMP_TIME.check("RTU", rtu as i64, "samples_per_chirp or sample_rate_hz")?;
-        let divider = CLOCK_DIVIDER.check("ADC_DIV", divider as i64, "sample_rate_hz")?;
-        let apu = SAMPLES.check("APU", r.samples_per_chirp as i64, "samples_per_chirp")?;
-        let frame_len = CHIRPS.check("FRAME_LEN", r.chirps_per_frame as i64 - 1, "chirps_per_frame")?;
-        let cref = SLICE.check("FIFO_CREF", (self.slice_samples / 2) as i64 - 1, "the slice")?;
-
-        let chirp = w.chirp_interval_s * REFERENCE_CLOCK_HZ;
+    /// Computes the delays after a chirp and after a frame, and the power modes in which the chip spends them.
+    fn interval_fields(&self) -> Result<Vec<(Field, u32)>, ChipError> {
+        let (chirp_interval_s, r) = (self.waveform.chirp_interval_s, &self.waveform.request);
+        let too_short = |what: &'static str, cycles: f64, given_s: f64| ChipError::TooShort {
+            what,
+            needed_s: cycles / REFERENCE_CLOCK_HZ,
+            given_s,
+        };
+        let chirp = chirp_interval_s * REFERENCE_CLOCK_HZ;
+        let (rtu, _) = ramp(&self.waveform);
         let active = active_cycles(rtu);
         let (chirp_power_mode, used) =
             if chirp >= (active + INIT_CYCLES) as f64 { (1, active + INIT_CYCLES) } else { (0, active) };
         if chirp + 4.0 < used as f64 {
-            let needed_s = used as f64 / REFERENCE_CLOCK_HZ;
-            return Err(ChipError::TooShort { what: "a chirp", needed_s, given_s: w.chirp_interval_s });
+            return Err(too_short("a chirp", used as f64, chirp_interval_s));
         }
         let (sed, sed_mul) = delay((chirp - used as f64) / 8.0, 16);
-        let chirps = (used + (u64::from(sed) << sed_mul) * 8) * r.chirps_per_frame as u64;
+        let end_delay = u64::from(sed) << sed_mul << 3;
+        let chirps = ((used + end_delay) * r.chirps_per_frame as u64 - end_delay) as f64;
 
         let frame = r.frame_interval_s * REFERENCE_CLOCK_HZ;
-        let chirps = (chirps - (u64::from(sed) << sed_mul) * 8) as f64;
         let (frame_power_mode, rest) = match frame - chirps - WAKE_UP_CYCLES as f64 {
             rest if rest >= 0.0 => (2, rest),
             _ => (1, frame - chirps),
         };
         if rest < -8.0 {
-            let needed_s = chirps / REFERENCE_CLOCK_HZ;
-            return Err(ChipError::TooShort { what: "a frame", needed_s, given_s: r.frame_interval_s });
+            return Err(too_short("a frame", chirps, r.frame_interval_s));
         }
         let (fed, fed_mul) = delay(rest / 8.0, 22);
+        Ok(vec![
+            (PLL1_7::PD_MODE, chirp_power_mode),
+            (PLL1_7::T_SED, sed),
+            (PLL1_7::T_SED_MUL, sed_mul),
+            (CCR1::PD_MODE, frame_power_mode),
+            (CCR1::TFED, fed),
+            (CCR1::TFED_MUL, fed_mul),
+        ])
+    }
 
+    /// Computes the fields of the receivers and of the transmitter's power.
+    fn receiver_fields(&self) -> Vec<(Field, u32)> {
+        let r = &self.waveform.request;
         let mask = u32::from(r.rx_antennas.bits());
-        let receivers = r.rx_antennas.antennas();
         let (hp_gain, high_pass_db) = if r.if_gain_db >= 30.0 { (0, 30.0) } else { (mask, 18.0) };
         let vga = (((r.if_gain_db - high_pass_db) / 5.0).round().clamp(0.0, 6.0)) as u32;
         let distance = |i: &u32| (HIGH_PASS_HZ[*i as usize] - r.high_pass_cutoff_hz).abs();
         let hpf = (0..4).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(3);
-        let one_per_receiver = |fields: [Field; 3], value: u32| {
-            let antennas = receivers.iter().filter_map(|a| fields.get(usize::from(*a) - 1));
-            antennas.map(|field| (*field, value)).collect::<Vec<(Field, u32)>>()
-        };
-        let mixers = [
-            one_per_receiver([CS1_U_0::RX1MIX_EN, CS1_U_0::RX2MIX_EN, CS1_U_0::RX3MIX_EN], 1),
-            one_per_receiver([CS1_U_0::RX1LOBUF_EN, CS1_U_0::RX2LOBUF_EN, CS1_U_0::RX3LOBUF_EN], 1),
-            vec![
-                (CS1_U_0::BBCHGLOB_EN, 1),
-                (CS1_U_0::LO_DISTRIB_EN, 1),
-                (CS1_U_0::LO_MOD1_EN, 1),
-                (CS1_U_0::FDIV_EN, 1),
-                (CS1_U_0::VCO_EN, 1),
-                (CS1_U_0::TX1_EN, 1),
-            ],
-        ];
-        let gains = [
-            one_per_receiver([CS1_U_2::VGA_GAIN1, CS1_U_2::VGA_GAIN2, CS1_U_2::VGA_GAIN3], vga),
-            one_per_receiver([CS1_U_2::HPF_SEL1, CS1_U_2::HPF_SEL2, CS1_U_2::HPF_SEL3], hpf),
-            vec![(CS1_U_2::HP_GAIN, hp_gain)],
-        ];
-        let standby = |bg_tmrf: Field, bg: Field| [(bg_tmrf, 1), (bg, 1)];
-        Ok(vec![
-            content(ADC0, &[(ADC0::ADC_DIV, divider), (ADC0::TRACK_CFG, 1), (ADC0::BG_TC_TRIM, 4)]),
-            content(PACR1, PLL_ANALOG),
-            content(PACR2, PLL_DIGITAL),
-            content(SFCTL, &[(SFCTL::QSPI_WT, 1), (SFCTL::FIFO_LP_MODE, 1), (SFCTL::FIFO_CREF, cref)]),
-            content(SADC_CTRL, TEMPERATURE_ADC),
-            content(CSP_I_0, &[]),
-            content(CSP_I_1, &[]),
-            content(CSP_I_2, &[]),
-            content(CSCI, IDLE_CONTROL),
-            content(CSP_D_0, &[]),
-            content(CSP_D_1, &[]),
-            content(CSP_D_2, &[]),
-            content(CSCDS, DEEP_SLEEP_CONTROL),
-            content(CS1_U_0, &mixers.concat()),
-            content(
-                CS1_U_1,
-                &[
-                    (CS1_U_1::BBCH_SEL, mask),
-                    (CS1_U_1::BB_RSTCNT, 127),
-                    (CS1_U_1::TEMP_MEAS_EN, 1),
-                    (CS1_U_1::MADC_EN, 1),
-                    (CS1_U_1::TX1_DAC, u32::from(r.tx_power_level)),
-                ],
-            ),
-            content(CS1_U_2, &gains.concat()),
-            content(CS1, &[(CS1::BG_TMRF_EN, 1), (CS1::BG_EN, 1), (CS1::CS_EN, 1)]),
-            content(CS2, &standby(CS2::BG_TMRF_EN, CS2::BG_EN)),
-            content(CS3, &standby(CS3::BG_TMRF_EN, CS3::BG_EN)),
-            content(CS4, &standby(CS4::BG_TMRF_EN, CS4::BG_EN)),
-            content(CCR0, &[(CCR0::TR_INIT1, 70), (CCR0::REPT, 15), (CCR0::CONT_MODE, 1), (CCR0::TMREND, 14)]),
-            content(
-                CCR1,
-                &[(CCR1::TFED_MUL, fed_mul), (CCR1::TFED, fed), (CCR1::PD_MODE, frame_power_mode), (CCR1::TMRSTRT, 10)],
-            ),
-            content(CCR2, &[(CCR2::FRAME_LEN, frame_len)]),
-            content(CCR3, &[(CCR3::TR_MUL0, 1), (CCR3::TR_INIT0, 225), (CCR3::T_SSTRT, 31), (CCR3::T_PAEN, 30)]),
-            content(PLL1_0, &[(PLL1_0::FSU, fsu)]),
-            content(PLL1_1, &[(PLL1_1::RSU, rsu)]),
-            content(PLL1_2, &[(PLL1_2::RTU, rtu_field)]),
-            content(PLL1_3, &[(PLL1_3::APU, apu)]),
-            content(PLL1_4, &[]),
-            content(PLL1_5, &[]),
-            content(PLL1_6, &[]),
-            content(
-                PLL1_7,
-                &[
-                    (PLL1_7::T_SED_MUL, sed_mul),
-                    (PLL1_7::T_SED, sed),
-                    (PLL1_7::PD_MODE, chirp_power_mode),
-                    (PLL1_7::CONT_MODE, 1),
-                    (PLL1_7::SH_EN, 1),
-                ],
-            ),
-            content(PLL2_7, &[(PLL2_7::CONT_MODE, 1)]),
-            content(PLL3_7, &[(PLL3_7::CONT_MODE, 1)]),
-            content(PLL4_7, &[(PLL4_7::CONT_MODE, 1)]),
-            content(RFT1, &[]),
-            content(SDFT0, &[]),
-            content(
-                MAIN,
-                &[
-                    (MAIN::BG_CLK_DIV, 3),
-                    (MAIN::SADC_CLK_DIV, 3),
-                    (MAIN::TWKUP_MUL, 8),
-                    (MAIN::TWKUP, 39),
-                    (MAIN::FRAME_START, 1),
-                ],
-            ),
-        ])
+        let antennas = r.rx_antennas.antennas();
+        let receivers = antennas.iter().filter_map(|antenna| RECEIVERS.get(usize::from(*antenna) - 1));
+        let fields = receivers.flat_map(|receiver| receiver.iter().copied().zip([1, 1, vga, hpf]));
+        let common =
+            [(CS1_U_1::BBCH_SEL, mask), (CS1_U_1::TX1_DAC, u32::from(r.tx_power_level)), (CS1_U_2::HP_GAIN, hp_gain)];
+        fields.chain(common).collect()
+    }
+
+    /// Returns the registers of a chip that has been programmed with this configuration.
+    pub(super) fn programmed(&self) -> Result<RegisterFile, ChipError> {
+        Ok(RegisterFile::from(&self.compile()?))
     }
 
     /// Time in active mode in each chirp, from its start to the end of the post-chirp delay, s.
@@ -404,9 +423,7 @@ impl ChipConfiguration {
     /// # Errors
     /// Those of [`ChipConfiguration::compile`].
     pub fn realised(&self) -> Result<Waveform, ChipError> {
-        let mut file = RegisterFile::default();
-        self.compile()?.iter().for_each(|register| file.set(register.address, register.value));
-        Ok(ChipConfiguration::decode(&file)?.waveform)
+        Ok(ChipConfiguration::decode(&self.programmed()?)?.waveform)
     }
 
     /// Decodes the waveform of a chip with these registers. The anti-alias filter, which they do not hold, is taken as
@@ -443,12 +460,7 @@ impl ChipConfiguration {
         let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
         let antennas: Vec<u8> = (1..=3).filter(|a| mask >> (a - 1) & 1 == 1).collect();
         let first = antennas.first().copied().unwrap_or(1) - 1;
-        let [vga, high_pass] = match first {
-            0 => [CS1_U_2::VGA_GAIN1, CS1_U_2::HPF_SEL1],
-            1 => [CS1_U_2::VGA_GAIN2, CS1_U_2::HPF_SEL2],
-            _ => [CS1_U_2::VGA_GAIN3, CS1_U_2::HPF_SEL3],
-        }
-        .map(|field| registers.field(field));
+        let [_, _, vga, high_pass] = RECEIVERS[usize::from(first)].map(|field| registers.field(field));
         let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
         let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
         let request = WaveformRequest {
@@ -489,12 +501,6 @@ mod tests {
         }
     }
 
-    fn registers(list: &RegisterList) -> RegisterFile {
-        let mut file = RegisterFile::default();
-        list.iter().for_each(|r| file.set(r.address, r.value));
-        file
-    }
-
     /// The list that the vendor's client wrote.
     #[test]
     fn vendor_default_compiles_to_the_captured_list() {
@@ -527,7 +533,7 @@ mod tests {
             let waveform = Waveform::realise(request).expect("valid");
             let slice_samples = 4096;
             let list = ChipConfiguration { waveform: waveform.clone(), slice_samples }.compile().expect("fits");
-            let back = ChipConfiguration::decode(&registers(&list)).expect("decodes");
+            let back = ChipConfiguration::decode(&RegisterFile::from(&list)).expect("decodes");
             assert_eq!(back.slice_samples, slice_samples);
             let (a, b) = (&back.waveform, &waveform);
             a.check_compatible(b).expect("compatible");
@@ -545,7 +551,7 @@ mod tests {
     fn captured_timing_is_reproduced() {
         let waveform = Waveform::realise(vendor_default()).expect("valid");
         let list = ChipConfiguration { waveform, slice_samples: 6144 }.compile().expect("fits");
-        let back = ChipConfiguration::decode(&registers(&list)).expect("decodes").waveform;
+        let back = ChipConfiguration::decode(&RegisterFile::from(&list)).expect("decodes").waveform;
         assert!((back.request.chirp_interval_s - 591.125e-6).abs() < 1e-9);
         assert!((back.request.frame_interval_s - 0.0772688).abs() < 30e-6);
     }

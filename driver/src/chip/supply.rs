@@ -1,7 +1,7 @@
 //! Supply current of the chip.
 
 use super::field::{CCR1, CCR2, PLL1_7};
-use super::{ChipConfiguration, ChipError, RegisterFile};
+use super::{ChipConfiguration, ChipError};
 
 /// Supply current in active mode with one transmitter, A (datasheet section 6, typical).
 const ACTIVE_A: f64 = 0.201;
@@ -19,8 +19,7 @@ impl ChipConfiguration {
     /// # Errors
     /// Those of [`ChipConfiguration::compile`].
     pub fn supply_current_a(&self) -> Result<f64, ChipError> {
-        let mut file = RegisterFile::default();
-        self.compile()?.iter().for_each(|register| file.set(register.address, register.value));
+        let file = self.programmed()?;
         let waveform = ChipConfiguration::decode(&file)?.waveform;
         let chirps = f64::from(file.field(CCR2::FRAME_LEN)) + 1.0;
         let frame_s = waveform.frame_interval_s();

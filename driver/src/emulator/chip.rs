@@ -236,6 +236,13 @@ impl Chip {
         count(field::STAT1::FRAME_CNT, chirps / per_frame, count(field::STAT1::SHAPE_GRP_CNT, chirps % per_frame, 0))
     }
 
+    /// Number of frames begun since the start, modulo 4096: the frame counter has twelve bits.
+    pub fn frames_begun(&self) -> u32 {
+        let status = self.frame_status();
+        let is_within = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
+        field::STAT1::FRAME_CNT.of(status) + u32::from(is_within)
+    }
+
     /// Writes a register.
     pub fn write(&mut self, address: u8, value: u32) {
         match address {
@@ -379,8 +386,13 @@ mod tests {
         chip_of(waveform(), pace)
     }
 
-    fn list(slice_samples: usize) -> RegisterList {
-        ChipConfiguration { waveform: waveform(), slice_samples }.compile().expect("fits")
+    /// Registers of a waveform, with an interrupt at this many codes.
+    fn list(waveform: Waveform, slice_samples: usize) -> RegisterList {
+        ChipConfiguration { waveform, slice_samples }.compile().expect("fits")
+    }
+
+    fn program(chip: &mut Chip, list: &RegisterList) {
+        list.iter().for_each(|r| chip.write(r.address, r.value));
     }
 
     fn started(pace: Pace, slice_samples: usize) -> Chip {
@@ -389,8 +401,7 @@ mod tests {
 
     fn started_with(waveform: Waveform, pace: Pace, slice_samples: usize) -> Chip {
         let mut chip = chip_of(waveform.clone(), pace);
-        let list = ChipConfiguration { waveform, slice_samples }.compile().expect("fits");
-        list.iter().for_each(|r| chip.write(r.address, r.value));
+        program(&mut chip, &list(waveform, slice_samples));
         chip
     }
 
@@ -434,7 +445,7 @@ mod tests {
     #[test]
     fn frames_end_by_themselves_when_their_count_is_set() {
         let mut chip = chip(Pace::AsFastAsRead);
-        for register in list(256) {
+        for register in list(waveform(), 256) {
             let counted = register.address == address::CCR2;
             let value = if counted { field::CCR2::MAX_FRAME_CNT.put(register.value, 2) } else { register.value };
             chip.write(register.address, value);
@@ -522,20 +533,15 @@ mod tests {
             let mut chip = Chip::new(Feed::from(Box::new(Ramp(waveform(), 0))), &options, &shared).expect("threads");
             let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
             let other = Waveform::realise(request).expect("valid");
-            let list = ChipConfiguration { waveform: other, slice_samples: 128 }.compile().expect("fits");
-            list.iter().for_each(|r| chip.write(r.address, r.value));
+            program(&mut chip, &list(other, 128));
             assert!(chip.frames().is_some() && matches!(chip.poll(128), Slice::Wait));
             let refusal = shared.refusal().expect("says why");
             assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");
             // The source's own is measured as if nothing had been.
             chip.write(address::MAIN, main_bits::SW_RESET);
-            list_of(waveform()).iter().for_each(|r| chip.write(r.address, r.value));
+            program(&mut chip, &list(waveform(), 128));
             assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
             assert_eq!(shared.refusal(), None);
-        }
-
-        fn list_of(waveform: Waveform) -> RegisterList {
-            ChipConfiguration { waveform, slice_samples: 128 }.compile().expect("fits")
         }
 
         #[test]

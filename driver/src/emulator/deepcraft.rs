@@ -11,7 +11,6 @@ use super::chip::Chip;
 use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
 use super::{EmulatorError, EmulatorOptions, Feed, Shared};
-use crate::chip::{address, field};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
 use requests::{DEVICE, Requests};
 
@@ -128,11 +127,8 @@ impl Deepcraft {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
         self.flush(wire);
         self.codes.clear();
-        let status = self.requests.chip.read(address::STAT1);
-        let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
-        let measured = field::STAT1::FRAME_CNT.of(status) + u32::from(is_cut);
-        // The counter has twelve bits.
-        self.drop_frames(measured.wrapping_sub(self.number.wrapping_sub(self.first_number)) % 4096);
+        let begun = self.requests.chip.frames_begun();
+        self.drop_frames(begun.wrapping_sub(self.number.wrapping_sub(self.first_number)) % 4096);
         self.first_number = self.number;
         self.requests.start_chip();
     }

@@ -12,7 +12,7 @@ use super::chip::Chip;
 use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
 use super::{EmulatorOptions, Feed, Shared};
-use crate::chip::{ChipConfiguration, RegisterList, address, field};
+use crate::chip::{ChipConfiguration, RegisterList};
 use crate::protocol::ascii;
 use crate::protocol::mcu7::SliceLayout;
 
@@ -71,12 +71,8 @@ impl Esp32 {
     /// frames, so that frames keep their numbers.
     fn start(&mut self) {
         self.chip.source().stop();
-        let status = self.chip.read(address::STAT1);
-        let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
-        let measured = u64::from(field::STAT1::FRAME_CNT.of(status)) + u64::from(is_cut);
-        let counted = self.number - self.first_number;
-        // The counter has twelve bits.
-        self.number += measured.wrapping_sub(counted) % 4096;
+        let begun = u64::from(self.chip.frames_begun());
+        self.number += begun.wrapping_sub(self.number - self.first_number) % 4096;
         self.first_number = self.number;
         self.codes.clear();
         self.chip.reset();

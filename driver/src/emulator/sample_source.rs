@@ -279,41 +279,40 @@ impl SampleSource {
 
     /// Receives the source's next frame, if it is there.
     fn receive(&mut self) -> Option<Frame> {
-        let frame = match self.incoming.try_recv() {
-            Ok(Message::Frame(frame)) => frame,
-            Ok(Message::Gap { frames }) => {
-                self.missing = frames;
-                return None;
-            }
-            Ok(Message::End) => {
-                self.ended = true;
-                return None;
-            }
-            Ok(Message::Failed(reason)) => {
-                self.ended = true;
-                self.shared.fail(reason);
-                return None;
-            }
-            Ok(Message::Refused(reason)) => {
-                self.is_refused = true;
-                self.refuse(&reason);
-                return None;
-            }
+        let message = match self.incoming.try_recv() {
+            Ok(message) => message,
             // It ends with a message unless it panics.
             Err(TryRecvError::Disconnected) => {
-                self.ended = true;
-                self.shared.fail(self.producer.take().map_or_else(String::new, panic_message));
-                return None;
+                Message::Failed(self.producer.take().map_or_else(String::new, panic_message))
             }
             Err(TryRecvError::Empty) => return None,
         };
+        match message {
+            Message::Frame(frame) => {
+                self.set_clock(&frame);
+                return Some(frame);
+            }
+            Message::Gap { frames } => self.missing = frames,
+            Message::End => self.ended = true,
+            Message::Failed(reason) => {
+                self.ended = true;
+                self.shared.fail(reason);
+            }
+            Message::Refused(reason) => {
+                self.is_refused = true;
+                self.refuse(&reason);
+            }
+        }
+        None
+    }
+
+    /// Notes when the frame behind this one begins. A late source delays the clock; the host does not count as slow.
+    fn set_clock(&mut self, frame: &Frame) {
         self.next_ns = frame.time_ns.saturating_add((self.source.frame_interval_s() * 1e9) as u64);
-        // A late source delays the clock; the host does not count as slow.
         let is_late = self.now_ns().is_none_or(|now| now > frame.time_ns) && self.started_ns.is_none();
         if is_late && matches!(self.pace, Pace::RealTime(_)) {
             self.clock = Some((Instant::now(), frame.time_ns));
         }
-        Some(frame)
     }
 
     /// Board time at which this code has been sampled, ns.

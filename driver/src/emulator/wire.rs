@@ -169,9 +169,7 @@ impl Wire {
     /// Serves the host until the emulator is stopped. Nothing is sent between the bytes of a message; requests are
     /// answered between messages. On endpoints, control transfers are answered at any time.
     pub fn serve(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
-        let mut buffer = [0; 4096];
-        let watches_clients = firmware.restarts_when_opened();
-        if watches_clients {
+        if firmware.restarts_when_opened() {
             self.port.watch_clients();
         }
         while !self.shared.stop.load(Ordering::Acquire) {
@@ -182,24 +180,10 @@ impl Wire {
                 self.unplug(Duration::ZERO, firmware)?;
             }
             self.check_departure(firmware)?;
-            if watches_clients {
-                let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
-                if !self.has_client {
-                    thread::sleep(Duration::from_millis(1));
-                    firmware.advance();
-                    continue;
-                }
-                if !had_client {
-                    self.restart(firmware);
-                }
-            }
-            if let Some(moment) = self.host_reads_from {
-                if Instant::now() < moment {
-                    thread::sleep(Duration::from_millis(1));
-                    firmware.advance();
-                    continue;
-                }
-                self.host_reads_from = None;
+            if !self.has_reader(firmware)? {
+                thread::sleep(Duration::from_millis(1));
+                firmware.advance();
+                continue;
             }
             let is_sending = self.written < self.out.len();
             if is_sending {
@@ -209,23 +193,7 @@ impl Wire {
                 self.out.clear();
                 self.written = 0;
             }
-            let (mut received, mut has_answered) = (0, false);
-            match &mut self.port {
-                Port::Endpoints(endpoints) => {
-                    let count = endpoints.read(&mut buffer)?;
-                    if let Some((setup, data)) = buffer.get(..count).and_then(|transfer| transfer.split_first_chunk()) {
-                        endpoints.answer(firmware.control(setup, data).as_deref())?;
-                        has_answered = true;
-                    }
-                }
-                Port::Terminal(terminal) if !is_sending && self.under_way.len() < MOST_UNDER_WAY => {
-                    received = terminal.read(&mut buffer)?;
-                }
-                Port::Terminal(_) | Port::Gone => {}
-            }
-            if let Some(bytes) = buffer.get(..received).filter(|bytes| !bytes.is_empty()) {
-                self.under_way.push_back((Instant::now() + self.latency, bytes.to_vec()));
-            }
+            let has_answered = self.receive(firmware, is_sending)?;
             if !is_sending {
                 self.deliver(firmware);
                 if self.out.is_empty() && !has_answered && !firmware.next_message(self) {
@@ -235,6 +203,44 @@ impl Wire {
             self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
         }
         self.finish(firmware)
+    }
+
+    /// Returns whether a host reads: a client has the port open, and no fault makes it slow. Firmware
+    /// that restarts when the port is opened does so for a new client.
+    fn has_reader(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<bool> {
+        if firmware.restarts_when_opened() {
+            let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
+            if !self.has_client {
+                return Ok(false);
+            }
+            if !had_client {
+                self.restart(firmware);
+            }
+        }
+        self.host_reads_from = self.host_reads_from.filter(|moment| Instant::now() < *moment);
+        Ok(self.host_reads_from.is_none())
+    }
+
+    /// Takes bytes of the host from a terminal, or answers a control transfer; returns whether one was answered.
+    fn receive(&mut self, firmware: &mut dyn Firmware, is_sending: bool) -> std::io::Result<bool> {
+        let mut buffer = [0; 4096];
+        match &mut self.port {
+            Port::Endpoints(endpoints) => {
+                let count = endpoints.read(&mut buffer)?;
+                if let Some((setup, data)) = buffer.get(..count).and_then(|transfer| transfer.split_first_chunk()) {
+                    endpoints.answer(firmware.control(setup, data).as_deref())?;
+                    return Ok(true);
+                }
+            }
+            Port::Terminal(terminal) if !is_sending && self.under_way.len() < MOST_UNDER_WAY => {
+                let count = terminal.read(&mut buffer)?;
+                if let Some(bytes) = buffer.get(..count).filter(|bytes| !bytes.is_empty()) {
+                    self.under_way.push_back((Instant::now() + self.latency, bytes.to_vec()));
+                }
+            }
+            Port::Terminal(_) | Port::Gone => {}
+        }
+        Ok(false)
     }
 
     /// Gives the firmware the bytes that have arrived by now.

@@ -25,6 +25,6 @@ pub use opened::{Recording, open};
 pub use partial::{Existing, Partial, rename_synced};
 pub use position::{Extent, Position};
 use position::{first_index, time_ns};
-use report::Tally;
 pub use report::WriteReport;
+use report::{Tally, check_frame};
 pub use writer::{Format, RecordingWriter};

@@ -21,6 +21,22 @@ pub struct WriteReport {
     pub omitted: Vec<String>,
 }
 
+/// Checks that a frame has the shape of its recording and codes of 12 bits; `offset` is its place in the file, bytes.
+pub(super) fn check_frame(path: &Path, offset: u64, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
+    if frame.shape != shape || frame.codes.len() != shape.codes() {
+        return Err(RecordingError::FrameShape {
+            path: path.to_owned(),
+            sequence: frame.sequence,
+            got: format!("{} with {} codes", frame.shape, frame.codes.len()),
+            expected: shape.to_string(),
+        });
+    }
+    match frame.codes.iter().find(|code| **code > MAX_CODE) {
+        Some(&code) => Err(RecordingError::Code { path: path.to_owned(), offset, frame: frame.sequence, code }),
+        None => Ok(()),
+    }
+}
+
 /// Counts of a writer whose format holds frames alone.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
@@ -36,18 +52,7 @@ pub(super) struct Tally {
 impl Tally {
     /// Checks and counts a frame.
     pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
-        if frame.shape != shape || frame.codes.len() != shape.codes() {
-            return Err(RecordingError::FrameShape {
-                path: path.to_owned(),
-                sequence: frame.sequence,
-                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
-                expected: shape.to_string(),
-            });
-        }
-        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
-            let (offset, code) = (self.frames * 2 * shape.codes() as u64, *code);
-            return Err(RecordingError::Code { path: path.to_owned(), offset, frame: frame.sequence, code });
-        }
+        check_frame(path, self.frames * 2 * shape.codes() as u64, shape, frame)?;
         self.renumbered |= frame.sequence != self.frames;
         self.frames += 1;
         self.truths += u64::from(frame.truth.is_some());

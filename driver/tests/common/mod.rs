@@ -8,6 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use proptest::prelude::ProptestConfig;
+use radome_driver::protocol::mcu7::Protocol;
 use radome_driver::{
     EmulatedBoard, EmulatorOptions, Fault, Kind, LabelSpan, Pace, Reconnect, Recorder, RecordingHeader,
 };
@@ -21,6 +22,23 @@ pub const POLICY: Reconnect = Reconnect {
     longest_wait: Duration::from_millis(50),
     give_up_after: Duration::from_secs(60),
 };
+
+/// Bytes written as hexadecimal digits.
+pub fn unhex(digits: &str) -> Vec<u8> {
+    (0..digits.len()).step_by(2).map(|i| u8::from_str_radix(&digits[i..i + 2], 16).expect("hex")).collect()
+}
+
+/// Messages of the transcript of a vendor's client: whether the host sent it, and its bytes. `None` where the shared
+/// data are absent.
+pub fn transcript(protocol: Protocol) -> Option<Vec<(bool, Vec<u8>)>> {
+    let path = radome_skip::shared(&format!("data/wire/protocol{}.txt", protocol.major()))?;
+    let text = std::fs::read_to_string(path).expect("transcript is text");
+    let line = |line: &str| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        (words[0] == "H", unhex(words[2]))
+    };
+    Some(text.lines().map(line).collect())
+}
 
 /// Cases of a property: fifty times as many where `RADOME_LONG` is set.
 pub fn cases(count: u32) -> ProptestConfig {

@@ -5,14 +5,12 @@ use radome_driver::protocol::mcu7::{
     BoardEvent, BoardInfo, BoardParser, Command, DataError, FirmwareVersion, HostEvent, HostParser, Protocol, Status,
 };
 
+use crate::common::unhex;
 use crate::golden_bytes;
 use crate::make::{commands, waveform};
 
 fn messages(name: &str, who: &str) -> Vec<Vec<u8>> {
     let text = String::from_utf8(golden_bytes(name)).expect("text");
-    let unhex = |digits: &str| -> Vec<u8> {
-        (0..digits.len()).step_by(2).map(|i| u8::from_str_radix(&digits[i..i + 2], 16).expect("hex")).collect()
-    };
     text.lines().filter_map(|line| line.split_once(' ')).filter(|(w, _)| *w == who).map(|(_, d)| unhex(d)).collect()
 }
 

@@ -191,21 +191,11 @@ impl Detector {
             if before > cell || after > cell || snr_db < LEAST_SNR_DB || cell < LEAST_CHANGING * (cell + still) {
                 continue;
             }
-            let cosines = self.baselines.iter().map(|baseline| {
-                let pair = |range: usize| {
-                    let of = |rx: usize| changes.get(rx * self.bins + range).map_or(&[][..], Vec::as_slice);
-                    of(baseline.to).iter().zip(of(baseline.from)).map(|(a, b)| a * b.conj()).sum::<Complex64>()
-                };
-                let cross = pair(range - 1) + pair(range) + pair(range + 1);
-                baseline.cosine(cross, self.waveform.wavelength_m())
-            });
-            detections.push(Detection {
-                range_m: (range as f64 + peak_offset(before, cell, after)) * self.bin_m(),
-                velocity_m_per_s: 0.0,
-                snr_db,
-                cosines: cosines.collect(),
-                is_still: true,
-            });
+            let cross = |baseline: &Baseline, range: usize| {
+                let of = |rx: usize| changes.get(rx * self.bins + range).map_or(&[][..], Vec::as_slice);
+                of(baseline.to).iter().zip(of(baseline.from)).map(|(a, b)| a * b.conj()).sum::<Complex64>()
+            };
+            detections.push(self.still_at(range, [before, cell, after], snr_db, cross));
         }
         detections.sort_by(|a, b| b.snr_db.total_cmp(&a.snr_db));
         detections.truncate(MOST_DETECTIONS);
@@ -229,17 +219,31 @@ impl Detector {
         let at = |range: usize| power.get(range).copied().unwrap_or(0.0);
         let is_within = |range: &usize| within_m.contains(&(*range as f64 * self.bin_m()));
         let range = (1..self.bins.saturating_sub(1)).filter(is_within).max_by(|&a, &b| at(a).total_cmp(&at(b)))?;
+        let cross = |baseline: &Baseline, range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
+        let snr_db = ratio_db(at(range), noise_power(power.iter().copied()));
+        Some(self.still_at(range, [at(range - 1), at(range), at(range + 1)], snr_db, cross))
+    }
+
+    /// Detection of what does not move within a frame: `powers` are those of the bin before, of this one and of the bin behind it,
+    /// `cross` is the product of the two receivers of a baseline at a range.
+    fn still_at(
+        &self,
+        range: usize,
+        [before, cell, after]: [f64; 3],
+        snr_db: f64,
+        cross: impl Fn(&Baseline, usize) -> Complex64,
+    ) -> Detection {
         let cosines = self.baselines.iter().map(|baseline| {
-            let pair = |range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
-            baseline.cosine(pair(range - 1) + pair(range) + pair(range + 1), self.waveform.wavelength_m())
+            let near = cross(baseline, range - 1) + cross(baseline, range) + cross(baseline, range + 1);
+            baseline.cosine(near, self.waveform.wavelength_m())
         });
-        Some(Detection {
-            range_m: (range as f64 + peak_offset(at(range - 1), at(range), at(range + 1))) * self.bin_m(),
+        Detection {
+            range_m: (range as f64 + peak_offset(before, cell, after)) * self.bin_m(),
             velocity_m_per_s: 0.0,
-            snr_db: ratio_db(at(range), noise_power(power.iter().copied())),
+            snr_db,
             cosines: cosines.collect(),
             is_still: true,
-        })
+        }
     }
 
     /// Width of a padded range bin, m.
@@ -250,12 +254,7 @@ impl Detector {
     /// Computes the complex maps of all receivers and their power. Returns the profiles of the mean chirps.
     fn transform(&mut self, frame: &Frame) -> Result<RangeProfile, MapError> {
         let shape = self.waveform.shape();
-        if frame.shape != shape {
-            return Err(MapError::Shape { sequence: frame.sequence, expected: shape, got: frame.shape });
-        }
-        if frame.codes.len() != shape.codes() {
-            return Err(MapError::Length { sequence: frame.sequence, expected: shape.codes(), got: frame.codes.len() });
-        }
+        MapError::check(frame, shape)?;
         let (bins, chirps) = (self.bins, shape.chirps);
         let mut profile = vec![Complex64::default(); shape.rx * bins];
         for (index, chirp) in frame.codes.chunks_exact(shape.samples).enumerate() {

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::{FrameShape, KernelLevel, WaveformMismatch};
+use crate::{Frame, FrameShape, KernelLevel, WaveformMismatch};
 
 /// Largest number of points of an FFT: eight times the samples that a chirp can have.
 pub(super) const MOST_FFT_POINTS: usize = 1 << 15;
@@ -23,6 +23,22 @@ pub enum MapError {
     /// The frame has fewer or more samples than the shape says.
     #[error("frame {sequence} holds {got} samples, expected {expected}")]
     Length { sequence: u64, expected: usize, got: usize },
+}
+
+impl MapError {
+    /// Checks that a frame has this shape, and as many codes.
+    pub(crate) fn check(frame: &Frame, expected: FrameShape) -> Result<(), MapError> {
+        if frame.shape != expected {
+            return Err(MapError::Shape { sequence: frame.sequence, expected, got: frame.shape });
+        }
+        Self::check_length(frame.sequence, frame.codes.len(), expected)
+    }
+
+    /// Checks that a frame of this shape has as many samples.
+    pub(super) fn check_length(sequence: u64, got: usize, shape: FrameShape) -> Result<(), MapError> {
+        let expected = shape.codes();
+        if got == expected { Ok(()) } else { Err(MapError::Length { sequence, expected, got }) }
+    }
 }
 
 /// Error for frames whose maps cannot be compared with those of another waveform.

@@ -190,11 +190,7 @@ impl RdmProcessor {
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
     pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
-        if frame.shape != self.plan.frame_shape {
-            let (expected, got) = (self.plan.frame_shape, frame.shape);
-            return Err(MapError::Shape { sequence: frame.sequence, expected, got });
-        }
-        self.check_length(frame.sequence, frame.codes.len())?;
+        MapError::check(frame, self.plan.frame_shape)?;
         let used = self.plan.used();
         let source = self.source(frame);
         if source.start != self.source_start {
@@ -230,15 +226,10 @@ impl RdmProcessor {
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
     pub fn process_samples(&mut self, sequence: u64, samples: &[f32], map: &mut Rdm) -> Result<MapStatus, MapError> {
-        self.check_length(sequence, samples.len())?;
+        MapError::check_length(sequence, samples.len(), self.plan.frame_shape)?;
         self.follow(sequence);
         self.samples.copy_from_slice(samples);
         Ok(self.make_map(sequence, 0, map))
-    }
-
-    fn check_length(&self, sequence: u64, got: usize) -> Result<(), MapError> {
-        let expected = self.plan.frame_shape.codes();
-        if got == expected { Ok(()) } else { Err(MapError::Length { sequence, expected, got }) }
     }
 
     /// Range of the codes of a frame that the map is computed from, by [`Channels`].

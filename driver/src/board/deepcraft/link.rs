@@ -7,18 +7,15 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use serialport::{SerialPort, TTYPort};
 
+use crate::board::host::{lost, open_port};
 use crate::board::{BoardError, DeepcraftError};
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
 };
-use crate::transport::serial::{open_port, read_within};
+use crate::transport::serial::{BUFFER, read_within};
 use crate::transport::trace;
 
-/// Baud rate of the port, which a CDC port ignores.
-const BAUD_RATE: u32 = 921_600;
-/// Bytes taken from the port at once.
-const BUFFER: usize = 65_536;
 /// Longest time that a board takes to answer, for the first attempt to reach it and for later ones.
 const FIRST_ANSWER: Duration = Duration::from_millis(300);
 const ANSWER: Duration = Duration::from_secs(1);
@@ -49,12 +46,7 @@ pub(super) struct Link {
 
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
-        Ok(Link { path: path.into(), port, buffer: vec![0; BUFFER], tag: FIRST_TAG })
-    }
-
-    fn lost(&self, source: std::io::Error) -> BoardError {
-        BoardError::Disconnected { path: self.path.clone(), source }
+        Ok(Link { path: path.into(), port: open_port(path)?, buffer: vec![0; BUFFER], tag: FIRST_TAG })
     }
 
     pub fn wrong(&self, source: DeepcraftError) -> BoardError {
@@ -63,22 +55,16 @@ impl Link {
 
     /// Reads bytes, waiting at most `timeout`; returns an empty slice if none came.
     pub fn receive(&mut self, timeout: Duration) -> Result<&[u8], BoardError> {
-        match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
-            Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
-            Ok(count) => Ok(self.buffer.get(..count).unwrap_or(&[])),
-            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
-                Ok(&[])
-            }
-            Err(e) => Err(self.lost(e)),
-        }
+        let count = read_within(&mut self.port, timeout, &mut self.buffer).map_err(lost(&self.path))?;
+        Ok(self.buffer.get(..count).unwrap_or(&[]))
     }
 
     fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
         trace::sent(bytes);
-        self.port.set_timeout(ANSWER).map_err(|e| self.lost(e.into()))?;
+        self.port.set_timeout(ANSWER).map_err(|e| lost(&self.path)(e.into()))?;
         self.port.write_all(bytes).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
-            _ => self.lost(e),
+            _ => lost(&self.path)(e),
         })
     }
 

@@ -1,12 +1,13 @@
 //! Frame stream of a DEEPCRAFT board.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
+use crate::board::host::now_ns;
 use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
@@ -146,8 +147,7 @@ impl DeepcraftStream {
             self.take_dropped_count();
             if let Some(event) = self.pop(frame) {
                 if event == SourceEvent::Frame {
-                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                    frame.host_time_ns = now.as_nanos() as u64;
+                    frame.host_time_ns = now_ns();
                 }
                 return Ok(Some(event));
             }

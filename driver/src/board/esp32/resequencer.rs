@@ -1,10 +1,11 @@
 //! Resequencer of lines. Pure: numbered lines and their times in, frames and gaps in order out.
 
 use std::collections::VecDeque;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
 
+use crate::board::host::now_ns;
 use crate::protocol::fifo;
 
 /// State of the resequencer.
@@ -172,9 +173,8 @@ impl Resequencer {
         frame.sequence = self.next_sequence;
         // Lines carry no time: frames are taken to come at their interval.
         frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
-        frame.host_time_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-        frame.truth = None;
-        frame.temperature_millicelsius = None;
+        frame.host_time_ns = now_ns();
+        (frame.truth, frame.temperature_millicelsius) = (None, None);
         self.next_sequence += 1;
     }
 }

@@ -1,6 +1,6 @@
 //! Frame stream of an ESP32 that prints lines.
 
-use std::io::{ErrorKind, Read};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -9,13 +9,12 @@ use serialport::TTYPort;
 
 use super::resequencer::Resequencer;
 use crate::board::BoardError;
+use crate::board::host::{lost, open_port};
 use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, next_event};
 use crate::protocol::ascii::{self, Line, LineParser};
-use crate::transport::serial::{open_port, read_more};
+use crate::transport::serial::{BAUD_RATE, BUFFER, read, read_more};
 use crate::transport::trace;
 
-const BAUD_RATE: u32 = 921_600;
-const BUFFER: usize = 65_536;
 /// Longest wait for the line in which the firmware states its waveform.
 const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
 /// Most bytes that are searched for that line.
@@ -46,8 +45,7 @@ impl Esp32Stream {
     /// [`BoardError::Open`], [`BoardError::Busy`] or [`BoardError::PermissionDenied`] if the port cannot be opened;
     /// [`BoardError::WaveformUnknown`] if no waveform is given and the firmware states none.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
-        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
-        Esp32Stream::listen(path, port, Vec::new(), waveform)
+        Esp32Stream::listen(path, open_port(path)?, Vec::new(), waveform)
     }
 
     /// Starts a stream on an open port; `heard` are the bytes read from it so far.
@@ -104,8 +102,7 @@ fn read_waveform_line(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> R
         if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MAX_HEARD_BYTES {
             return Err(untold());
         }
-        let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
-        read_more(port, heard).map_err(lost)?;
+        read_more(port, heard).map_err(lost(path))?;
     }
 }
 
@@ -155,16 +152,11 @@ impl Reconnectable for Esp32Stream {
                     _ => BoardError::Stalled { path, waited: self.deadline },
                 });
             }
-            let lost = |source| BoardError::Disconnected { path: self.path.clone(), source };
-            let port = self.port.as_mut().ok_or_else(|| lost(ErrorKind::NotConnected.into()))?;
-            match port.read(&mut self.buffer) {
-                Ok(0) => return Err(lost(ErrorKind::UnexpectedEof.into())),
-                Ok(count) => {
-                    trace::measured(count);
-                    self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
-                }
-                Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
-                Err(e) => return Err(lost(e)),
+            let port = self.port.as_mut().ok_or_else(|| lost(&self.path)(ErrorKind::NotConnected.into()))?;
+            let count = read(port, &mut self.buffer).map_err(lost(&self.path))?;
+            if count > 0 {
+                trace::measured(count);
+                self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
             }
         }
     }
@@ -174,8 +166,7 @@ impl Reconnectable for Esp32Stream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        let port = open_port(&self.path, BAUD_RATE).map_err(|error| BoardError::opening(self.path.clone(), error))?;
-        self.port = Some(port);
+        self.port = Some(open_port(&self.path)?);
         self.parser = LineParser::new(self.waveform.shape().codes());
         self.resequencer.reopened();
         Ok(())

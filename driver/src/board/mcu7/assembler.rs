@@ -372,12 +372,12 @@ mod tests {
 
     const FRAME_US: u64 = 37_000;
 
-    /// One receiver: a frame is a slice.
-    fn assembler() -> Assembler {
+    /// Assembler of frames of one receiver.
+    fn assembler(chirps: usize, samples: usize) -> Assembler {
         let waveform = Waveform::realise(WaveformRequest {
             rx_antennas: RxMask::from_antennas(&[1]).expect("valid"),
-            chirps_per_frame: 64,
-            samples_per_chirp: 128,
+            chirps_per_frame: chirps,
+            samples_per_chirp: samples,
             frame_interval_s: FRAME_US as f64 * 1e-6,
             ..WaveformRequest::paper()
         });
@@ -387,17 +387,9 @@ mod tests {
 
     /// Two frames of an odd number of codes in a slice of two packets, the first frame whole in the first packet.
     fn two_frames_a_slice() -> Assembler {
-        let waveform = Waveform::realise(WaveformRequest {
-            rx_antennas: RxMask::from_antennas(&[1]).expect("valid"),
-            chirps_per_frame: 45,
-            samples_per_chirp: 45,
-            frame_interval_s: FRAME_US as f64 * 1e-6,
-            ..WaveformRequest::paper()
-        });
-        let waveform = waveform.expect("valid");
-        let slice = SliceLayout::for_frame(waveform.shape().codes());
-        assert_eq!((slice.samples, slice.packets()), (2 * 45 * 45, 2));
-        Assembler::new(&waveform, slice)
+        let assembler = assembler(45, 45);
+        assert_eq!((assembler.slice.samples, assembler.slice.packets()), (2 * 45 * 45, 2));
+        assembler
     }
 
     /// A slice, complete at this time by the board's clock, of which only these packets come: what comes out. Frames as
@@ -492,7 +484,8 @@ mod tests {
         /// short.
         #[test]
         fn a_clock_that_stands_where_it_stood_has_not_run_on() {
-            let mut assembler = assembler();
+            // A frame is a slice.
+            let mut assembler = assembler(64, 128);
             assert_eq!(first_slice(&mut assembler, 31_626), [SourceEvent::Frame]);
             for (away_ms, first_sequence) in [(30, 1), (11, 3)] {
                 assembler.reconnected();

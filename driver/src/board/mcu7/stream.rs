@@ -1,7 +1,7 @@
 //! Frame stream of a Radar Baseboard MCU7.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
@@ -9,6 +9,7 @@ use super::assembler::{Assembler, Outcome};
 use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
+use crate::board::host::now_ns;
 use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
 use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
@@ -126,8 +127,7 @@ impl Mcu7Stream {
         'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
                 if event == SourceEvent::Frame {
-                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                    frame.host_time_ns = now.as_nanos() as u64;
+                    frame.host_time_ns = now_ns();
                     self.last_frame = Instant::now();
                 }
                 return Ok(Some(event));

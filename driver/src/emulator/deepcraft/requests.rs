@@ -10,10 +10,10 @@ use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{EmulatorError, Fault, Shared};
 use crate::protocol::deepcraft::{
-    Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureResponse, Custom, Device,
-    DeviceOption, Dimension, ErrorCode, ErrorResponse, FIFO_LEVEL_CODES, ITEMS, MAX_REQUEST, MessageParser, OptionBlob,
-    OptionKind, OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response, StreamConfig, USE_CASE, Value,
-    Version, data_type, device_status, device_type, direction, stated_frequency_hz,
+    Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureRequest, ConfigureResponse,
+    Custom, Device, DeviceOption, Dimension, ErrorCode, ErrorResponse, FIFO_LEVEL_CODES, ITEMS, MAX_REQUEST,
+    MessageParser, OptionBlob, OptionKind, OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response,
+    StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction, stated_frequency_hz,
 };
 
 /// Time without a watchdog reset after which the firmware stops, ms.
@@ -158,25 +158,7 @@ impl Requests {
                 let board = Some(self.board());
                 Ok(Some(Answer::Capabilities(CapabilitiesResponse { board, tag: request.tag })))
             }
-            Command::Configure(request) => {
-                is_ours(request.device)?;
-                for option in &request.options {
-                    self.set(option)?;
-                }
-                self.configure();
-                let (status, status_message) = self.status();
-                Ok(Some(Answer::Configuration(ConfigureResponse {
-                    device: DEVICE,
-                    options: vec![
-                        OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(self.use_case)) },
-                        OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(self.blob.clone())) },
-                    ],
-                    streams: vec![self.stream()],
-                    status,
-                    status_message,
-                    tag: request.tag,
-                })))
-            }
+            Command::Configure(request) => self.set_options(&request).map(|answer| Some(Answer::Configuration(answer))),
             Command::Start(request) => {
                 is_ours(request.device)?;
                 match (self.active_until, &self.refusal) {
@@ -210,6 +192,25 @@ impl Requests {
                 Ok(None)
             }
         }
+    }
+
+    /// Sets options and configures the chip; the answer says how everything stands now.
+    fn set_options(&mut self, request: &ConfigureRequest) -> Result<ConfigureResponse, ErrorCode> {
+        is_ours(request.device)?;
+        request.options.iter().try_for_each(|option| self.set(option))?;
+        self.configure();
+        let (status, status_message) = self.status();
+        Ok(ConfigureResponse {
+            device: DEVICE,
+            options: vec![
+                OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(self.use_case)) },
+                OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(self.blob.clone())) },
+            ],
+            streams: vec![self.stream()],
+            status,
+            status_message,
+            tag: request.tag,
+        })
     }
 
     fn set(&mut self, option: &OptionValue) -> Result<(), ErrorCode> {

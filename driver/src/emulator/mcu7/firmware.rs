@@ -112,75 +112,70 @@ impl Requests {
     }
 
     fn run(&mut self, command: &Command) -> Result<Vec<u8>, Status> {
-        let nothing = Ok(Vec::new());
+        let mut answer = Vec::new();
         match command {
-            Command::BoardInfo => Ok(board_info(self.framing)),
+            Command::BoardInfo => answer = board_info(self.framing),
             Command::BoardInfoFixed { length } => {
-                let mut info = board_info(self.framing);
-                info.resize(usize::from((*length).min(MAX_FIXED_INFO)), 0);
-                Ok(info)
+                answer = board_info(self.framing);
+                answer.resize(usize::from((*length).min(MAX_FIXED_INFO)), 0);
             }
             Command::FirmwareVersion => {
                 // Firmware 2.5 was the last to speak version 3.
                 let minor = if self.protocol == Protocol::V3 { 5 } else { 9 };
-                Ok(FirmwareVersion { firmware: [2, minor, 0, 0], protocol: [self.protocol_version, 0] }.encode())
+                answer = FirmwareVersion { firmware: [2, minor, 0, 0], protocol: [self.protocol_version, 0] }.encode();
             }
-            Command::Uuid => Ok((0..16).collect()),
-            Command::ExtendedVersion => Ok(b"emulated\0".to_vec()),
-            Command::ComponentCount { component } => Ok(vec![u8::from(*component == COMPONENT_AVIAN)]),
+            Command::Uuid => answer.extend(0..16),
+            Command::ExtendedVersion => answer.extend(b"emulated\0"),
+            Command::ComponentCount { component } => answer.push(u8::from(*component == COMPONENT_AVIAN)),
             Command::ComponentImplementation { component } => {
-                Ok(vec![if *component == COMPONENT_RADAR { IMPLEMENTATION_AVIAN } else { 0 }])
+                answer.push(if *component == COMPONENT_RADAR { IMPLEMENTATION_AVIAN } else { 0 });
             }
-            Command::DataIndex => Ok(vec![0]),
-            Command::WriteRegisters { address, values } => {
-                // The burst's GSR0 is that from before it.
-                let failed = self.chip.fifo_failed();
-                for (offset, value) in values.iter().enumerate() {
-                    self.write(address.wrapping_add(offset as u8), *value)?;
-                }
-                if failed { Err(Status::UnexpectedValue) } else { nothing }
-            }
+            Command::DataIndex => answer.push(0),
+            Command::WriteRegisters { address, values } => self.write_burst(*address, values)?,
             Command::ReadRegisters { address, count } => {
                 let read = |offset: u8| self.chip.read(address.wrapping_add(offset));
-                Ok((0..*count).flat_map(|offset| read(offset).to_le_bytes()).collect())
+                answer.extend((0..*count).flat_map(|offset| read(offset).to_le_bytes()));
             }
-            Command::SetBits { address, mask } => {
-                self.write(*address, self.chip.read(*address) | mask)?;
-                nothing
-            }
-            Command::HardwareReset => {
-                self.chip.reset();
-                nothing
-            }
-            Command::InterruptLevel => Ok(vec![u8::from(self.chip.interrupt())]),
-            Command::Execute { words, answer } => {
-                let mut read = Vec::new();
+            Command::SetBits { address, mask } => self.write(*address, self.chip.read(*address) | mask)?,
+            Command::HardwareReset => self.chip.reset(),
+            Command::InterruptLevel => answer.push(u8::from(self.chip.interrupt())),
+            Command::Execute { words, answer: is_answered } => {
                 for word in words {
                     self.check_start(word)?;
-                    read.extend(self.chip.transfer(*word).to_le_bytes());
+                    let read = self.chip.transfer(*word);
+                    if *is_answered {
+                        answer.extend(read.to_le_bytes());
+                    }
                 }
-                Ok(if *answer { read } else { Vec::new() })
             }
-            Command::ConfigureData { format, slice_samples } => {
-                self.data_started = false;
-                if *format != DataFormat::Packed12 {
-                    return Err(Status::InvalidParameter);
-                }
-                self.slice = Some(SliceLayout { samples: usize::from(*slice_samples), framing: self.framing });
-                nothing
-            }
-            Command::DataStatus => Ok(u32::from(self.data_started).to_le_bytes().to_vec()),
-            Command::StartData if self.slice.is_none() => Err(Status::NotConfigured),
+            Command::ConfigureData { format, slice_samples } => self.configure(*format, *slice_samples)?,
+            Command::DataStatus => answer.extend(u32::from(self.data_started).to_le_bytes()),
+            Command::StartData if self.slice.is_none() => return Err(Status::NotConfigured),
             Command::StartData => {
                 self.data_started = true;
                 self.starts += 1;
-                nothing
             }
-            Command::StopData => {
-                self.data_started = false;
-                nothing
-            }
+            Command::StopData => self.data_started = false,
         }
+        Ok(answer)
+    }
+
+    fn write_burst(&mut self, address: u8, values: &[u32]) -> Result<(), Status> {
+        // The burst's GSR0 is that from before it.
+        let failed = self.chip.fifo_failed();
+        for (offset, value) in values.iter().enumerate() {
+            self.write(address.wrapping_add(offset as u8), *value)?;
+        }
+        if failed { Err(Status::UnexpectedValue) } else { Ok(()) }
+    }
+
+    fn configure(&mut self, format: DataFormat, slice_samples: u16) -> Result<(), Status> {
+        self.data_started = false;
+        if format != DataFormat::Packed12 {
+            return Err(Status::InvalidParameter);
+        }
+        self.slice = Some(SliceLayout { samples: usize::from(slice_samples), framing: self.framing });
+        Ok(())
     }
 
     fn write(&mut self, address: u8, value: u32) -> Result<(), Status> {

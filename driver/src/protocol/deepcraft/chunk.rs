@@ -1,8 +1,9 @@
 //! Messages that carry frames. The parser hands out a message only when the following bytes confirm it.
 
 use prost::Message;
+use prost::encoding::{encode_varint, encoded_len_varint};
 
-use super::delimited::{Cursor, Stop, encode_varint, varint_length};
+use super::delimited::{Cursor, Stop};
 use super::response::{Answer, CapabilitiesResponse, ErrorResponse, Response};
 
 /// Longest message of a board: the firmware's ring of 64 Ki samples and the other fields.
@@ -145,7 +146,7 @@ impl ChunkLayout {
         encode_varint(5 << 3 | LENGTH_DELIMITED, &mut fields);
         encode_varint(2 * codes.len() as u64, &mut fields);
         let inner = (fields.len() + 2 * codes.len()) as u64;
-        encode_varint(1 + varint_length(inner) as u64 + inner, out);
+        encode_varint(1 + encoded_len_varint(inner) as u64 + inner, out);
         encode_varint(DATA, out);
         encode_varint(inner, out);
         out.extend(fields);
@@ -365,7 +366,7 @@ impl ChunkParser {
     fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
         let Some(&[low, high]) = message.last_chunk() else { return false };
         let length = usize::from(low & 0x7F) | usize::from(high) << 7;
-        let around = header.end - (header.payload_end - header.payload_start) - varint_length(length as u64);
+        let around = header.end - (header.payload_end - header.payload_start) - encoded_len_varint(length as u64);
         // The successor may hold more frames or fewer, and its numbers may be longer or shorter.
         let is_near = |frames: usize| (frames * self.layout.frame_bytes() + around).abs_diff(length) <= MOST_LONGER;
         let frames = length / self.layout.frame_bytes().max(1);

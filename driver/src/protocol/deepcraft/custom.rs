@@ -55,9 +55,7 @@ fn shortest(value: f32) -> f64 {
 }
 
 fn decode_registers(registers: &RegisterList) -> Result<Waveform, ChipError> {
-    let mut file = RegisterFile::default();
-    registers.iter().for_each(|r| file.set(r.address, r.value));
-    Ok(ChipConfiguration::decode(&file)?.waveform)
+    Ok(ChipConfiguration::decode(&RegisterFile::from(registers))?.waveform)
 }
 
 impl Custom {

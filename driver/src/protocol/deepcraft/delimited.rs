@@ -1,6 +1,5 @@
 //! Delimited messages: length as a varint, then the message.
 
-use prost::Message;
 use thiserror::Error;
 
 /// Longest varint of 64 bits.
@@ -34,22 +33,6 @@ impl Cursor<'_> {
         }
         Err(if self.bytes.len() < self.at + MAX_VARINT { Stop::Short } else { Stop::Bad })
     }
-}
-
-/// Appends a number.
-pub(super) fn encode_varint(value: u64, out: &mut Vec<u8>) {
-    prost::encoding::encode_varint(value, out);
-}
-
-/// Bytes of a number.
-pub(super) fn varint_length(value: u64) -> usize {
-    prost::encoding::encoded_len_varint(value)
-}
-
-/// Appends a message and before it its length.
-pub(super) fn encode(message: &impl Message, out: &mut Vec<u8>) {
-    encode_varint(message.encoded_len() as u64, out);
-    out.extend(message.encode_to_vec());
 }
 
 /// Error of a length beyond the longest message.
@@ -119,13 +102,14 @@ impl MessageParser {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use prost::encoding::{encode_varint, encoded_len_varint};
 
     proptest! {
         #[test]
         fn numbers_round_trip(value: u64) {
             let mut bytes = Vec::new();
             encode_varint(value, &mut bytes);
-            prop_assert_eq!(bytes.len(), varint_length(value));
+            prop_assert_eq!(bytes.len(), encoded_len_varint(value));
             let mut cursor = Cursor { bytes: &bytes, at: 0 };
             prop_assert_eq!(cursor.varint(), Ok(value));
             prop_assert_eq!(cursor.at, bytes.len());

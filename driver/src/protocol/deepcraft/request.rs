@@ -4,7 +4,6 @@
 
 use prost::{Message, Oneof};
 
-use super::delimited;
 use super::option::OptionValue;
 use super::response::DataChunk;
 
@@ -92,6 +91,6 @@ impl From<Command> for Request {
 impl Request {
     /// Appends the request as it stands on the line.
     pub fn encode_to(&self, out: &mut Vec<u8>) {
-        delimited::encode(self, out);
+        out.extend(self.encode_length_delimited_to_vec());
     }
 }

@@ -6,7 +6,6 @@
 use prost::{Message, Oneof};
 
 use super::capabilities::{Board, StreamConfig};
-use super::delimited;
 use super::option::OptionValue;
 
 /// Response of a board.
@@ -121,6 +120,6 @@ impl From<Answer> for Response {
 impl Response {
     /// Appends the response as it stands on the line.
     pub fn encode_to(&self, out: &mut Vec<u8>) {
-        delimited::encode(self, out);
+        out.extend(self.encode_length_delimited_to_vec());
     }
 }

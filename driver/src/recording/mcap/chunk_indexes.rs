@@ -29,18 +29,12 @@ pub(super) struct ChunkIndexes {
 
 impl ChunkIndexes {
     /// Starts an empty list for a recording: `recording` is its file, `path` its name.
-    ///
-    /// # Errors
-    /// Error of the system if the file without a name cannot be created.
     pub fn create(recording: &File, path: &Path) -> io::Result<Self> {
         let file = disk::unnamed(recording, path)?;
         Ok(ChunkIndexes { file, path: path.to_owned(), stored: 0, held: Vec::with_capacity(HELD_BYTES) })
     }
 
     /// Adds the entry of a chunk.
-    ///
-    /// # Errors
-    /// Error of the system if the disk does not take it.
     pub fn push(&mut self, index: &ChunkIndex) -> io::Result<()> {
         let body = chunk_index_body(index);
         if self.held.len() + RECORD_HEADER as usize + body.len() > HELD_BYTES {
@@ -59,17 +53,11 @@ impl ChunkIndexes {
     }
 
     /// Seeks the first record, to read all of them. Nothing can be added from then on.
-    ///
-    /// # Errors
-    /// Error of the system.
     pub fn rewind(&mut self) -> io::Result<()> {
         self.file.rewind()
     }
 
     /// Appends the next records to `out`, a block of them at most; returns their length in bytes, 0 behind the last.
-    ///
-    /// # Errors
-    /// Error of the system if they cannot be read.
     pub fn read(&mut self, out: &mut Vec<u8>) -> io::Result<u64> {
         let count = self.file.by_ref().take(BLOCK_BYTES).read_to_end(out)?;
         self.stored = self.stored.checked_sub(count as u64).ok_or(io::ErrorKind::InvalidData)?;

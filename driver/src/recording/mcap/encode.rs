@@ -122,9 +122,6 @@ pub(super) struct Chunk {
 
 impl Chunk {
     /// Starts an empty chunk.
-    ///
-    /// # Errors
-    /// The compressor cannot be started.
     pub fn new() -> io::Result<Self> {
         let encoder = zstd::Encoder::new(Vec::new(), COMPRESSION_LEVEL)?;
         Ok(Chunk { encoder, crc: Hasher::new(), length: 0, times: None, messages: BTreeMap::new() })
@@ -142,9 +139,6 @@ impl Chunk {
     }
 
     /// Adds a record whose body consists of these parts.
-    ///
-    /// # Errors
-    /// The compressor fails.
     pub fn record(&mut self, opcode: u8, parts: &[&[u8]]) -> io::Result<()> {
         let length = parts.iter().map(|part| part.len() as u64).sum::<u64>();
         self.write(&[opcode])?;
@@ -153,9 +147,6 @@ impl Chunk {
     }
 
     /// Adds a message.
-    ///
-    /// # Errors
-    /// The compressor fails.
     pub fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
         let MessageHeader { channel_id, sequence, log_time, publish_time } = *header;
         let entries = self.messages.entry(channel_id).or_default();

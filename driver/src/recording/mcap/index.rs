@@ -12,7 +12,7 @@ use crate::recording::{Position, RecordingError};
 const UNSYNCED_CHUNKS: usize = 8;
 
 /// Footer record and magic: the end of every finished file.
-const FOOTER: u64 = RECORD_HEADER + 20 + 8;
+pub(super) const FOOTER: u64 = RECORD_HEADER + 20 + 8;
 
 /// A chunk.
 #[derive(Debug)]
@@ -24,6 +24,12 @@ pub(super) struct Chunk {
     frames: u64,
     /// Its first frame, `None` until it has been looked up; `Some(None)` if no frame of it can be read.
     pub first: Option<Option<Position>>,
+}
+
+impl Chunk {
+    fn new(offset: u64) -> Self {
+        Chunk { offset, has_labels: false, has_results: false, frames: 0, first: None }
+    }
 }
 
 #[derive(Debug)]
@@ -122,13 +128,7 @@ fn from_summary(
                         topics.any(|topic| *topic == wanted)
                     };
                     let (has_labels, has_results) = (has(Topic::Label), has(Topic::Result));
-                    chunks.push(Chunk {
-                        offset: chunk.chunk_start_offset,
-                        has_labels,
-                        has_results,
-                        frames: 0,
-                        first: None,
-                    });
+                    chunks.push(Chunk { has_labels, has_results, ..Chunk::new(chunk.chunk_start_offset) });
                 }
                 Ok(Record::Statistics(found)) => statistics = Some(found),
                 _ => return Ok(None),
@@ -162,27 +162,16 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
         };
         match next {
             Next::Record(op::CHUNK, offset) => {
-                index.chunks.push(Chunk { offset, has_labels: false, has_results: false, frames: 0, first: None });
+                index.chunks.push(Chunk::new(offset));
             }
             Next::Record(op::MESSAGE_INDEX, _) => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
+                let Some(chunk) = index.chunks.last_mut() else { continue };
                 match channels.get(&messages.channel_id) {
-                    Some(Topic::Frame) => {
-                        if let Some(chunk) = index.chunks.last_mut() {
-                            chunk.frames += messages.records.len() as u64;
-                        }
-                    }
-                    Some(Topic::Label) => {
-                        if let Some(chunk) = index.chunks.last_mut() {
-                            chunk.has_labels = true;
-                        }
-                    }
-                    Some(Topic::Result) => {
-                        if let Some(chunk) = index.chunks.last_mut() {
-                            chunk.has_results = true;
-                        }
-                    }
-                    _ => {}
+                    Some(Topic::Frame) => chunk.frames += messages.records.len() as u64,
+                    Some(Topic::Label) => chunk.has_labels = true,
+                    Some(Topic::Result) => chunk.has_results = true,
+                    Some(Topic::Gap) | None => {}
                 }
             }
             Next::Record(..) => {}

@@ -9,7 +9,7 @@ use std::time::Duration;
 use mcap::records::{MessageHeader, Record, Statistics, op};
 
 use super::encode::{Chunk, SummaryLayout, chunk_index_body, record, statistics_body};
-use super::index::summary_start;
+use super::index::{FOOTER, summary_start};
 use super::lengths::parse_record;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
 use super::staged::{self, End};
@@ -19,8 +19,6 @@ use crate::recording::{RecordingError, disk};
 
 /// DATA_END: opcode, length, CRC.
 const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
-/// Footer record and magic.
-const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
 /// Longest wait for another writer. A program that changes labels has finished by then; one that records has not.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -124,7 +122,7 @@ fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     let unfinished = RecordingError::Unfinished { path: records.path.clone(), offset: length };
     let Some(summary_start) = summary_start(records)? else { return Err(unfinished) };
     let no_summary = || records.corrupt(length, "its summary is not where its footer says".into());
-    let end = summary_start.checked_sub(DATA_END_BYTES).filter(|_| summary_start <= length - FOOTER_BYTES);
+    let end = summary_start.checked_sub(DATA_END_BYTES).filter(|_| summary_start <= length - FOOTER);
     let end = end.ok_or_else(no_summary)?;
     let mut data_end = [0; RECORD_HEADER as usize];
     records.peek(end, &mut data_end)?;
@@ -144,7 +142,7 @@ fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, Recording
     }
     let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
     records.peek(end, &mut bytes)?;
-    let summary = bytes.len().checked_sub(FOOTER_BYTES as usize);
+    let summary = bytes.len().checked_sub(FOOTER as usize);
     let summary = summary.and_then(|summary_end| bytes.get(DATA_END_BYTES as usize..summary_end)).unwrap_or(&[]);
     let mut summary = Summary::parse(summary).map_err(|reason| records.corrupt(end + DATA_END_BYTES, reason))?;
     let at = summary.drop_label_chunks(records, end)?;
@@ -279,7 +277,7 @@ mod tests {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
         Recorder::create(&path, &RecordingHeader::new(waveform)).and_then(Recorder::finish).expect("records");
         let bytes = std::fs::read(&path).expect("reads");
-        let footer = bytes.split_at(bytes.len() - FOOTER_BYTES as usize).1;
+        let footer = bytes.split_at(bytes.len() - FOOTER as usize).1;
         let mut file = File::options().write(true).open(&path).expect("opens");
         file.seek(SeekFrom::Start(bytes.len() as u64 + MAX_RECORD)).expect("seeks");
         file.write_all(footer).expect("writes");

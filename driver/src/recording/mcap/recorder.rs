@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crc32fast::Hasher;
 use mcap::records::{MessageHeader, Statistics, op};
-use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+use radome_dsp::{Frame, FrameShape, Gap};
 
 use super::chunk_indexes::ChunkIndexes;
 use super::encode::{
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::recording::lock::Locked;
 use crate::recording::partial::Partial;
-use crate::recording::{Existing, RecordingError, disk};
+use crate::recording::{Existing, RecordingError, check_frame, disk};
 
 /// A chunk is written when it holds this many bytes.
 const CHUNK_BYTES: usize = 4_000_000;
@@ -124,6 +124,20 @@ pub struct Recorder {
     message: u32,
 }
 
+/// Fields of the metadata record of a recording.
+fn metadata(header: &RecordingHeader) -> serde_json::Result<BTreeMap<String, String>> {
+    let mut fields = BTreeMap::from([
+        ("format_version".to_owned(), FORMAT_VERSION.to_string()),
+        ("waveform".to_owned(), serde_json::to_string(&header.waveform)?),
+        ("board".to_owned(), serde_json::to_string(&header.board)?),
+        ("registers".to_owned(), serde_json::to_string(&header.registers)?),
+    ]);
+    if let Some(judge) = &header.judge {
+        fields.insert("judge".to_owned(), serde_json::to_string(judge)?);
+    }
+    Ok(fields)
+}
+
 /// The schema and the channels of a recording, opcode and body.
 fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
     let mut definitions = vec![
@@ -168,7 +182,7 @@ impl Recorder {
         let mut recorder = Self::start(partial.open()?, path, header, options.sync)?;
         recorder._lock = partial.publish()?;
         // Labels of a recording that had this name before.
-        staged::remove_staged_labels(path)?;
+        staged::remove(path).map_err(RecordingError::cannot_write(path))?;
         recorder.takes_labels = true;
         Ok(recorder)
     }
@@ -181,16 +195,7 @@ impl Recorder {
         sync: Option<SyncOptions>,
     ) -> Result<Self, RecordingError> {
         let cannot = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be written", source };
-        let json = |value: serde_json::Result<String>| value.map_err(|e| cannot(io::Error::other(e)));
-        let mut metadata = BTreeMap::from([
-            ("format_version".to_owned(), FORMAT_VERSION.to_string()),
-            ("waveform".to_owned(), json(serde_json::to_string(&header.waveform))?),
-            ("board".to_owned(), json(serde_json::to_string(&header.board))?),
-            ("registers".to_owned(), json(serde_json::to_string(&header.registers))?),
-        ]);
-        if let Some(judge) = &header.judge {
-            metadata.insert("judge".to_owned(), json(serde_json::to_string(judge))?);
-        }
+        let metadata = metadata(header).map_err(|e| cannot(io::Error::other(e)))?;
         let mut pending = mcap::MAGIC.to_vec();
         record(&mut pending, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
         let metadata_start = pending.len();
@@ -364,18 +369,7 @@ impl Recorder {
     /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not belong here, which changes
     /// nothing; else the recording's first error.
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
-        if frame.shape != self.shape || frame.codes.len() != self.shape.codes() {
-            return Err(RecordingError::FrameShape {
-                path: self.path.clone(),
-                sequence: frame.sequence,
-                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
-                expected: self.shape.to_string(),
-            });
-        }
-        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
-            let offset = self.end;
-            return Err(RecordingError::Code { path: self.path.clone(), offset, frame: frame.sequence, code: *code });
-        }
+        check_frame(&self.path, self.end, self.shape, frame)?;
         // A clock that goes backwards has started again.
         let span_ns = frame.time_ns.checked_sub(self.chunk_start_ns).unwrap_or(self.chunk_ns);
         if self.chunk_bytes > 0 && (self.chunk_bytes >= CHUNK_BYTES || span_ns >= self.chunk_ns) {

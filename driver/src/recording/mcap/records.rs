@@ -135,16 +135,8 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTree
     let (mut body, mut header, mut channels) = (Vec::new(), None, BTreeMap::new());
     while header.is_none() || channels.is_empty() {
         match records.next(&mut body, |opcode| matches!(opcode, op::METADATA | op::CHUNK))? {
-            Next::Record(op::METADATA, at) => {
-                if let Ok(Record::Metadata(metadata)) = parse_record(op::METADATA, &body)
-                    && metadata.name == METADATA_NAME
-                {
-                    header = Some(parse_header(records, at, &metadata.metadata)?);
-                }
-            }
-            Next::Record(op::CHUNK, at) => {
-                read_chunk(records, at, &body, &mut channels)?;
-            }
+            Next::Record(op::METADATA, at) => header = header_in(records, at, &body)?.or(header),
+            Next::Record(op::CHUNK, at) => drop(read_chunk(records, at, &body, &mut channels)?),
             Next::Record(..) => {}
             Next::End => break,
             Next::CutShort => {
@@ -159,21 +151,24 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTree
 /// Reads the header of the recording, even if the rest is damaged.
 pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader, RecordingError> {
     let mut body = Vec::new();
-    loop {
-        match records.next(&mut body, |opcode| opcode == op::METADATA)? {
-            Next::Record(op::METADATA, at) => {
-                if let Ok(Record::Metadata(metadata)) = parse_record(op::METADATA, &body)
-                    && metadata.name == METADATA_NAME
-                {
-                    return parse_header(records, at, &metadata.metadata);
-                }
-            }
-            Next::Record(..) => {}
-            Next::End | Next::CutShort => {
-                let reason = "no metadata `radome`: not one of our recordings, or cut before its start".into();
-                return Err(records.corrupt(8, reason));
-            }
+    while let Next::Record(opcode, at) = records.next(&mut body, |opcode| opcode == op::METADATA)? {
+        if opcode == op::METADATA
+            && let Some(header) = header_in(records, at, &body)?
+        {
+            return Ok(header);
         }
+    }
+    let reason = "no metadata `radome`: not one of our recordings, or cut before its start".into();
+    Err(records.corrupt(8, reason))
+}
+
+/// Parses the header of the recording from the body of a metadata record; `None` if that is another program's.
+fn header_in(records: &Records, at: u64, body: &[u8]) -> Result<Option<RecordingHeader>, RecordingError> {
+    match parse_record(op::METADATA, body) {
+        Ok(Record::Metadata(metadata)) if metadata.name == METADATA_NAME => {
+            parse_header(records, at, &metadata.metadata).map(Some)
+        }
+        _ => Ok(None),
     }
 }
 
@@ -259,7 +254,7 @@ fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
     Ok(content)
 }
 
-pub(super) fn parse_header(
+fn parse_header(
     records: &Records,
     at: u64,
     metadata: &BTreeMap<String, String>,

@@ -147,7 +147,7 @@ struct Version {
     version: u32,
 }
 
-/// Removes the labels beside a recording, once they are in it or the recording is removed.
+/// Removes the labels beside a recording, once they are in it, or are those of a recording that was replaced.
 pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
     let Ok(path) = name(recording) else { return Ok(()) };
     if !path.exists() {
@@ -155,14 +155,6 @@ pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
     }
     disk::remove(&path)?;
     disk::sync_folder(&path)
-}
-
-/// Removes the labels beside a recording that has replaced another.
-///
-/// # Errors
-/// [`RecordingError::Io`].
-pub(super) fn remove_staged_labels(recording: &Path) -> Result<(), RecordingError> {
-    remove(recording).map_err(RecordingError::cannot_write(recording))
 }
 
 /// Writes the end of a recording that its staged labels hold, and removes them. The caller has locked `file`.

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use super::staged::remove_staged_labels;
-use super::{Recorder, RecordingHeader};
+use super::{Recorder, RecordingHeader, staged};
 use crate::recording::partial::Partial;
 use crate::recording::{Existing, RecordingError, WriteReport};
 
@@ -34,7 +33,7 @@ impl McapWriter {
         let summary = self.recorder.finish()?;
         self.partial.finish()?;
         // Labels of a recording that had this name before.
-        remove_staged_labels(&path)?;
+        staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
         let (frames, gaps, frames_lost, bytes) = (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
         Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
     }

@@ -150,9 +150,6 @@ impl DeviceSockets {
 
     /// Waits until there is a control transfer or a new host, or room for a bulk transfer if `write` is set, at most
     /// `timeout`.
-    ///
-    /// # Errors
-    /// Errors of the system.
     pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let [control, data] = &self.host;
         let vacant = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
@@ -168,9 +165,6 @@ impl DeviceSockets {
     }
 
     /// Reads a control transfer, setup packet and data; returns 0 if there is none.
-    ///
-    /// # Errors
-    /// Errors of the system.
     pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         for (listener, host) in self.listeners.iter().zip(&mut self.host) {
             if host.is_none() {
@@ -200,9 +194,6 @@ impl DeviceSockets {
     }
 
     /// Answers the control transfer: with the data of an IN transfer, with nothing for an OUT transfer, or by a stall.
-    ///
-    /// # Errors
-    /// Errors of the system.
     pub fn answer(&mut self, data: Option<&[u8]>) -> io::Result<()> {
         let message = match data {
             Some(data) => [&[DONE], data].concat(),
@@ -217,9 +208,6 @@ impl DeviceSockets {
     }
 
     /// Sends a bulk transfer; returns 0 if the host has not read the earlier ones.
-    ///
-    /// # Errors
-    /// Errors of the system.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Some(data) = &self.host[1] else { return Ok(0) };
         match send(data, bytes, SendFlags::NOSIGNAL) {

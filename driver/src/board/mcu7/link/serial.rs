@@ -8,13 +8,10 @@ use serialport::{SerialPort, TTYPort};
 
 use super::carrier::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::board::BoardError;
+use crate::board::host::open_port;
 use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, Status};
-use crate::transport::serial::{open_port, read_within};
+use crate::transport::serial::{BUFFER, read_within};
 use crate::transport::trace;
-
-const BAUD_RATE: u32 = 921_600;
-/// Bytes taken from the port at once.
-const BUFFER: usize = 65_536;
 
 pub(super) struct Serial {
     port: TTYPort,
@@ -25,9 +22,8 @@ pub(super) struct Serial {
 
 impl Serial {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         Ok(Serial {
-            port,
+            port: open_port(path)?,
             parser: BoardParser::with_capacity(BUFFER),
             buffer: vec![0; BUFFER],
             last_byte: Instant::now(),
@@ -35,38 +31,27 @@ impl Serial {
     }
 
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
-        match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
-            Ok(0) => Err(Failure::Lost(ErrorKind::UnexpectedEof.into())),
-            Ok(count) => {
-                self.last_byte = Instant::now();
-                self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
-                Ok(true)
-            }
-            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
-                if self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE {
-                    self.parser.on_silence();
-                    return Ok(true);
-                }
-                Ok(false)
-            }
-            Err(e) => Err(Failure::Lost(e)),
+        let count = read_within(&mut self.port, timeout, &mut self.buffer).map_err(Failure::Lost)?;
+        if count > 0 {
+            self.last_byte = Instant::now();
+            self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
+            return Ok(true);
         }
+        let is_cut = self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE;
+        if is_cut {
+            self.parser.on_silence();
+        }
+        Ok(is_cut)
     }
 
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
-        loop {
-            // Peeking and taking are two steps because the borrow checker asks for it.
-            match self.parser.peek_is_response()? {
-                true => {
-                    self.parser.next_event();
-                }
-                false => {
-                    return match self.parser.next_event()? {
-                        BoardEvent::Packet(packet) => Some(Incoming::Packet(packet)),
-                        _ => Some(Incoming::Damaged),
-                    };
-                }
-            }
+        // Peeking and taking are two steps because the borrow checker asks for it.
+        while self.parser.peek_is_response()? {
+            self.parser.next_event();
+        }
+        match self.parser.next_event()? {
+            BoardEvent::Packet(packet) => Some(Incoming::Packet(packet)),
+            _ => Some(Incoming::Damaged),
         }
     }
 
