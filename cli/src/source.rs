@@ -18,8 +18,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Mcu7Board,
-    Pace, Player, RealTime, Reconnect, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace, Player,
+    RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
@@ -285,14 +285,7 @@ fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
-    let detected = match address {
-        Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
-        Address::Usb(_) => {
-            let (board, left) = Mcu7Board::open_with_waveform(address)?;
-            Detected::Mcu7(Box::new(board), left)
-        }
-    };
-    match detected {
+    match Detected::open_at(address, options.waveform.as_ref())? {
         Detected::Mcu7(board, left) => {
             let Some(waveform) = options.to_program().or(left.as_ref()) else {
                 bail!(

@@ -6,8 +6,8 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use radome_driver::recording::Recording;
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Mcu7Board,
-    Pace, RealTime, Reconnect, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Pace,
+    RealTime, Reconnect, candidates,
 };
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -151,14 +151,7 @@ fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
 }
 
 fn board(address: &Address, options: &Options) -> Outcome<Opened> {
-    let detected = match address {
-        Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
-        Address::Usb(_) => {
-            let (board, left) = Mcu7Board::open_with_waveform(address)?;
-            Detected::Mcu7(Box::new(board), left)
-        }
-    };
-    match detected {
+    match Detected::open_at(address, options.waveform.as_ref())? {
         Detected::Mcu7(board, left) => {
             let waveform = options.waveform.as_ref().or(left.as_ref());
             let waveform =

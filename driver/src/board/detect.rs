@@ -53,11 +53,23 @@ impl Detected {
         if let Some((port, heard)) = printing(path)? {
             return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
-        let mcu7 = |address: &Address| {
-            let (board, left) = Mcu7Board::open_with_waveform(address)?;
-            Ok(Detected::Mcu7(Box::new(board), left))
-        };
-        asked_in_turn(path, mcu7, |board| Detected::Deepcraft(Box::new(board)))
+        asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board)))
+    }
+
+    /// Opens what is at an address, on a serial port like [`Detected::open`]; on USB there is one kind of board.
+    ///
+    /// # Errors
+    /// Those of [`Detected::open`].
+    pub fn open_at(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
+        match address {
+            Address::Serial(port) => Detected::open(port, waveform),
+            Address::Usb(_) => Detected::mcu7(address),
+        }
+    }
+
+    fn mcu7(address: &Address) -> Result<Detected, BoardError> {
+        let (board, left) = Mcu7Board::open_with_waveform(address)?;
+        Ok(Detected::Mcu7(Box::new(board), left))
     }
 }
 
