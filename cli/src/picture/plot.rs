@@ -1,6 +1,7 @@
 //! Plots: maps, points and lines on axes.
 
 use std::path::Path;
+use std::sync::LazyLock;
 
 use anyhow::Context;
 use radome_dsp::Rdm;
@@ -79,11 +80,15 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
 /// The picture cannot be encoded.
 pub fn cells(map: &Rdm, rx: usize, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
-    let colour = |(y, x): (usize, usize)| {
-        let value = map.at(rx, doppler - 1 - y, x);
-        if value.is_finite() { viridis((value - low) / (high - low)).rgb } else { NOT_A_NUMBER.rgb }
-    };
-    let rgb: Vec<u8> = (0..doppler).flat_map(|y| (0..range).map(move |x| (y, x))).flat_map(colour).collect();
+    let steps = VIRIDIS.len() as f32 - 1.0;
+    let mut rgb = Vec::with_capacity(3 * doppler * range);
+    for row in (0..doppler).rev() {
+        for column in 0..range {
+            let place = (map.at(rx, row, column) - low) / (high - low);
+            let colour = VIRIDIS[(place.clamp(0.0, 1.0) * steps + 0.5) as usize];
+            rgb.extend_from_slice(if place.is_finite() { &colour } else { &NOT_A_NUMBER.rgb });
+        }
+    }
     let mut png = Vec::new();
     write_png(&mut png, [range as u32, doppler as u32], &rgb).context("cannot encode a picture")?;
     Ok(png)
@@ -273,6 +278,9 @@ fn label(value: f64, scale: f64) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
+
+/// Colours of the viridis map in equal steps: of recordings, a picture is made of each frame.
+static VIRIDIS: LazyLock<[[u8; 3]; 256]> = LazyLock::new(|| std::array::from_fn(|i| viridis(i as f32 / 255.0).rgb));
 
 /// The viridis map by interpolation of nine of its colours.
 fn viridis(t: f32) -> Ink {

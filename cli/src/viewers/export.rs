@@ -255,13 +255,17 @@ impl<W: Write + Seek> Export<W> {
 
 /// Image of the codes of a frame: a row a chirp, receiver by receiver, a column a sample.
 fn chirps(frame: &Frame, time_ns: u64) -> RawImage {
+    let mut data = Vec::with_capacity(2 * frame.codes.len());
+    for code in &frame.codes {
+        data.extend_from_slice(&code.to_le_bytes());
+    }
     RawImage {
         timestamp: timestamp(time_ns),
         width: frame.shape.samples as u32,
         height: (frame.shape.rx * frame.shape.chirps) as u32,
         encoding: "16UC1".to_owned(),
         step: 2 * frame.shape.samples as u32,
-        data: frame.codes.iter().flat_map(|code| code.to_le_bytes()).collect(),
+        data,
         frame_id: FRAME_ID.to_owned(),
     }
 }

@@ -11,6 +11,7 @@ mod change;
 mod error;
 mod fourier;
 mod lanes;
+mod library_chain;
 mod map;
 mod physical;
 mod plan;
@@ -21,6 +22,7 @@ mod spec;
 
 pub use axes::{AxesCoverage, LEAST_CHIRPS, LEAST_SAMPLED_BAND_HZ, LEAST_SAMPLES, MOST_AXIS_BINS, PhysicalAxes};
 pub use error::{MapError, MapMismatch, SpecError};
+pub use library_chain::LibraryChain;
 pub use map::{MapFlags, Rdm, RdmShape};
 pub use processor::{MapStatus, RdmProcessor};
 pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, StaticRemoval};
