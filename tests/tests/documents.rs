@@ -299,6 +299,31 @@ fn the_commands_of_all_other_pages_succeed() {
 }
 
 /// The reader of pages itself.
+/// Blocks of `docs/rooms.md`: a scene; a file, which is not at hand; a box in place of the scene's plan; and a material.
+#[test]
+fn the_toml_files_on_pages_are_read_by_the_program() {
+    let toml = |path: &str| -> Vec<String> {
+        page(path).blocks.into_iter().filter(|(language, _)| language == "toml").map(|(_, content)| content).collect()
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = |command: &str, name: &str, text: &str, options: &[&str]| {
+        fs::write(folder.path().join(name), text).expect("a file");
+        let arguments = command.split(' ').chain([name]).chain(options.iter().copied());
+        let output = radome().current_dir(folder.path()).args(arguments).output().expect("runs");
+        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    };
+    let board = toml("docs/board.md");
+    run("board config", "waveform.toml", board.first().expect("a waveform"), &[]);
+    let rooms = toml("docs/rooms.md");
+    let [office, _, cuboid, oak] = &rooms[..] else { panic!("{} blocks in docs/rooms.md", rooms.len()) };
+    let (head, rest) = office.split_once("[room]\n").expect("a room");
+    let (_, tail) = rest.split_once("[[furniture]]").expect("furniture");
+    let cuboid = format!("{head}{cuboid}{oak}[[furniture]]{tail}").replace("concrete", "oak");
+    for (name, text) in [("office.toml", office), ("box.toml", &cuboid)] {
+        run("scene simulate", name, text, &["--frames", "2", "-o", &format!("{name}.mcap")]);
+    }
+}
+
 #[test]
 fn blocks_spans_links_and_commands_are_found() {
     let text = "# A *page*, of two parts\n`radome live\nSOURCE --json` and [a link](x.md#y), <img src=\"p.png\">\n\
