@@ -125,6 +125,11 @@ impl Circuit {
         Ok(Circuit { spec: spec.clone(), gates: gates.into(), layers: layers.into(), angles: angles.into() })
     }
 
+    /// Settings of the circuit.
+    pub fn spec(&self) -> &CircuitSpec {
+        &self.spec
+    }
+
     /// Number of qubits, inputs and outputs.
     pub fn qubits(&self) -> usize {
         self.spec.qubits
