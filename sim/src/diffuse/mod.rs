@@ -10,7 +10,7 @@
 //!
 //! More walls may lie between antenna and point: the power that a room returns after many of them decays exponentially with delay
 //! (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation Magazine 49(2), 2007).
-//! Of all ways by n walls, image antennas represent those that are mirrored at each of a few walls; the points represent the others.
+//! Image antennas represent the ways that are mirrored at each of a few walls; the points represent all other ways by as many walls.
 //! A point is the end of a random walk from wall to wall by Lambert's law, and carries the power that the walls leave.
 //!
 //! `points.rs` makes the points of a room, of any shape with `facets.rs`; [`crate::echo::diffuse`] adds a person's echoes by way of
