@@ -15,6 +15,8 @@ pub(crate) mod tile;
 mod vector;
 pub(crate) mod weight_gradient;
 pub(crate) mod winograd;
+pub(crate) mod winograd_gradient;
 mod winograd_transform;
+mod winograd_weights;
 
 pub use level::KernelLevel;

@@ -1,7 +1,10 @@
 //! Weights in the order in which tiles read them.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
+use super::buffer::unwritten;
 use super::tile::Tiles;
 
 /// Weights `[panel][offset][channel][column of the panel]`: each panel as wide as a tile, the last one a single vector if
@@ -15,6 +18,7 @@ pub(crate) struct Packed {
 }
 
 /// Direction of a product.
+#[derive(Clone, Copy)]
 pub(crate) enum Side {
     /// Columns are outputs, channels inputs.
     Forward,
@@ -30,12 +34,7 @@ impl Packed {
             Side::Backward => (inputs, outputs),
         };
         let depth = offsets * channels;
-        let panels = columns.div_ceil(tiles.width());
-        let mut values = vec![0.0; Self::length(columns, tiles) * depth];
-        let pack = |panel: usize, target: &mut [f32]| {
-            let first = panel * tiles.width();
-            let width = target.len() / depth;
-            let columns = first..columns.min(first + width);
+        Self::filled(columns, depth, tiles, |columns, width, target| {
             match side {
                 Side::Forward => {
                     // One stream for each column, so that both sides access memory in order.
@@ -61,12 +60,26 @@ impl Packed {
                     }
                 }
             }
-        };
-        values
-            .par_chunks_mut((tiles.width() * depth).max(1))
-            .enumerate()
-            .for_each(|(panel, target)| pack(panel, target));
-        debug_assert_eq!(values.len().div_ceil((tiles.width() * depth).max(1)), panels);
+        })
+    }
+
+    /// Weights of `columns`, `depth` for each of them; `fill` writes those of a range of columns to a panel `[depth][width]`, whose
+    /// padding is zero.
+    pub fn filled(
+        columns: usize,
+        depth: usize,
+        tiles: Tiles,
+        fill: impl Fn(Range<usize>, usize, &mut [f32]) + Sync,
+    ) -> Self {
+        let mut values = unwritten(Self::length(columns, tiles) * depth);
+        values.par_chunks_mut((tiles.width() * depth).max(1)).enumerate().for_each(|(panel, target)| {
+            let first = panel * tiles.width();
+            let (columns, width) = (first..columns.min(first + tiles.width()), target.len() / depth);
+            if columns.len() < width {
+                target.fill(0.0);
+            }
+            fill(columns, width, target);
+        });
         Packed { values, depth, columns, tiles }
     }
 

@@ -3,18 +3,17 @@
 //! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the
 //! four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g`
 //! is the kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform
-//! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums.
+//! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums. The gradient
+//! of the input is the same with turned kernels; that of the weights is in `winograd_gradient.rs`.
 
 use std::cell::RefCell;
 
-use super::level::KernelLevel;
 use super::packed::{Packed, Side};
 use super::spin_pool::for_each_task;
 use super::tile::{RowTile, Shared, Tiles, part};
-use super::winograd_transform::{InputWindow, OutputWindow};
+use super::winograd_transform::{GradientWindow, InputWindow, OutputWindow, POINTS};
+use super::winograd_weights::transformed;
 
-/// Numbers of a transformed window.
-const POINTS: usize = 16;
 /// Point that enters each of the four cells once: its sums start from the bias.
 const CENTRE: usize = 5;
 /// Most rows of tiles of a task: intermediate results stay in the cache.
@@ -41,6 +40,11 @@ pub(crate) enum Finish<'a> {
     Cells { residual: Option<&'a [f32]>, rectified: bool },
 }
 
+impl Finish<'_> {
+    /// The cells as they are.
+    pub const NONE: Self = Finish::Cells { residual: None, rectified: false };
+}
+
 #[derive(Default)]
 struct Scratch {
     /// Transformed windows `[point][window][channel]`.
@@ -57,23 +61,17 @@ thread_local! {
 
 impl Winograd {
     /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output.
-    pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], level: KernelLevel) -> Self {
-        const G: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5], [0.0, 0.0, 1.0]];
-        let transformed: Vec<f32> = weight
-            .as_chunks::<9>()
-            .0
-            .iter()
-            .flat_map(|kernel| {
-                (0..POINTS).map(move |point| {
-                    let (rows, columns) = (G[point / 4], G[point % 4]);
-                    let terms = kernel.iter().enumerate().map(|(k, &w)| rows[k / 3] * columns[k % 3] * f64::from(w));
-                    terms.sum::<f64>() as f32
-                })
-            })
-            .collect();
-        let weight = Packed::new(&transformed, [outputs, inputs, POINTS], Side::Forward, Tiles::new(level));
+    pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], tiles: Tiles) -> Self {
+        let weight = transformed(weight, [outputs, inputs], Side::Forward, tiles);
         let init = weight.pad(init);
         Winograd { inputs, outputs, weight, init }
+    }
+
+    /// The gradient of the input of a convolution with these weights, from the gradient of its output.
+    pub fn backward(weight: &[f32], [outputs, inputs]: [usize; 2], tiles: Tiles) -> Self {
+        let weight = transformed(weight, [outputs, inputs], Side::Backward, tiles);
+        let init = weight.pad(&vec![0.0; inputs]);
+        Winograd { inputs: outputs, outputs: inputs, weight, init }
     }
 
     /// `source` `[batch][row][column][i]` to `target` `[batch][row / 2][column / 2][o]` where it is pooled,
@@ -95,18 +93,20 @@ impl Winograd {
         let (panels, shared) = (self.weight.panels(), Shared::new(target));
         let parts = windows.div_ceil(TILES_PER_TASK * self.weight.tiles.rows);
         let panel_parts = TASKS.div_ceil(parts.max(1)).min(panels);
-        let map = Map { source, rows, columns, grid };
+        let map = Map { rows, columns, grid };
         for_each_task(parts * panel_parts, |index| {
             let windows = part(windows, parts, index / panel_parts);
             let panels = part(panels, panel_parts, index % panel_parts);
-            SCRATCH.with_borrow_mut(|scratch| self.task(scratch, &map, windows, panels, finish, shared));
+            SCRATCH.with_borrow_mut(|scratch| self.task(scratch, source, &map, windows, panels, finish, shared));
         });
     }
 
+    #[allow(clippy::too_many_arguments)]
     fn task(
         &self,
         scratch: &mut Scratch,
-        map: &Map<'_>,
+        source: &[f32],
+        map: &Map,
         windows: std::ops::Range<usize>,
         panels: std::ops::Range<usize>,
         finish: Finish<'_>,
@@ -117,7 +117,7 @@ impl Winograd {
         transformed.resize(POINTS * count * inputs, 0.0);
         sums.resize(POINTS * count * WIDTH, 0.0);
         for (k, window) in windows.clone().enumerate() {
-            let patch = map.patch(window, inputs, transformed[k * inputs..].as_mut_ptr(), count * inputs);
+            let patch = map.patch(source, window, inputs, transformed[k * inputs..].as_mut_ptr(), count * inputs);
             // SAFETY: the patch knows which of its cells are in the map; there is room for all windows' points.
             unsafe { patch.transform(tiles.level) };
         }
@@ -165,15 +165,14 @@ impl Winograd {
     }
 }
 
-/// Maps `[batch][row][column][channel]` and the grid of windows over each.
-struct Map<'a> {
-    source: &'a [f32],
-    rows: usize,
-    columns: usize,
-    grid: [usize; 2],
+/// Sizes of maps `[batch][row][column][channel]` and the grid of windows over each.
+pub(super) struct Map {
+    pub rows: usize,
+    pub columns: usize,
+    pub grid: [usize; 2],
 }
 
-impl Map<'_> {
+impl Map {
     /// Image, row and column of a window.
     fn place(&self, window: usize) -> [usize; 3] {
         let [rows, columns] = self.grid;
@@ -181,13 +180,20 @@ impl Map<'_> {
     }
 
     /// Input cells of a window.
-    fn patch(&self, window: usize, channels: usize, target: *mut f32, stride: usize) -> InputWindow {
+    pub fn patch(
+        &self,
+        source: &[f32],
+        window: usize,
+        channels: usize,
+        target: *mut f32,
+        stride: usize,
+    ) -> InputWindow {
         let [image, row, column] = self.place(window);
         // Of four cells from cell `2 index - 1` on, those from the first to the end are among `length`.
         let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
         let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
         InputWindow {
-            corner: self.source.as_ptr().wrapping_add(first).wrapping_sub((self.columns + 1) * channels),
+            corner: source.as_ptr().wrapping_add(first).wrapping_sub((self.columns + 1) * channels),
             line: self.columns * channels,
             channels,
             rows: inside(row, self.rows),
@@ -195,6 +201,26 @@ impl Map<'_> {
             target,
             stride,
         }
+    }
+
+    /// Gradients of a window's four cells.
+    pub fn gradient(
+        &self,
+        gradient: &[f32],
+        window: usize,
+        channels: usize,
+        target: *mut f32,
+        stride: usize,
+    ) -> GradientWindow {
+        let [image, row, column] = self.place(window);
+        let mut cells = [std::ptr::null(); 4];
+        for (k, cell) in cells.iter_mut().enumerate() {
+            let (row, column) = (2 * row + k / 2, 2 * column + k % 2);
+            if row < self.rows && column < self.columns {
+                *cell = gradient[((image * self.rows + row) * self.columns + column) * channels..].as_ptr();
+            }
+        }
+        GradientWindow { cells, channels, target, stride }
     }
 
     /// Addresses of the results of a window: `columns` of `outputs`, from `first` on.

@@ -1,9 +1,13 @@
-//! Input and output transforms of Winograd's F(2x2, 3x3) (`winograd.rs`), a vector of channels at a time.
+//! Transforms of Winograd's F(2x2, 3x3) (`winograd.rs`), a vector of channels or weights at a time: inputs, outputs, weights, and the
+//! gradients of outputs and weights.
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
+
+/// Numbers of a transformed window.
+pub(crate) const POINTS: usize = 16;
 
 /// The 4x4 input cells of a window.
 pub(crate) struct InputWindow {
@@ -34,6 +38,33 @@ pub(crate) struct OutputWindow {
     pub rectified: bool,
 }
 
+/// The gradients of the four output cells of a window.
+pub(crate) struct GradientWindow {
+    /// Addresses of the cells, null for those that are not in the map.
+    pub cells: [*const f32; 4],
+    pub channels: usize,
+    /// Address of the points `[point][channel]`, and stride from point to point.
+    pub target: *mut f32,
+    pub stride: usize,
+}
+
+/// Kernels side by side, and their points.
+pub(crate) struct Kernels {
+    /// Values `[cell][kernel]`, [`Kernels::WIDTH`] from cell to cell.
+    pub cells: *mut f32,
+    /// Values `[point][kernel]`, and stride from point to point.
+    pub points: *mut f32,
+    pub stride: usize,
+    pub count: usize,
+}
+
+impl Kernels {
+    /// Most kernels: the widest tile.
+    pub const WIDTH: usize = 32;
+    /// Values of a kernel.
+    pub const CELLS: usize = 9;
+}
+
 // The code below uses loops instead of closures, because closures are not compiled for the kernel's instructions.
 
 /// The first `left` lanes, or all.
@@ -62,6 +93,104 @@ unsafe fn forth<V: Vector>(d: [V; 4]) -> [V; 4] {
 unsafe fn back<V: Vector>(m: [V; 4]) -> [V; 2] {
     // SAFETY: as in `transform`.
     unsafe { [m[0].add(m[1].add(m[2])), m[1].subtract(m[2]).subtract(m[3])] }
+}
+
+/// `A y` of two numbers: the transpose of [`back`].
+#[inline(always)]
+unsafe fn back_transposed<V: Vector>(y: [V; 2]) -> [V; 4] {
+    // SAFETY: as in `transform`.
+    unsafe { [y[0], y[0].add(y[1]), y[0].subtract(y[1]), V::splat(0.0).subtract(y[1])] }
+}
+
+/// `A y A^T`. `BORDER` if some cells are not in the map.
+#[inline(always)]
+#[allow(clippy::needless_range_loop)]
+unsafe fn transform_gradient<V: Vector, const BORDER: bool>(window: &GradientWindow) {
+    // SAFETY: as in `transform`.
+    unsafe {
+        for channel in (0..window.channels).step_by(V::LANES) {
+            let left = window.channels - channel;
+            let mut cells = [V::splat(0.0); 4];
+            for k in 0..4 {
+                if !BORDER || !window.cells[k].is_null() {
+                    cells[k] = load_up_to(window.cells[k].add(channel), left);
+                }
+            }
+            let columns = [back_transposed([cells[0], cells[2]]), back_transposed([cells[1], cells[3]])];
+            for row in 0..4 {
+                let points = back_transposed([columns[0][row], columns[1][row]]);
+                for k in 0..4 {
+                    store_up_to(points[k], window.target.add((4 * row + k) * window.stride + channel), left);
+                }
+            }
+        }
+    }
+}
+
+/// `G g` of three numbers.
+#[inline(always)]
+unsafe fn weights_forth<V: Vector>(g: [V; 3]) -> [V; 4] {
+    // SAFETY: as in `transform`.
+    unsafe {
+        let (half, zero, outer) = (V::splat(0.5), V::splat(0.0), g[0].add(g[2]));
+        [g[0], outer.add(g[1]).multiply_add(half, zero), outer.subtract(g[1]).multiply_add(half, zero), g[2]]
+    }
+}
+
+/// `G^T u` of four numbers.
+#[inline(always)]
+unsafe fn weights_back<V: Vector>(u: [V; 4]) -> [V; 3] {
+    // SAFETY: as in `transform`.
+    unsafe {
+        let (half, zero, inner) = (V::splat(0.5), V::splat(0.0), u[1].add(u[2]));
+        let outer = [inner.multiply_add(half, u[0]), inner.multiply_add(half, u[3])];
+        [outer[0], u[1].subtract(u[2]).multiply_add(half, zero), outer[1]]
+    }
+}
+
+/// `G g G^T` of cells to points, or `G^T u G` of points to cells if `BACK`.
+#[inline(always)]
+#[allow(clippy::needless_range_loop)]
+unsafe fn transform_kernels<V: Vector, const BACK: bool>(kernels: &Kernels) {
+    // SAFETY: as in `transform`.
+    unsafe {
+        for first in (0..kernels.count).step_by(V::LANES) {
+            let left = kernels.count - first;
+            let cells = kernels.cells.add(first);
+            let points = kernels.points.add(first);
+            if BACK {
+                let mut columns = [[V::splat(0.0); 3]; 4];
+                for k in 0..4 {
+                    let mut u = [V::splat(0.0); 4];
+                    for row in 0..4 {
+                        u[row] = load_up_to(points.add((4 * row + k) * kernels.stride), left);
+                    }
+                    columns[k] = weights_back(u);
+                }
+                for row in 0..3 {
+                    let g = weights_back([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
+                    for k in 0..3 {
+                        store_up_to(g[k], cells.add((3 * row + k) * Kernels::WIDTH), left);
+                    }
+                }
+                continue;
+            }
+            let mut columns = [[V::splat(0.0); 4]; 3];
+            for k in 0..3 {
+                let mut g = [V::splat(0.0); 3];
+                for row in 0..3 {
+                    g[row] = load_up_to(cells.add((3 * row + k) * Kernels::WIDTH), left);
+                }
+                columns[k] = weights_forth(g);
+            }
+            for row in 0..4 {
+                let u = weights_forth([columns[0][row], columns[1][row], columns[2][row]]);
+                for k in 0..4 {
+                    store_up_to(u[k], points.add((4 * row + k) * kernels.stride), left);
+                }
+            }
+        }
+    }
 }
 
 /// `B^T d B`. `BORDER` if some cells are not in the map.
@@ -140,7 +269,7 @@ unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
 }
 
 macro_rules! kernels {
-    ($transform:ident, $back:ident, $v:ty, $(#[$feature:meta])*) => {
+    ($transform:ident, $back:ident, $gradient:ident, $kernels:ident, $v:ty, $(#[$feature:meta])*) => {
         $(#[$feature])*
         unsafe fn $transform<const BORDER: bool>(patch: &InputWindow) {
             // SAFETY: passed on.
@@ -152,15 +281,27 @@ macro_rules! kernels {
             // SAFETY: passed on.
             unsafe { transform_back::<$v, POOLED>(window) }
         }
+
+        $(#[$feature])*
+        unsafe fn $gradient<const BORDER: bool>(window: &GradientWindow) {
+            // SAFETY: passed on.
+            unsafe { transform_gradient::<$v, BORDER>(window) }
+        }
+
+        $(#[$feature])*
+        unsafe fn $kernels<const BACK: bool>(kernels: &Kernels) {
+            // SAFETY: passed on.
+            unsafe { transform_kernels::<$v, BACK>(kernels) }
+        }
     };
 }
 
-kernels!(plain_transform, plain_back, Plain,);
+kernels!(plain_transform, plain_back, plain_gradient, plain_kernels, Plain,);
 #[cfg(target_arch = "x86_64")]
-kernels!(avx2_transform, avx2_back, Avx2, #[target_feature(enable = "avx2,fma")]);
+kernels!(avx2_transform, avx2_back, avx2_gradient, avx2_kernels, Avx2, #[target_feature(enable = "avx2,fma")]);
 #[cfg(target_arch = "x86_64")]
 kernels!(
-    avx512_transform, avx512_back, Avx512,
+    avx512_transform, avx512_back, avx512_gradient, avx512_kernels, Avx512,
     #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 );
 
@@ -202,6 +343,31 @@ impl OutputWindow {
     /// The level is available. Targets and residuals that are not null have `columns` values, points whole vectors of them.
     pub unsafe fn transform_back(&self, level: KernelLevel, pooled: bool) {
         let kernel = by_level!(level, pooled, avx512_back, avx2_back, plain_back);
+        // SAFETY: guaranteed by the caller.
+        unsafe { kernel(self) }
+    }
+}
+
+impl GradientWindow {
+    /// Transforms the cells.
+    ///
+    /// # Safety
+    /// The level is available. Cells that are not null and points have `channels` values each.
+    pub unsafe fn transform(&self, level: KernelLevel) {
+        let border = self.cells.iter().any(|cell| cell.is_null());
+        let kernel = by_level!(level, border, avx512_gradient, avx2_gradient, plain_gradient);
+        // SAFETY: guaranteed by the caller.
+        unsafe { kernel(self) }
+    }
+}
+
+impl Kernels {
+    /// Writes the points of the cells, or the cells of the gradients at the points if `back`.
+    ///
+    /// # Safety
+    /// The level is available. There are `count` values at each cell and at each point.
+    pub unsafe fn transform(&self, level: KernelLevel, back: bool) {
+        let kernel = by_level!(level, back, avx512_kernels, avx2_kernels, plain_kernels);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }

@@ -10,8 +10,15 @@ use crate::kernel::implicit_gemm::{ImplicitGemm, KernelOffset};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::tile::Tiles;
 use crate::kernel::weight_gradient::{column_sums, weight_gradient};
+use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd_gradient;
 
 const NAME: &str = "conv2d";
+
+/// Least number of channels on either side for which Winograd's transforms are worth their cost.
+const FEW_CHANNELS: usize = 16;
+/// Least number of rows and columns for which they are: at fewer, much of the windows lies outside.
+const FEW_CELLS: usize = 4;
 
 /// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -139,6 +146,19 @@ impl ConvSizes {
         self.geometry.groups > 1
     }
 
+    /// Whether a training step computes it by Winograd's algorithm.
+    fn in_windows(&self) -> bool {
+        self.kernel == [3, 3]
+            && self.geometry == ConvGeometry::dense(1, 1)
+            && self.inputs.min(self.outputs) >= FEW_CHANNELS
+            && self.input[0].min(self.input[1]) >= FEW_CELLS
+    }
+
+    /// Batch, rows and columns of the input.
+    fn input_cells(&self) -> [usize; 3] {
+        [self.batch, self.input[0], self.input[1]]
+    }
+
     /// Cells of the kernel.
     pub fn offsets(&self) -> usize {
         self.kernel[0] * self.kernel[1]
@@ -230,6 +250,34 @@ impl Conv2d {
             _ => bail!("{NAME}: expected input, weight and perhaps bias"),
         }
     }
+
+    /// Gradient of the input, from that of the output.
+    fn input_gradient(&self, sizes: &ConvSizes, weight: &[f32], gradient: &[f32]) -> Vec<f32> {
+        let cells: usize = sizes.input_cells().iter().product();
+        if sizes.in_windows() {
+            let mut target = unwritten(cells * sizes.inputs);
+            let winograd = Winograd::backward(weight, [sizes.outputs, sizes.inputs], self.tiles);
+            winograd.run(gradient, sizes.input_cells(), Finish::NONE, &mut target);
+            return target;
+        }
+        let gemms = sizes.backward_gemms();
+        // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
+        let all = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
+        let mut target = if all { unwritten(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
+        if sizes.is_depthwise() {
+            let weight = depthwise::transposed(weight, sizes.offsets());
+            for gemm in &gemms {
+                depthwise::run(gemm, gradient, &weight, None, &mut target, self.tiles);
+            }
+        } else {
+            let weight =
+                Packed::new(weight, [sizes.outputs, sizes.inputs, sizes.offsets()], Side::Backward, self.tiles);
+            for gemm in &gemms {
+                gemm.run(gradient, &weight, None, &mut target);
+            }
+        }
+        target
+    }
 }
 
 impl Operation for Conv2d {
@@ -246,6 +294,11 @@ impl Operation for Conv2d {
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
+        } else if sizes.in_windows() {
+            let zeros = vec![0.0; sizes.outputs];
+            let channels = [sizes.outputs, sizes.inputs];
+            let winograd = Winograd::new(weight.values, channels, bias.unwrap_or(&zeros), self.tiles);
+            winograd.run(input.values, sizes.input_cells(), Finish::NONE, &mut output);
         } else {
             let weight =
                 Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.offsets()], Side::Forward, self.tiles);
@@ -260,33 +313,14 @@ impl Operation for Conv2d {
         let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
             depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)
+        } else if sizes.in_windows() {
+            let channels = [sizes.outputs, sizes.inputs];
+            winograd_gradient::weight_gradient(input.values, sizes.input_cells(), &gradient, channels, self.tiles)
         } else {
             weight_gradient(&gemm, input.values, &gradient, sizes.outputs, self.tiles)
         };
-        let input_gradient = (self.input_gradient == InputGradient::Needed).then(|| {
-            let gemms = sizes.backward_gemms();
-            // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
-            let all =
-                gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
-            let mut target = if all { unwritten(input.values.len()) } else { vec![0.0; input.values.len()] };
-            if sizes.is_depthwise() {
-                let weight = depthwise::transposed(weight.values, sizes.offsets());
-                for gemm in &gemms {
-                    depthwise::run(gemm, &gradient, &weight, None, &mut target, self.tiles);
-                }
-            } else {
-                let weight = Packed::new(
-                    weight.values,
-                    [sizes.outputs, sizes.inputs, sizes.offsets()],
-                    Side::Backward,
-                    self.tiles,
-                );
-                for gemm in &gemms {
-                    gemm.run(&gradient, &weight, None, &mut target);
-                }
-            }
-            target
-        });
+        let needed = self.input_gradient == InputGradient::Needed;
+        let input_gradient = needed.then(|| self.input_gradient(&sizes, weight.values, &gradient));
         let mut gradients = vec![input_gradient, Some(weight_gradient)];
         if inputs.len() == 3 {
             gradients.push(Some(column_sums(&gradient, sizes.outputs)));

@@ -11,6 +11,7 @@ use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{Block, LANES};
 use crate::kernel::level::{dispatch, multiply_add};
 use crate::kernel::spin_pool::for_each_chunk;
+use crate::kernel::tile::Tiles;
 use crate::kernel::winograd::{Finish, Winograd};
 
 /// Pooled rows of one task for an input of a single channel.
@@ -62,7 +63,7 @@ impl PreparedBlock {
             init.resize(outputs.next_multiple_of(LANES), 0.0);
             Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)
         } else {
-            Weight::Winograd(Winograd::new(&folded, shape, &init, level))
+            Weight::Winograd(Winograd::new(&folded, shape, &init, Tiles::new(level)))
         };
         Ok(PreparedBlock { inputs, outputs, weight, level: level.available() })
     }

@@ -70,7 +70,7 @@ impl PreparedConv {
             && inputs >= FEW_CHANNELS
             && inputs * outputs <= MOST_TRANSFORMED;
         let weight = if in_windows {
-            Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
+            Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, tiles))
         } else if geometry.groups > 1 {
             Weight::Depthwise(depthwise::transposed(&folded, rows * columns))
         } else {

@@ -12,6 +12,8 @@ fn cases() -> Vec<Case> {
         (1, [9, 8], 16, 20, [3, 3], dense(2, 1)),
         (2, [11, 10], 1, 33, [7, 7], dense(2, 3)),
         (3, [4, 4], 40, 70, [3, 3], dense(1, 1)),
+        (2, [5, 7], 17, 33, [3, 3], dense(1, 1)),
+        (1, [4, 3], 16, 16, [3, 3], dense(1, 1)),
         (2, [6, 5], 17, 49, [1, 1], dense(1, 0)),
         (2, [7, 6], 24, 10, [1, 1], dense(2, 0)),
         (1, [8, 9], 12, 9, [5, 5], dense(3, 2)),
@@ -86,6 +88,35 @@ fn levels_agree_at_every_coordinate() {
                 close(&format!("{case:?} at {level:?}"), got, &to_f64(want), 1e-5);
             }
         }
+    }
+}
+
+/// Kernels of 3x3 are computed in windows, those of 5x5 cell by cell. More windows than a block of the weights' gradient has.
+#[test]
+fn a_kernel_of_3x3_is_one_of_5x5_with_zeros_around() {
+    let (batch, [rows, columns], inputs, outputs) = (2, [23, 22], 96, 170);
+    let x = random(batch * rows * columns * inputs, "x");
+    let (w, b) = (random(outputs * inputs * 9, "w"), random(outputs, "b"));
+    let upstream = random(batch * rows * columns * outputs, "g");
+    let inside = |kernel: usize| kernel / 9 * 25 + (kernel % 9 / 3 + 1) * 5 + kernel % 3 + 1;
+    let mut wide = vec![0.0; outputs * inputs * 25];
+    w.iter().enumerate().for_each(|(k, &value)| wide[inside(k)] = value);
+    let run = |weight: &[f32], size: usize, level| {
+        let input = var(&x, &[batch, rows, columns, inputs]);
+        let weight = var(weight, &[outputs, inputs, size, size]);
+        let bias = var(&b, &[outputs]);
+        let geometry = ConvGeometry::dense(1, size / 2);
+        let out = conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
+        let [gx, gw] = gradients(&out, &upstream, [&input, &weight]);
+        [flat(&out), gx, gw]
+    };
+    for level in KernelLevel::ALL {
+        let [out, gx, gw] = run(&w, 3, level);
+        let [want_out, want_gx, want_gw] = run(&wide, 5, level);
+        let want_gw: Vec<f32> = (0..w.len()).map(|k| want_gw[inside(k)]).collect();
+        close(&format!("output at {level:?}"), &out, &to_f64(&want_out), 1e-5);
+        close(&format!("dx at {level:?}"), &gx, &to_f64(&want_gx), 1e-5);
+        close(&format!("dw at {level:?}"), &gw, &to_f64(&want_gw), 1e-5);
     }
 }
 

@@ -1,0 +1,123 @@
+//! Gradients of weights by Winograd's algorithm (`winograd.rs`): 16 products a window instead of 36, as in its forward pass.
+//!
+//! The output is linear in the transformed weights `G g G^T`. Their gradient at a point is the sum over all windows of `A y A^T`
+//! times `B^T d B`, where `y` are the gradients of the window's four output cells and `d` its 4x4 input cells.
+
+use rayon::prelude::*;
+
+use super::buffer::unwritten;
+use super::tile::{OuterTile, Shared, Tiles, part};
+use super::winograd::Map;
+use super::winograd_transform::POINTS;
+use super::winograd_weights::gradient_of_weights;
+
+/// Transformed values of a block of windows: they stay in the caches until their products are summed.
+const BLOCK_VALUES: usize = 1 << 19;
+/// Least number of windows of a block: each block reads and writes all sums once.
+const LEAST_BLOCK: usize = 128;
+/// Windows of a task that transforms.
+const WINDOWS_PER_TASK: usize = 16;
+/// Tasks for each point.
+const TASKS: usize = 4;
+/// Values that a task fills with zeros.
+const CHUNK: usize = 1 << 16;
+/// Values behind each point's: points at multiples of a power of two would take the same lines of the caches.
+const GAP: usize = 16;
+
+/// Gradient `[o][i][3][3]` of the weights of a 3x3 convolution of stride 1 and padding 1 on `source` `[batch][row][column][i]`, whose
+/// output has `gradient` `[batch][row][column][o]`.
+///
+/// Blocks depend on shapes only and are added in their order: the same bits for any number of threads.
+///
+/// # Panics
+/// Lengths differ from the shapes above.
+pub(crate) fn weight_gradient(
+    source: &[f32],
+    [batch, rows, columns]: [usize; 3],
+    gradient: &[f32],
+    [outputs, inputs]: [usize; 2],
+    tiles: Tiles,
+) -> Vec<f32> {
+    assert_eq!(source.len(), batch * rows * columns * inputs);
+    assert_eq!(gradient.len(), batch * rows * columns * outputs);
+    let map = Map { rows, columns, grid: [rows.div_ceil(2), columns.div_ceil(2)] };
+    let windows = batch * map.grid[0] * map.grid[1];
+    let block = (BLOCK_VALUES / (POINTS * (inputs + outputs))).max(LEAST_BLOCK).min(windows);
+    let [of_input, of_output] = [inputs, outputs].map(|channels| block * channels + GAP);
+    let (mut left, mut right) = (unwritten(POINTS * of_output), unwritten(POINTS * of_input));
+    let (left, right) = (Shared::new(&mut left), Shared::new(&mut right));
+    let transformed = Transformed { left, right, outputs, inputs, of_output, of_input, block, tiles };
+    let mut sums = unwritten(POINTS * outputs * inputs);
+    sums.par_chunks_mut(CHUNK).for_each(|sums| sums.fill(0.0));
+    let blocks = windows.div_ceil(block.max(1));
+    for index in 0..blocks {
+        let windows = part(windows, blocks, index);
+        (0..windows.len().div_ceil(WINDOWS_PER_TASK)).into_par_iter().for_each(|task| {
+            let first = task * WINDOWS_PER_TASK;
+            for k in first..windows.len().min(first + WINDOWS_PER_TASK) {
+                transformed.write(&map, windows.start + k, k, source, gradient);
+            }
+        });
+        let sums = Shared::new(&mut sums);
+        (0..POINTS * TASKS).into_par_iter().for_each(|task| transformed.add_products(windows.len(), task, sums));
+    }
+    gradient_of_weights(&mut sums, [outputs, inputs], tiles.level)
+}
+
+/// Transformed windows of a block.
+struct Transformed {
+    /// Gradients `[point][window][output]`, points at a distance of `of_output` values.
+    left: Shared,
+    /// Inputs `[point][window][input]`, points at a distance of `of_input` values.
+    right: Shared,
+    outputs: usize,
+    inputs: usize,
+    of_output: usize,
+    of_input: usize,
+    /// Most windows.
+    block: usize,
+    tiles: Tiles,
+}
+
+impl Transformed {
+    /// Writes the transforms of a window of the maps as the `k`th of the block.
+    fn write(&self, map: &Map, window: usize, k: usize, source: &[f32], gradient: &[f32]) {
+        debug_assert!(k < self.block);
+        let left = self.left.get().wrapping_add(k * self.outputs);
+        let right = self.right.get().wrapping_add(k * self.inputs);
+        let patch = map.patch(source, window, self.inputs, right, self.of_input);
+        let cells = map.gradient(gradient, window, self.outputs, left, self.of_output);
+        // SAFETY: both know which of their cells are in the map; there is room for a block of windows at every point, and no other
+        // task writes this one.
+        unsafe {
+            patch.transform(self.tiles.level);
+            cells.transform(self.tiles.level);
+        }
+    }
+
+    /// Adds the products of the first `windows` windows to `sums` `[point][o][i]`, for one of the tasks of a point.
+    fn add_products(&self, windows: usize, task: usize, sums: Shared) {
+        let (point, task) = (task / TASKS, task % TASKS);
+        let Transformed { outputs, inputs, tiles, .. } = *self;
+        let right = self.right.get().wrapping_add(point * self.of_input);
+        let addresses: Vec<*const f32> = (0..windows).map(|k| right.wrapping_add(k * inputs).cast_const()).collect();
+        let output_tiles = outputs.div_ceil(tiles.rows);
+        for first_input in (0..inputs).step_by(tiles.width()) {
+            for output_tile in part(output_tiles, TASKS, task) {
+                let rows = part(outputs, output_tiles, output_tile);
+                let tile = OuterTile {
+                    left: self.left.get().wrapping_add(point * self.of_output + rows.start),
+                    left_stride: outputs,
+                    right: addresses.as_ptr(),
+                    right_offset: first_input,
+                    cells: windows,
+                    target: sums.get().wrapping_add((point * outputs + rows.start) * inputs + first_input),
+                    target_stride: inputs,
+                    columns: tiles.width().min(inputs - first_input),
+                };
+                // SAFETY: operands are windows of this block; no other task has this point and these outputs.
+                unsafe { tiles.outer_tile(rows.len(), &tile) };
+            }
+        }
+    }
+}
