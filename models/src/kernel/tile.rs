@@ -8,6 +8,12 @@ use super::level::KernelLevel;
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
 
+/// Columns of the widest tile.
+pub(crate) const WIDEST: usize = 32;
+const _: () = assert!(2 * Plain::LANES <= WIDEST);
+#[cfg(target_arch = "x86_64")]
+const _: () = assert!(2 * Avx512::LANES <= WIDEST && 2 * Avx2::LANES <= WIDEST);
+
 /// `target[r][column] = init[column] + sum over offsets and channels of cells[offset][r][channel] panel[offset][channel][column]`.
 pub(crate) struct RowTile {
     /// Addresses of the rows' operands, `[offset][row]`.

@@ -4,24 +4,22 @@
 //! four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g`
 //! is the kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform
 //! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums. The gradient
-//! of the input is the same with turned kernels; that of the weights is in `winograd_gradient.rs`.
+//! of the input is the same with rotated kernels; that of the weights is in `winograd_gradient.rs`.
 
 use std::cell::RefCell;
 
 use super::packed::{Packed, Side};
 use super::spin_pool::for_each_task;
-use super::tile::{RowTile, Shared, Tiles, part};
+use super::tile::{RowTile, Shared, Tiles, WIDEST, part};
 use super::winograd_transform::{GradientWindow, InputWindow, OutputWindow, POINTS};
 use super::winograd_weights::transformed;
 
 /// Point that enters each of the four cells once: its sums start from the bias.
 const CENTRE: usize = 5;
-/// Most rows of tiles of a task: intermediate results stay in the cache.
-const TILES_PER_TASK: usize = 1;
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
-/// Values of a row of sums: the widest tile.
-const WIDTH: usize = 32;
+/// Values of a row of sums.
+const WIDTH: usize = WIDEST;
 
 /// Transformed weights of a convolution, and accumulator init.
 pub(crate) struct Winograd {
@@ -41,7 +39,7 @@ pub(crate) enum Finish<'a> {
 }
 
 impl Finish<'_> {
-    /// The cells as they are.
+    /// Writes the cells unchanged.
     pub const NONE: Self = Finish::Cells { residual: None, rectified: false };
 }
 
@@ -60,7 +58,8 @@ thread_local! {
 }
 
 impl Winograd {
-    /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output.
+    /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output, or from zero if it is
+    /// empty.
     pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], tiles: Tiles) -> Self {
         let weight = transformed(weight, [outputs, inputs], Side::Forward, tiles);
         let init = weight.pad(init);
@@ -70,7 +69,7 @@ impl Winograd {
     /// The gradient of the input of a convolution with these weights, from the gradient of its output.
     pub fn backward(weight: &[f32], [outputs, inputs]: [usize; 2], tiles: Tiles) -> Self {
         let weight = transformed(weight, [outputs, inputs], Side::Backward, tiles);
-        let init = weight.pad(&vec![0.0; inputs]);
+        let init = weight.pad(&[]);
         Winograd { inputs: outputs, outputs: inputs, weight, init }
     }
 
@@ -91,7 +90,8 @@ impl Winograd {
         }
         let windows = batch * grid[0] * grid[1];
         let (panels, shared) = (self.weight.panels(), Shared::new(target));
-        let parts = windows.div_ceil(TILES_PER_TASK * self.weight.tiles.rows);
+        // One row of tiles a task: intermediate results stay in the cache.
+        let parts = windows.div_ceil(self.weight.tiles.rows);
         let panel_parts = TASKS.div_ceil(parts.max(1)).min(panels);
         let map = Map { rows, columns, grid };
         for_each_task(parts * panel_parts, |index| {
@@ -116,46 +116,42 @@ impl Winograd {
         let Scratch { windows: transformed, sums, sources, targets } = scratch;
         transformed.resize(POINTS * count * inputs, 0.0);
         sums.resize(POINTS * count * WIDTH, 0.0);
+        let (transformed, sums) = (transformed.as_mut_ptr(), sums.as_mut_ptr());
         for (k, window) in windows.clone().enumerate() {
-            let patch = map.patch(source, window, inputs, transformed[k * inputs..].as_mut_ptr(), count * inputs);
+            let patch = map.patch(source, window, inputs, transformed.wrapping_add(k * inputs), count * inputs);
             // SAFETY: the patch knows which of its cells are in the map; there is room for all windows' points.
             unsafe { patch.transform(tiles.level) };
         }
         sources.clear();
         targets.clear();
         for row in 0..POINTS * count {
-            sources.push(transformed[row * inputs..].as_ptr());
-            targets.push(sums[row * WIDTH..].as_mut_ptr());
+            sources.push(transformed.wrapping_add(row * inputs).cast_const());
+            targets.push(sums.wrapping_add(row * WIDTH));
         }
-        let row_tiles = count.div_ceil(tiles.rows);
         for panel in panels {
             let first = panel * tiles.width();
             let columns = tiles.width().min(self.outputs - first);
             for point in 0..POINTS {
-                let offsets = [point as u32];
-                for tile in 0..row_tiles {
-                    let rows = part(count, row_tiles, tile);
-                    let at = point * count + rows.start;
-                    let tile = RowTile {
-                        cells: sources[at..].as_ptr(),
-                        cell_stride: 0,
-                        offsets: offsets.as_ptr(),
-                        offset_count: 1,
-                        channels: inputs,
-                        panel: self.weight.values[first * self.weight.depth..].as_ptr(),
-                        init: if point == CENTRE { self.init[first..].as_ptr() } else { std::ptr::null() },
-                        targets: targets[at..].as_ptr(),
-                        first: 0,
-                        // Whole vectors: there is room for them.
-                        columns: columns.next_multiple_of(tiles.lanes),
-                    };
-                    // SAFETY: sources are windows of `inputs` values each, targets rows as wide as the widest tile; panel
-                    // and init are padded to the tile's width.
-                    unsafe { tiles.row_tile(rows.len(), &tile) };
-                }
+                let (at, offsets) = (point * count, [point as u32]);
+                let tile = RowTile {
+                    cells: sources[at..].as_ptr(),
+                    cell_stride: 0,
+                    offsets: offsets.as_ptr(),
+                    offset_count: 1,
+                    channels: inputs,
+                    panel: self.weight.values[first * self.weight.depth..].as_ptr(),
+                    init: if point == CENTRE { self.init[first..].as_ptr() } else { std::ptr::null() },
+                    targets: targets[at..].as_ptr(),
+                    first: 0,
+                    // Whole vectors: there is room for them.
+                    columns: columns.next_multiple_of(tiles.lanes),
+                };
+                // SAFETY: sources are windows of `inputs` values each, targets rows as wide as the widest tile; panel and init are
+                // padded to the tile's width.
+                unsafe { tiles.row_tile(count, &tile) };
             }
             for (k, window) in windows.clone().enumerate() {
-                let sums = sums[k * WIDTH..].as_ptr();
+                let sums = sums.wrapping_add(k * WIDTH).cast_const();
                 let window = map.window(window, first, columns, self.outputs, finish, target, sums, count * WIDTH);
                 // SAFETY: each target has `columns` values that no other task writes, and so has each residual that there
                 // is; sums are of all points, as wide as whole vectors.

@@ -11,10 +11,12 @@ use super::winograd::Map;
 use super::winograd_transform::POINTS;
 use super::winograd_weights::gradient_of_weights;
 
-/// Transformed values of a block of windows: they stay in the caches until their products are summed.
+/// Transformed values of a block of windows: they stay in the caches until their products are summed, where [`LEAST_BLOCK`] allows.
 const BLOCK_VALUES: usize = 1 << 19;
 /// Least number of windows of a block: each block reads and writes all sums once.
 const LEAST_BLOCK: usize = 128;
+/// Most windows of a block: longer sums in f32 are less exact.
+const MOST_BLOCK: usize = 256;
 /// Windows of a task that transforms.
 const WINDOWS_PER_TASK: usize = 16;
 /// Tasks for each point.
@@ -42,7 +44,7 @@ pub(crate) fn weight_gradient(
     assert_eq!(gradient.len(), batch * rows * columns * outputs);
     let map = Map { rows, columns, grid: [rows.div_ceil(2), columns.div_ceil(2)] };
     let windows = batch * map.grid[0] * map.grid[1];
-    let block = (BLOCK_VALUES / (POINTS * (inputs + outputs))).max(LEAST_BLOCK).min(windows);
+    let block = (BLOCK_VALUES / (POINTS * (inputs + outputs)).max(1)).clamp(LEAST_BLOCK, MOST_BLOCK).min(windows);
     let [of_input, of_output] = [inputs, outputs].map(|channels| block * channels + GAP);
     let (mut left, mut right) = (unwritten(POINTS * of_output), unwritten(POINTS * of_input));
     let (left, right) = (Shared::new(&mut left), Shared::new(&mut right));
@@ -61,7 +63,7 @@ pub(crate) fn weight_gradient(
         let sums = Shared::new(&mut sums);
         (0..POINTS * TASKS).into_par_iter().for_each(|task| transformed.add_products(windows.len(), task, sums));
     }
-    gradient_of_weights(&mut sums, [outputs, inputs], tiles.level)
+    gradient_of_weights(&sums, [outputs, inputs], tiles.level)
 }
 
 /// Transformed windows of a block.

@@ -2,6 +2,7 @@
 //! gradients of outputs and weights.
 
 use super::level::KernelLevel;
+use super::tile::WIDEST;
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
@@ -59,8 +60,8 @@ pub(crate) struct Kernels {
 }
 
 impl Kernels {
-    /// Most kernels: the widest tile.
-    pub const WIDTH: usize = 32;
+    /// Most kernels.
+    pub const WIDTH: usize = WIDEST;
     /// Values of a kernel.
     pub const CELLS: usize = 9;
 }

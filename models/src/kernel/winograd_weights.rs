@@ -5,16 +5,16 @@ use rayon::prelude::*;
 use super::buffer::unwritten;
 use super::level::KernelLevel;
 use super::packed::{Packed, Side};
-use super::tile::{Shared, Tiles};
+use super::tile::Tiles;
 use super::winograd_transform::{Kernels, POINTS};
 
 const CELLS: usize = Kernels::CELLS;
 const WIDTH: usize = Kernels::WIDTH;
 
-/// Channels whose kernels are read together: kernels of neighbouring inputs lie behind each other.
+/// Channels whose kernels are read together: kernels of neighbouring inputs follow each other in memory.
 const GROUP: usize = 8;
 
-/// `G g G^T` of weights `[o][i][3][3]`, packed with the points as offsets; on the backward side, kernels are turned by half a turn.
+/// `G g G^T` of weights `[o][i][3][3]`, packed with the points as offsets; on the backward side, kernels are rotated by 180 degrees.
 pub(super) fn transformed(weight: &[f32], [outputs, inputs]: [usize; 2], side: Side, tiles: Tiles) -> Packed {
     let (columns, channels) = match side {
         Side::Forward => (outputs, inputs),
@@ -22,7 +22,7 @@ pub(super) fn transformed(weight: &[f32], [outputs, inputs]: [usize; 2], side: S
     };
     let weight = weight.as_chunks::<CELLS>().0;
     Packed::filled(columns, POINTS * channels, tiles, |columns, width, target| {
-        // What lies behind the last column stays zero.
+        // Values behind the last column stay zero.
         let mut cells = [[[0.0; WIDTH]; CELLS]; GROUP];
         for first in (0..channels).step_by(GROUP) {
             let group = first..channels.min(first + GROUP);
@@ -50,18 +50,17 @@ pub(super) fn transformed(weight: &[f32], [outputs, inputs]: [usize; 2], side: S
 }
 
 /// Gradient `[o][i][3][3]` of weights, `G^T u G` of the gradients `u` `[point][o][i]` of the transformed ones.
-pub(super) fn gradient_of_weights(points: &mut [f32], [outputs, inputs]: [usize; 2], level: KernelLevel) -> Vec<f32> {
+pub(super) fn gradient_of_weights(points: &[f32], [outputs, inputs]: [usize; 2], level: KernelLevel) -> Vec<f32> {
     assert_eq!(points.len(), POINTS * outputs * inputs);
     let mut gradient = unwritten(outputs * inputs * CELLS);
-    let points = Shared::new(points);
     gradient.par_chunks_exact_mut((inputs * CELLS).max(1)).enumerate().for_each(|(output, gradient)| {
         let mut cells = [[0.0; WIDTH]; CELLS];
         for (chunk, target) in gradient.chunks_mut(WIDTH * CELLS).enumerate() {
             let target = target.as_chunks_mut::<CELLS>().0;
-            let points = points.get().wrapping_add(output * inputs + chunk * WIDTH);
+            let points = points[output * inputs + chunk * WIDTH..].as_ptr().cast_mut();
             let kernels =
                 Kernels { cells: cells.as_mut_ptr().cast(), points, stride: outputs * inputs, count: target.len() };
-            // SAFETY: points have as many values from here on as there are kernels in the chunk; nobody writes them.
+            // SAFETY: points have as many values from here on as there are kernels in the chunk; they are only read.
             unsafe { kernels.transform(level, true) };
             for (k, kernel) in (0..WIDTH).zip(target) {
                 kernel.iter_mut().zip(&cells).for_each(|(value, cell)| *value = cell[k]);

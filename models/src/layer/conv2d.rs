@@ -295,9 +295,8 @@ impl Operation for Conv2d {
             let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
         } else if sizes.in_windows() {
-            let zeros = vec![0.0; sizes.outputs];
             let channels = [sizes.outputs, sizes.inputs];
-            let winograd = Winograd::new(weight.values, channels, bias.unwrap_or(&zeros), self.tiles);
+            let winograd = Winograd::new(weight.values, channels, bias.unwrap_or_default(), self.tiles);
             winograd.run(input.values, sizes.input_cells(), Finish::NONE, &mut output);
         } else {
             let weight =

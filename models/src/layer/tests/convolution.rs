@@ -121,6 +121,18 @@ fn a_kernel_of_3x3_is_one_of_5x5_with_zeros_around() {
 }
 
 #[test]
+fn an_empty_batch_has_no_output_and_no_gradient_of_weights() {
+    for level in KernelLevel::ALL {
+        let (input, weight) = (var(&[], &[0, 4, 4, 16]), var(&random(16 * 16 * 9, "w"), &[16, 16, 3, 3]));
+        let geometry = ConvGeometry::dense(1, 1);
+        let out = conv2d(&input, &weight, None, geometry, InputGradient::Needed, level).expect("forward");
+        assert_eq!(out.dims(), [0, 4, 4, 16]);
+        let [gw] = gradients(&out, &[], [&weight]);
+        assert_eq!(gw, vec![0.0; 16 * 16 * 9]);
+    }
+}
+
+#[test]
 fn a_prepared_convolution_is_the_layers_in_a_row() {
     for case in cases() {
         let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
@@ -247,7 +259,8 @@ mod hard_cases {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        for case in cases() {
+        // The last has several blocks of windows.
+        for case in cases().into_iter().chain([(2, [23, 22], 96, 170, [3, 3], ConvGeometry::dense(1, 1))]) {
             let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
             let (x, w, b) = tensors(&case);
             same_bits(&format!("{case:?}"), || {
@@ -266,7 +279,11 @@ mod hard_cases {
     #[test]
     fn a_nan_comes_out_wherever_it_is_looked_at() {
         for level in KernelLevel::ALL {
-            for (inputs, geometry) in [(3, ConvGeometry::dense(1, 1)), (20, ConvGeometry::depthwise(1, 1, 20))] {
+            for (inputs, geometry) in [
+                (3, ConvGeometry::dense(1, 1)),
+                (16, ConvGeometry::dense(1, 1)),
+                (20, ConvGeometry::depthwise(1, 1, 20)),
+            ] {
                 let mut x = random(5 * 5 * inputs, "x");
                 x[(2 * 5 + 2) * inputs + 1] = f32::NAN;
                 let input = var(&x, &[1, 5, 5, inputs]);
