@@ -8,7 +8,8 @@ use crate::model::{Classifier, ClassifyError};
 /// Scores of a classifier over the maps `indices` of a dataset.
 ///
 /// # Errors
-/// [`ClassifyError`] for the first map that cannot be read or classified.
+/// [`ClassifyError::OtherMaps`] where the dataset's maps were made in another way than the model's, and [`ClassifyError`] for the
+/// first map that cannot be read or classified.
 pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> Result<Metrics, ClassifyError> {
     evaluate_changed(classifier, dataset, indices, |_, _| ())
 }
@@ -20,6 +21,7 @@ pub(crate) fn evaluate_changed(
     indices: &[usize],
     change: impl Fn(usize, &mut [f32]),
 ) -> Result<Metrics, ClassifyError> {
+    classifier.check_maps(&dataset.header().rdm_spec, &dataset.header().waveform)?;
     let mut pairs = Vec::with_capacity(indices.len());
     for &index in indices {
         let mut map = dataset.map(index)?;

@@ -6,9 +6,10 @@ use std::sync::{Mutex, PoisonError};
 use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::prelude::*;
+use radome_dsp::RdmSpec;
 use radome_models::dataset::{self, DatasetHeader, ManifestRow, Split, SplitSpec};
 
-use crate::error::{detached, from_python, raised, to_python};
+use crate::error::{detached, from_python, raised, raised_text, to_python};
 use crate::map::{Map, spec};
 use crate::waveform::Waveform;
 
@@ -84,6 +85,7 @@ impl Dataset {
 #[pyclass(frozen, module = "radome._radome")]
 pub struct DatasetWriter {
     writer: Mutex<Option<dataset::DatasetWriter>>,
+    map_spec: RdmSpec,
 }
 
 #[pymethods]
@@ -102,13 +104,17 @@ impl DatasetWriter {
             let header = DatasetHeader::new(radome_dsp::Waveform::clone(waveform), map_spec)?;
             Ok(dataset::DatasetWriter::create(&path, &header)?)
         })?;
-        Ok(DatasetWriter { writer: Mutex::new(Some(writer)) })
+        Ok(DatasetWriter { writer: Mutex::new(Some(writer)), map_spec })
     }
 
     /// Adds a map; `row` is a dict with the keys of a manifest's row.
     fn add(&self, py: Python<'_>, map: &Bound<'_, Map>, row: &Bound<'_, PyAny>) -> PyResult<()> {
         let row: ManifestRow = from_python("row", row)?;
-        let map = &map.get().inner;
+        let Map { inner: map, spec, .. } = map.get();
+        if *spec != self.map_spec {
+            let text = "the map was made by another map spec than the dataset's\n\nhint: make maps with the dataset's map_spec";
+            return Err(raised_text(py, text.to_owned()));
+        }
         detached(py, || match self.writer.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
             Some(writer) => Ok(writer.push(map, row)?),
             None => Err("the dataset is finished".into()),

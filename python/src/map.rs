@@ -19,6 +19,10 @@ const KEPT: usize = 8;
 pub struct Map {
     /// The map.
     pub inner: Rdm,
+    /// How it was made.
+    pub spec: RdmSpec,
+    /// Of the frames of which waveform.
+    pub waveform: Arc<radome_dsp::Waveform>,
 }
 
 #[pymethods]
@@ -131,7 +135,7 @@ impl MapProcessor {
     fn __call__(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Option<Map>> {
         let frame = &frame.get().inner;
         let map = detached(py, || next_map(&mut self.processor.lock().unwrap_or_else(PoisonError::into_inner), frame))?;
-        Ok(map.map(|inner| Map { inner }))
+        Ok(map.map(|inner| Map { inner, spec: self.spec, waveform: self.waveform.clone() }))
     }
 
     /// Forgets the frames before, as at a gap.
@@ -182,5 +186,5 @@ pub fn rdm(py: Python<'_>, frame: &Bound<'_, Frame>, spec: Option<&Bound<'_, PyA
         }
         map.ok_or_else(|| "this map is made of more than one frame\n\nhint: give the frames to a MapProcessor".into())
     })?;
-    Ok(Map { inner: map })
+    Ok(Map { inner: map, spec, waveform: waveform.clone() })
 }

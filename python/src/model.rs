@@ -8,7 +8,7 @@ use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 use radome_driver::RecordingError;
 use radome_driver::recording::{Existing, Partial};
-use radome_dsp::{Rdm, RdmProcessor};
+use radome_dsp::RdmProcessor;
 use radome_models::evaluate::evaluate;
 use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::{Classifier, ModelCard, onnx};
@@ -76,9 +76,11 @@ impl Model {
         Ok(self.work.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    fn classify(&self, map: &Rdm) -> Outcome<Probabilities> {
+    fn classify(&self, map: &Map) -> Outcome<Probabilities> {
         let mut work = self.lock()?;
-        Ok(work.classifier.as_mut().ok_or_else(lost)?.classify(map)?)
+        let classifier = work.classifier.as_mut().ok_or_else(lost)?;
+        classifier.check_maps(&map.spec, &map.waveform)?;
+        Ok(classifier.classify(&map.inner)?)
     }
 
     /// Probabilities for the next frame; `None` while a window over frames fills, and for frames without a signal.
@@ -142,7 +144,7 @@ impl Model {
 
     fn __call__<'py>(&self, py: Python<'py>, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyArray1<f32>>>> {
         let probabilities = if let Ok(map) = frame.cast::<Map>() {
-            let map = &map.get().inner;
+            let map = map.get();
             Some(detached(py, || self.classify(map))?)
         } else {
             let frame = frame.cast::<Frame>()?.get();

@@ -70,6 +70,12 @@ pub enum ClassifyError {
         "map is {got} ({cells} cells), the model needs {expected}\n\nhint: make maps with the waveform and the map spec that the model names"
     )]
     Shape { expected: RdmShape, got: RdmShape, cells: usize },
+    /// The maps were made by other settings, or of the frames of another waveform, than the model was trained on.
+    #[error("{what}\n\nhint: make the maps with the waveform and the map spec that the model names")]
+    OtherMaps {
+        /// Difference, and what was expected.
+        what: String,
+    },
     /// The map holds NaN or infinity.
     #[error("map of frame {sequence}: {cells} cells are not finite, the first at index {first}; it is not classified")]
     NonFinite {
@@ -98,6 +104,17 @@ pub enum ClassifyError {
     /// A tensor operation failed.
     #[error("network: {0}")]
     Network(#[from] candle_core::Error),
+}
+
+/// Settings in which a map spec differs from the expected one.
+fn differences(got: &RdmSpec, expected: &RdmSpec) -> String {
+    let settings = |spec: &RdmSpec| serde_json::to_value(spec).unwrap_or_default();
+    let (got, expected) = (settings(got), settings(expected));
+    let all = expected.as_object().into_iter().flatten();
+    let others = all.filter(|&(key, value)| got.get(key) != Some(value));
+    let named = others
+        .map(|(key, value)| format!("{key} {} instead of {value}", got.get(key).unwrap_or(&serde_json::Value::Null)));
+    named.collect::<Vec<_>>().join(", ")
 }
 
 impl Classifier {
@@ -131,6 +148,19 @@ impl Classifier {
     /// Settings by which maps must be made.
     pub fn rdm_spec(&self) -> &RdmSpec {
         &self.card.rdm_spec
+    }
+
+    /// Checks that maps which `spec` makes of the frames of `waveform` are such as the model was trained on.
+    ///
+    /// # Errors
+    /// [`ClassifyError::OtherMaps`].
+    pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
+        if *spec != self.card.rdm_spec {
+            let what = format!("the maps were made with {}", differences(spec, &self.card.rdm_spec));
+            return Err(ClassifyError::OtherMaps { what });
+        }
+        let checked = spec.check_compatible(waveform, &self.card.waveform);
+        checked.map_err(|mismatch| ClassifyError::OtherMaps { what: mismatch.to_string() })
     }
 
     /// Everything about the model but its numbers.

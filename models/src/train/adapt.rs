@@ -25,7 +25,7 @@ use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
 
 use crate::dataset::{Dataset, Split, SplitSpec};
-use crate::model::{Adapted, BeforeAfter, Classifier, Model, Scores};
+use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value};
 use recording::{CLASSES, MOST_FRAMES};
 use tail::{Confusions, Tail, empty_strength, last_node, shows_people};
@@ -135,13 +135,12 @@ impl Adapter {
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
     /// cannot be read.
     pub fn mix(&mut self, dataset: &Dataset) -> Result<usize, AdaptError> {
-        let (header, card) = (dataset.header(), self.classifier.card());
-        if header.rdm_spec != card.rdm_spec {
-            return Err(AdaptError::Simulated { what: "their map spec is another".to_owned() });
-        }
-        if let Err(mismatch) = card.rdm_spec.check_compatible(&header.waveform, &card.waveform) {
-            return Err(AdaptError::Simulated { what: mismatch.to_string() });
-        }
+        let header = dataset.header();
+        let checked = self.classifier.check_maps(&header.rdm_spec, &header.waveform);
+        checked.map_err(|error| match error {
+            ClassifyError::OtherMaps { what } => AdaptError::Simulated { what },
+            other => AdaptError::Simulated { what: other.to_string() },
+        })?;
         let splits = dataset.splits(&SplitSpec::default())?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
         let wanted: Vec<usize> = rows

@@ -1,8 +1,8 @@
 //! Sequences of facets that paths from an antenna meet, found by rays; and the images of the antenna that they make.
 //!
 //! Rays go out in the directions of a subdivided icosahedron. Where the corners of one of its triangles report different facets,
-//! the triangle is divided into four, again and again: rays gather where facets end and small ones hide. All of it depends on
-//! geometry alone, never on threads.
+//! the triangle is divided into four, again and again: rays gather where facets end. A facet so small that all rays pass it is hit
+//! by those that are aimed at every facet. All of it depends on geometry alone, never on threads.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -105,6 +105,7 @@ impl ImagePaths {
     pub fn discover(environment: Arc<Environment>, origin: DVec3, options: &LaunchOptions) -> Self {
         let mut launch = Launch::new(&environment, origin, environment.below(origin), options);
         launch.refine(options);
+        launch.aim(options.max_rays);
         let (rays, refinements, reached_limit) = (launch.directions.len(), launch.refinements, launch.reached_limit);
         let sequences = completed(&environment, origin, launch.sequences());
         let found = Self::with_sequences(environment, origin, sequences);
@@ -307,6 +308,27 @@ impl<'a> Launch<'a> {
             self.trace_new();
             self.refinements += 1;
         }
+    }
+
+    /// Aims rays at the middle of each facet that faces the antenna and halfway from there to its corners, while there are fewer than
+    /// `max_rays`.
+    fn aim(&mut self, max_rays: usize) {
+        for facet in 0..self.environment.len() {
+            let Some(flat) = self.environment.flat(facet as FacetId) else { continue };
+            let corners = &flat.facet.corners;
+            if corners.is_empty() || !flat.reflects() || flat.height(self.origin) < MERGE_M {
+                continue;
+            }
+            if self.directions.len() + corners.len() >= max_rays {
+                self.reached_limit = true;
+                break;
+            }
+            let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
+            let targets = std::iter::once(middle).chain(corners.iter().map(|&corner| middle.midpoint(corner)));
+            let origin = self.origin;
+            self.directions.extend(targets.map(|target| (target - origin).normalize_or(DVec3::X)));
+        }
+        self.trace_new();
     }
 
     /// Takes the quarters of triangles for the triangles, with directions for their new corners.

@@ -79,6 +79,29 @@ fn l_corridor() -> Vec<Facet> {
     extruded(&outline, 3.0)
 }
 
+/// A plate in the open, nothing behind it: of the rays that leave in all directions none may meet it.
+#[test]
+fn a_small_plate_in_the_open_is_found_wherever_it_stands() {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(7);
+    for _ in 0..60 {
+        let towards = DVec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..1.0))).normalize_or(DVec3::X);
+        let (distance_m, half_m) = (rng.random_range(0.5..8.0), rng.random_range(0.01..0.1));
+        let across = half_m * towards.any_orthonormal_vector();
+        let (middle, up) = (distance_m * towards, towards.cross(across));
+        let corners = [across + up, up - across, -across - up, across - up].map(|offset| middle + offset);
+        let facing = |corners: &[DVec3]| (corners[1] - corners[0]).cross(corners[2] - corners[1]).dot(towards) < 0.0;
+        let mut corners = corners.to_vec();
+        if !facing(&corners) {
+            corners.reverse();
+        }
+        let plate = environment(vec![Facet::new(corners, Wall::Conductor)]);
+        let paths = ImagePaths::discover(plate, DVec3::ZERO, &LaunchOptions::default());
+        assert_eq!(paths.images().len(), 2, "{half_m} m at {middle}");
+        assert!(paths.images()[1].position.distance(2.0 * middle) < 1e-9);
+        assert!(seen(&paths, DVec3::ZERO, 0.1 * towards, 2.0 * distance_m - 0.1) > 0.0, "{half_m} m at {middle}");
+    }
+}
+
 #[test]
 fn round_a_corner_one_is_seen_by_mirrors_alone() {
     let antenna = DVec3::new(1.0, 0.3, 1.5);
