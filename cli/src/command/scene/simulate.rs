@@ -1,3 +1,4 @@
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use super::preview;
 use crate::output_file::Overwrite;
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
-use crate::{files, output};
+use crate::{files, kept, output};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
@@ -76,12 +77,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = arguments.file();
     if let Some(output) = &file {
         files::check_parent(output)?;
-        if arguments.shard.is_some() && output.exists() {
-            // It took its name when it was whole; the same arguments would make the same bytes.
-            eprintln!("{} is there already", output.display());
-            return tell_shard(arguments, output, end - first);
+        if arguments.shard.is_none() {
+            arguments.overwrite.check(output)?;
         }
-        arguments.overwrite.check(output)?;
     }
     // A shard takes its name when it is whole, so that it can be asked for again after anything.
     let written = file.as_ref().map(|path| match arguments.shard {
@@ -101,6 +99,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         options.tolerance_db = tolerance_db;
     }
     let mut simulator = Simulator::new(&scene, options)?;
+    if let (Some(_), Some(output)) = (arguments.shard, &file)
+        && output.exists()
+        && is_made(arguments.overwrite, output, &simulator, first..end)?
+    {
+        return tell_shard(arguments, output, end - first);
+    }
     foretell(&simulator, end - first);
     simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
@@ -180,6 +184,33 @@ impl Simulated {
         let what = file.unwrap_or(&arguments.scene).display();
         output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
     }
+}
+
+/// Whether a shard is there already. It took its name when it was whole; the same arguments would make the same bytes.
+///
+/// # Errors
+/// A file of its name holds something else, and is not to be replaced.
+fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: Range<u64>) -> anyhow::Result<bool> {
+    /// Frames that are made again to compare, evenly over the shard.
+    const COMPARED: u64 = 5;
+    let last = (frames.end - frames.start).saturating_sub(1);
+    let mut compared: Vec<u64> = (0..COMPARED).map(|i| frames.start + last * i / (COMPARED - 1)).collect();
+    compared.dedup();
+    if frames.is_empty() {
+        compared.clear();
+    }
+    if kept::is_recording_of(output, simulator, frames, &compared) {
+        eprintln!("{} is there already", output.display());
+        return Ok(true);
+    }
+    if overwrite.existing() == Existing::Refuse {
+        bail!(
+            "{} is there already, but was made of another scene, or with another --frames, --seed, --people or --tolerance-db\n\n\
+             hint: --overwrite replaces it; or move it away",
+            output.display()
+        );
+    }
+    Ok(false)
 }
 
 /// Says that a shard was there.
