@@ -58,6 +58,8 @@ impl Arguments {
 
     /// Refuses outputs that cannot be written, before anything is computed.
     fn check_outputs(&self) -> anyhow::Result<()> {
+        let input = Path::new(&self.source.source);
+        self.output.iter().chain(&self.png).try_for_each(|output| files::check_not_input(output, input))?;
         match &self.output {
             None if self.png.is_none() => {
                 bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")

@@ -39,6 +39,7 @@ pub struct Arguments {
 /// # Errors
 /// The scene is not valid, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    files::check_not_input(&arguments.output, &arguments.scene)?;
     arguments.overwrite.check(&arguments.output)?;
     let scene = Scene::load(&arguments.scene)?;
     draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;

@@ -77,6 +77,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = arguments.file();
     if let Some(output) = &file {
         files::check_parent(output)?;
+        files::check_not_input(output, &arguments.scene)?;
         if arguments.shard.is_none() {
             arguments.overwrite.check(output)?;
         }
