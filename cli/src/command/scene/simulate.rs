@@ -70,7 +70,7 @@ impl Arguments {
 /// Simulates a scene into a recording.
 ///
 /// # Errors
-/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts a shard.
+/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let (first, end) = arguments.range();
@@ -121,7 +121,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         rename_synced(written, file)?;
     }
-    simulated.tell(arguments, file.as_deref(), options.tolerance_db)
+    simulated.tell(arguments, file.as_deref(), options.tolerance_db)?;
+    if simulated.frames < end - first && output::interrupted() {
+        let place = file.map_or_else(|| "simulated".to_owned(), |path| format!("in {}", path.display()));
+        bail!("interrupted: {} of {} frames are {place}", simulated.frames, end - first);
+    }
+    Ok(())
 }
 
 /// Numbers of a simulation.
