@@ -37,8 +37,8 @@ pub struct Arguments {
     /// Error of the echoes in the maps that is asked for, dB; 0.5 if absent
     #[arg(long)]
     tolerance_db: Option<f64>,
-    /// Only part I of N (from 0) of the frames, into NAME-shard-I-of-N.mcap; `auto/N` or `auto` takes I from a Slurm, HyperQueue or
-    /// Kubernetes array
+    /// Only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto` takes I from a
+    /// Slurm, HyperQueue or Kubernetes array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
     /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`
