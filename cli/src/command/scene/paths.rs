@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use glam::DVec3;
-use radome_sim::Scene;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
+use radome_sim::{Scene, Simulator};
 
 use crate::output_file::Overwrite;
 use crate::picture::scene::{DrawnPath, Preview, draw};
@@ -63,6 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         arguments.overwrite.check(path)?;
     }
     let scene = Scene::load(&arguments.scene)?;
+    Simulator::check_people(&scene, arguments.people)?;
     let options = PathListOptions {
         seed: arguments.seed,
         people: arguments.people,
