@@ -92,9 +92,15 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
-/// Whether two paths lead to the same file.
-pub fn is_same(a: &Path, b: &Path) -> bool {
-    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+/// Fails if an output would take the place of what is read.
+///
+/// # Errors
+/// Both paths lead to the same file or folder.
+pub fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
+    if output.canonicalize().is_ok_and(|output| input.canonicalize().is_ok_and(|input| output == input)) {
+        bail!("{} is input and output at once\n\nhint: choose another name", output.display());
+    }
+    Ok(())
 }
 
 /// Fails early if the folder of an output file is missing.

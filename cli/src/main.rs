@@ -8,6 +8,7 @@ mod dataset;
 mod exit;
 mod files;
 mod judge;
+mod kept;
 mod labels;
 mod live;
 mod map_preset;

@@ -161,7 +161,8 @@ impl Lister<'_> {
             person: None,
             length_m: delay_s * SPEED_OF_LIGHT_M_PER_S,
             delay_s,
-            doppler_hz: -self.frequency_hz * delay_rate,
+            // Not the negative of a product: what stands still has 0, not -0.
+            doppler_hz: 0.0 - self.frequency_hz * delay_rate,
             gain_db: 20.0 * field.norm().max(1e-30).log10(),
             phase_rad: wrapped(phase),
             points_m: Vec::new(),

@@ -76,17 +76,7 @@ impl Simulator {
     /// # Errors
     /// [`SimError`] for more people than the scene has room for, for a tolerance out of range, and for a seed that makes no scene.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
-        let people = &scene.file().people;
-        let most = match &people.visits {
-            _ if !people.actor.is_empty() => people.actor.len(),
-            Some(visits) => visits.max_people.max(2),
-            None => 2,
-        };
-        if let Some(asked) = options.people
-            && asked > most
-        {
-            return Err(SimError::TooManyPeople { asked, scene: scene.name().to_owned(), most });
-        }
+        Self::check_people(scene, options.people)?;
         if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
@@ -94,6 +84,23 @@ impl Simulator {
         let inner = Renderer::new(&scene, options);
         let (ahead, spare) = (VecDeque::new(), Vec::new());
         Ok(Simulator { inner: Arc::new(inner), next: 0, ahead, spare, last_report: None, pool: None })
+    }
+
+    /// Checks that a scene has room for the people that are asked for.
+    ///
+    /// # Errors
+    /// [`SimError::TooManyPeople`].
+    pub fn check_people(scene: &Scene, asked: Option<usize>) -> Result<(), SimError> {
+        let people = &scene.file().people;
+        let most = match &people.visits {
+            _ if !people.actor.is_empty() => people.actor.len(),
+            Some(visits) => visits.max_people.max(2),
+            None => 2,
+        };
+        match asked.filter(|asked| *asked > most) {
+            Some(asked) => Err(SimError::TooManyPeople { asked, scene: scene.name().to_owned(), most }),
+            None => Ok(()),
+        }
     }
 
     /// The stream is rendered on threads of its own, as many as rayon has: where it stands in for a board, who judges its frames

@@ -144,6 +144,8 @@ mod hard_cases {
         wrong("\"mm\"", "\"furlong\"", &["furlong", "`mm`"]);
         wrong("\"plasterboard\"", "\"cheese\"", &["material", "cheese", "concrete", "oak"]);
         wrong("material = \"plasterboard\"\n", "", &["walls.stl", "has none in the scene", "materials = {"]);
+        let named = "material = \"plasterboard\"\nmaterials = { deks = \"wood\" }\n";
+        wrong("material = \"plasterboard\"\n", named, &["walls.stl", "deks", "the file has only", "hint: "]);
         wrong("walls.stl", "walls.step", &["walls.step", "\"step\"", ".stl", "hint: "]);
         wrong("walls.stl", "walks.stl", &["walks.stl", "cannot be read", "relative to the scene file"]);
         wrong("[[room.mesh]]", "size_m = [5, 4, 2.5]\n[[room.mesh]]", &["size_m", "beside [[room.mesh]]"]);

@@ -64,6 +64,12 @@ fn an_array_on_stdout_is_the_file() {
     assert!(output.stdout == std::fs::read(&path).expect("reads"));
     let array = npyz::NpyFile::new(output.stdout.as_slice()).expect("npy");
     assert_eq!(array.shape(), [8, 2, 2, 4]);
+    let picture = folder.path().join("map.png");
+    for wrong in [["--frame", "100"], ["--across-frames", "1000"], ["--frames", "0"]] {
+        let said = failure(subcommand("recording maps").args(wrong).arg(&input).arg("--png").arg(&picture));
+        assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
+        assert!(!picture.exists(), "{wrong:?}");
+    }
     let said = failure(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input));
     assert!(said.contains("--json") && said.contains("stdout"), "{said}");
 }

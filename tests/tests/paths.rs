@@ -110,7 +110,13 @@ mod hard_cases {
 
     #[test]
     fn somebody_who_is_not_there_and_a_time_that_is_none_are_said() {
+        let folder = tempfile::tempdir().expect("a folder");
         let scene = fixture("scenes/corridor.toml");
+        for command in ["scene paths", "scene preview"] {
+            let picture = folder.path().join("people.png");
+            let said = failure(subcommand(command).arg(&scene).args(["--people", "5", "-o"]).arg(&picture));
+            assert!(said.contains("room for at most") && !picture.exists(), "{said}");
+        }
         let said = failure(subcommand("scene paths").arg(&scene).args(["--person", "7"]));
         assert!(said.contains("person 7") && said.contains("hint"), "{said}");
         let said = failure(subcommand("scene paths").arg(&scene).args(["--time", "inf"]));

@@ -147,6 +147,26 @@ fn a_preview_is_drawn_and_replaces_no_file() {
 }
 
 #[test]
+fn no_output_takes_the_place_of_what_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fixture("formats/recording.mcap");
+    for (command, input) in [
+        ("scene simulate", fixture("scenes/corridor.toml")),
+        ("scene preview", fixture("scenes/corridor.toml")),
+        ("scene calibrate", recording.clone()),
+        ("recording maps", recording),
+        ("model export", fixture("models/room-cnn.safetensors")),
+    ] {
+        let copy = folder.path().join(input.file_name().expect("a name"));
+        std::fs::copy(&input, &copy).expect("copies");
+        let before = std::fs::read(&copy).expect("readable");
+        let said = failure(subcommand(command).arg(&copy).arg("-o").arg(&copy).arg("--overwrite"));
+        assert!(said.contains("is input and output at once"), "{command}: {said}");
+        assert!(std::fs::read(&copy).expect("readable") == before, "{command} changed its input");
+    }
+}
+
+#[test]
 fn a_reset_without_a_probe_says_where_probes_are_listed() {
     for arguments in [&["board", "reset", "nothing"][..], &["board", "list", "--reset", "nothing"]] {
         let said = failure(radome().args(arguments));

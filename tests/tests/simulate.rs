@@ -55,6 +55,25 @@ mod hard_cases {
     }
 
     #[test]
+    fn a_shard_of_other_arguments_is_refused_and_its_own_is_found() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let shard = |options: &str| {
+            let mut command = subcommand("scene simulate --shard 1/2 --people 1 --json");
+            command.arg(fixture("scenes/corridor.toml")).args(options.split_whitespace());
+            command.arg("-o").arg(folder.path().join("a.mcap"));
+            command
+        };
+        json_lines(&mut shard("--frames 8 --seed 3"));
+        assert_eq!(json_lines(&mut shard("--frames 8 --seed 3"))[0]["found"], true);
+        for other in ["--frames 8 --seed 4", "--frames 10 --seed 3"] {
+            let said = failure(&mut shard(other));
+            assert!(said.contains("a-shard-00001-of-00002.mcap") && said.contains("hint: --overwrite"), "{said}");
+        }
+        json_lines(&mut shard("--frames 8 --seed 4 --overwrite"));
+        assert_eq!(json_lines(&mut shard("--frames 8 --seed 4"))[0]["found"], true);
+    }
+
+    #[test]
     fn a_recording_cut_short_gives_its_whole_frames_or_says_where_it_ends() {
         let folder = tempfile::tempdir().expect("a folder");
         let bytes = simulated(folder.path(), "whole.mcap", "2");

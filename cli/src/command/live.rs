@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use radome_driver::{RecorderOptions, RecordingHeader};
 use radome_dsp::Waveform;
 
@@ -75,9 +75,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let output = arguments.output.as_deref().map(output_file::dated);
     let output = output.as_deref();
     if let Some(path) = output {
-        if files::is_same(path, Path::new(&arguments.source.source)) {
-            bail!("{} is source and output at once\n\nhint: choose another name", path.display());
-        }
+        files::check_not_input(path, Path::new(&arguments.source.source))?;
         arguments.overwrite.check(path)?;
     }
     let model = Model::open(&arguments.model)?;

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -9,9 +9,9 @@ use serde_json::json;
 
 use crate::exit::Ended;
 use crate::live::pipeline::{Failure, Inlet, Item, Pipeline, Policy};
-use crate::output;
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs};
+use crate::{files, output};
 
 /// `radome record`
 #[derive(clap::Args)]
@@ -48,6 +48,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
+    files::check_not_input(&path, Path::new(&arguments.source.source))?;
     arguments.overwrite.check(&path)?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     eprintln!("{}", source.description);

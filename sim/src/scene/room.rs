@@ -203,7 +203,8 @@ pub(super) fn read_meshes(
         let size = high - low;
         let problem =
             format!("all meshes together are {:.4} x {:.4} x {:.4} m, expected {SIZES_M:?} m", size.x, size.y, size.z);
-        let hint = "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"";
+        let hint =
+            "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"; of glTF, which is in metres, remove it";
         return Err(of_room(FileFault::new("size", problem, hint)));
     }
     let (found, made) = six_walls(file, &pieces, [low, high]).map_err(of_room)?;
@@ -263,9 +264,30 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
             let hint = "reduce the mesh: walls and furniture are looked at as planes and boxes";
             return Err(FileFault::new("mesh", problem, hint));
         }
+        check_names(mesh, &parts)?;
         parts.into_iter().map(|part| piece(mesh, &file, part)).collect()
     });
     parts.map_err(|source| file_error(path, text, &mesh.file, source))
+}
+
+/// Checks that the file has the names to which the scene gives materials.
+fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileFault> {
+    let mut names: Vec<&str> =
+        parts.iter().flat_map(|p| [p.material.as_deref().unwrap_or_default(), p.name.as_str()]).collect();
+    names.retain(|name| !name.is_empty());
+    names.sort_unstable();
+    names.dedup();
+    match mesh.materials.keys().find(|key| !names.contains(&key.as_str())) {
+        Some(key) => {
+            let problem = format!("materials names {key:?}, and the file has only {names:?}");
+            Err(FileFault::new(
+                "material",
+                problem,
+                "write a name of the file, of a material or of a part, or remove it",
+            ))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The parts of a mesh file in metres, z up.

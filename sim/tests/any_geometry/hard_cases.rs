@@ -94,9 +94,12 @@ fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
 fn from_file(name: &str, unit: &str, content: &str) -> Scene {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join(name), content).expect("written");
+    let is_named = |name: &str| content.contains(&format!("usemtl {name}\n"));
+    let named = [("plaster", "plasterboard"), ("pane", "glass")].into_iter().filter(|(name, _)| is_named(name));
+    let materials = named.map(|(name, material)| format!("{name} = {material:?}")).collect::<Vec<_>>().join(", ");
     let keys = format!(
         "solver = \"rays\"\n[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n\
-         unit = {unit:?}\nup = \"z\"\nmaterials = {{ plaster = \"plasterboard\", pane = \"glass\" }}\n"
+         unit = {unit:?}\nup = \"z\"\nmaterials = {{ {materials} }}\n"
     );
     made(&keys, WALKER, folder.path())
 }

@@ -105,10 +105,13 @@ pub fn from_files(keys: &str, files: &[(&str, &str, String)]) -> Surfaces {
     let mut room = keys.to_owned();
     for (name, unit, content) in files {
         std::fs::write(folder.path().join(name), content).expect("written");
+        let all = [("plaster", "plasterboard"), ("pane", "glass"), ("steel", "metal")];
+        let named = all.into_iter().filter(|(name, _)| content.contains(&format!("usemtl {name}\n")));
+        let materials = named.map(|(name, material)| format!("{name} = {material:?}")).collect::<Vec<_>>().join(", ");
         writeln!(
             room,
             "[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}\n\
-             materials = {{ plaster = \"plasterboard\", pane = \"glass\", steel = \"metal\" }}"
+             materials = {{ {materials} }}"
         )
         .expect("text");
     }

@@ -115,6 +115,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let Model::Network(mut classifier) = judging else {
                 bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
             };
+            if !arguments.thermal_snr_db.is_empty() {
+                bail!(
+                    "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
+                     build a dataset with raw_snr_db"
+                );
+            }
             on_dataset(&mut classifier, Path::new(folder), arguments)
         }
         recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),

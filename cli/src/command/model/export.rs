@@ -37,6 +37,7 @@ pub struct Arguments {
 /// # Errors
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    files::check_not_input(&arguments.output, &arguments.model)?;
     arguments.overwrite.check(&arguments.output)?;
     let model = Model::load(&arguments.model)?;
     let bytes = onnx::export(&model)?;

@@ -54,6 +54,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     });
     match &arguments.output {
         Some(path) => {
+            files::check_not_input(path, &arguments.recording)?;
             arguments.overwrite.check(path)?;
             files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))
         }

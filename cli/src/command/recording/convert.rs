@@ -69,9 +69,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             ),
         },
     };
-    if files::is_same(input, path) {
-        bail!("{} is input and output at once\n\nhint: choose another name", path.display());
-    }
+    files::check_not_input(path, input)?;
     arguments.overwrite.check(path)?;
     let mut source = open(input)?;
     let report = match format {

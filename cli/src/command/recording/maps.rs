@@ -58,6 +58,11 @@ impl Arguments {
 
     /// Refuses outputs that cannot be written, before anything is computed.
     fn check_outputs(&self) -> anyhow::Result<()> {
+        let input = Path::new(&self.source.source);
+        self.output.iter().chain(&self.png).try_for_each(|output| files::check_not_input(output, input))?;
+        if let Some(picture) = &self.png {
+            self.overwrite.check(picture)?;
+        }
         match &self.output {
             None if self.png.is_none() => {
                 bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
@@ -115,7 +120,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut map = processor.empty_map();
     let row_shape = map_shape(&map);
     let mut frame = Frame::zeroed(waveform.shape());
-    let (mut counts, mut pictured) = (Counts::default(), false);
+    let (mut counts, mut pictured, mut frames) = (Counts::default(), false, 0u64);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     // The array grows as maps come: a night of them fits no memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
@@ -125,6 +130,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 SourceEvent::Gap(_) => processor.reset(),
                 SourceEvent::Frame => {
                     frames_left -= 1;
+                    frames += 1;
                     bar.inc(1);
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {
                         continue;
@@ -140,6 +146,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 }
             }
         }
+        // Before the array takes its name.
+        if !output::interrupted() {
+            check_maps(arguments, counts.maps, frames, pictured)?;
+        }
         anyhow::Ok(counts.maps)
     };
     match &arguments.output {
@@ -153,6 +163,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         plot::map(path, &map, 0)?;
     }
     tell(arguments, &counts, &map)
+}
+
+/// Fails if no frame gave a map, or the frame of the picture none.
+fn check_maps(arguments: &Arguments, maps: u64, frames: u64, is_pictured: bool) -> anyhow::Result<()> {
+    let source = &arguments.source.source;
+    if maps == 0 {
+        bail!(
+            "{source}: {frames} frames give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
+             --frames, or a smaller N"
+        );
+    }
+    match (&arguments.png, arguments.frame) {
+        (Some(_), Some(wanted)) if !is_pictured => bail!(
+            "{source}: there is no map of frame {wanted}; {frames} frames were read\n\nhint: frames count from 0, and with \
+             --across-frames N the first N - 1 have no map"
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Says how many maps there are, and what their cells are; on stderr where the array goes to stdout.

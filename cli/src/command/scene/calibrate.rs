@@ -17,6 +17,7 @@ pub use self::arguments::Arguments;
 use self::copies::Copies;
 use self::measured::measure;
 use self::recordings::Recordings;
+use crate::files;
 
 /// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
 ///
@@ -24,6 +25,8 @@ use self::recordings::Recordings;
 /// A recording, the scene or the base receiver cannot be read, too few frames can be fitted, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(output) = &arguments.output {
+        let mut inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
+        inputs.try_for_each(|input| files::check_not_input(output, input))?;
         arguments.overwrite.check(output)?;
     }
     if !(arguments.part > 0.0 && arguments.part < 1.0) {

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use glam::DVec3;
-use radome_sim::Scene;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
+use radome_sim::{Scene, Simulator};
 
 use crate::output_file::Overwrite;
 use crate::picture::scene::{DrawnPath, Preview, draw};
@@ -24,7 +24,7 @@ pub struct Arguments {
     /// Time from the first frame on, s
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     time: f64,
-    /// Only paths by way of the person of this slot
+    /// Only paths by way of this person, by the list's number: the first is 0
     #[arg(long, value_name = "N")]
     person: Option<usize>,
     /// People that the scene is forced to have; the scene's own program if absent
@@ -59,9 +59,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bail!("--margin-db {} is no number of decibels", arguments.margin_db);
     }
     if let Some(path) = &arguments.output {
+        files::check_not_input(path, &arguments.scene)?;
         arguments.overwrite.check(path)?;
     }
     let scene = Scene::load(&arguments.scene)?;
+    Simulator::check_people(&scene, arguments.people)?;
     let options = PathListOptions {
         seed: arguments.seed,
         people: arguments.people,
@@ -97,7 +99,8 @@ fn print(list: &PathList) -> anyhow::Result<()> {
             path.rx,
             path.length_m,
             path.delay_s * 1e9,
-            path.doppler_hz,
+            // What rounds to nothing has no sign.
+            (path.doppler_hz * 100.0).round() / 100.0 + 0.0,
             path.gain_db,
             path.phase_rad,
             path.surfaces.join(" > ")

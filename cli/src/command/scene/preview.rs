@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_sim::Scene;
+use radome_sim::{Scene, Simulator};
 use serde_json::json;
 
 use crate::output_file::Overwrite;
@@ -39,6 +39,7 @@ pub struct Arguments {
 /// # Errors
 /// The scene is not valid, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    files::check_not_input(&arguments.output, &arguments.scene)?;
     arguments.overwrite.check(&arguments.output)?;
     let scene = Scene::load(&arguments.scene)?;
     draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;
@@ -48,9 +49,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Draws a scene as its seed makes it, with the people of its first `frames` frames.
 ///
 /// # Errors
-/// The seed gives no valid scene, or the picture cannot be written.
+/// The scene has no room for the people, the seed gives no valid scene, or the picture cannot be written.
 pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: &Path) -> anyhow::Result<()> {
     files::check_parent(path)?;
+    Simulator::check_people(scene, people)?;
     let scene = scene.drawn(seed)?;
     let until_s = frames as f64 * scene.waveform().frame_interval_s();
     scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)

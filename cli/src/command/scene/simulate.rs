@@ -1,3 +1,4 @@
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,7 +13,7 @@ use super::preview;
 use crate::output_file::Overwrite;
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
-use crate::{files, output};
+use crate::{files, kept, output};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
@@ -36,8 +37,8 @@ pub struct Arguments {
     /// Error of the echoes in the maps that is asked for, dB; 0.5 if absent
     #[arg(long)]
     tolerance_db: Option<f64>,
-    /// Only part I of N (from 0) of the frames, into NAME-shard-I-of-N.mcap; `auto/N` or `auto` takes I from a Slurm, HyperQueue or
-    /// Kubernetes array
+    /// Only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto` takes I from a
+    /// Slurm, HyperQueue or Kubernetes array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
     /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`
@@ -69,19 +70,17 @@ impl Arguments {
 /// Simulates a scene into a recording.
 ///
 /// # Errors
-/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts a shard.
+/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let (first, end) = arguments.range();
     let file = arguments.file();
     if let Some(output) = &file {
         files::check_parent(output)?;
-        if arguments.shard.is_some() && output.exists() {
-            // It took its name when it was whole; the same arguments would make the same bytes.
-            eprintln!("{} is there already", output.display());
-            return tell_shard(arguments, output, end - first);
+        files::check_not_input(output, &arguments.scene)?;
+        if arguments.shard.is_none() {
+            arguments.overwrite.check(output)?;
         }
-        arguments.overwrite.check(output)?;
     }
     // A shard takes its name when it is whole, so that it can be asked for again after anything.
     let written = file.as_ref().map(|path| match arguments.shard {
@@ -101,6 +100,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         options.tolerance_db = tolerance_db;
     }
     let mut simulator = Simulator::new(&scene, options)?;
+    if let (Some(_), Some(output)) = (arguments.shard, &file)
+        && output.exists()
+        && is_made(arguments.overwrite, output, &simulator, first..end)?
+    {
+        return tell_shard(arguments, output, end - first);
+    }
     foretell(&simulator, end - first);
     simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
@@ -116,7 +121,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         rename_synced(written, file)?;
     }
-    simulated.tell(arguments, file.as_deref(), options.tolerance_db)
+    simulated.tell(arguments, file.as_deref(), options.tolerance_db)?;
+    if simulated.frames < end - first && output::interrupted() {
+        let place = file.map_or_else(|| "simulated".to_owned(), |path| format!("in {}", path.display()));
+        bail!("interrupted: {} of {} frames are {place}", simulated.frames, end - first);
+    }
+    Ok(())
 }
 
 /// Numbers of a simulation.
@@ -180,6 +190,33 @@ impl Simulated {
         let what = file.unwrap_or(&arguments.scene).display();
         output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
     }
+}
+
+/// Whether a shard is there already. It took its name when it was whole; the same arguments would make the same bytes.
+///
+/// # Errors
+/// A file of its name holds something else, and is not to be replaced.
+fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: Range<u64>) -> anyhow::Result<bool> {
+    /// Frames that are made again to compare, evenly over the shard.
+    const COMPARED: u64 = 5;
+    let last = (frames.end - frames.start).saturating_sub(1);
+    let mut compared: Vec<u64> = (0..COMPARED).map(|i| frames.start + last * i / (COMPARED - 1)).collect();
+    compared.dedup();
+    if frames.is_empty() {
+        compared.clear();
+    }
+    if kept::is_recording_of(output, simulator, frames, &compared) {
+        eprintln!("{} is there already", output.display());
+        return Ok(true);
+    }
+    if overwrite.existing() == Existing::Refuse {
+        bail!(
+            "{} is there already, but was made of another scene, or with another --frames, --seed, --people or --tolerance-db\n\n\
+             hint: --overwrite replaces it; or move it away",
+            output.display()
+        );
+    }
+    Ok(false)
 }
 
 /// Says that a shard was there.

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
+use radome_driver::recording::Existing;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
-use radome_driver::recording::{Existing, Recording};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::train::{FilterSequence, fit_smoothing};
@@ -19,8 +19,8 @@ use self::rung::{Rung, Simulation, load};
 use self::scores::{OfModel, RungScores, print, print_fit};
 use super::candidate::{Candidate, Refused, Run};
 use crate::judge::Model;
-use crate::output;
 use crate::panics::Guarded;
+use crate::{kept, output};
 
 /// Judges the recordings of a ladder with models and prints their scores; with `fit`, also the settings of the filter that suit all of
 /// them best.
@@ -155,7 +155,8 @@ impl Simulation {
         let mut recorder = None;
         if let Some(folder) = keep {
             let path = folder.join(format!("{}.mcap", self.name));
-            if self.is_kept(&path, &simulator) {
+            // Whatever changes a scene or the simulator shows in the last frame.
+            if kept::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
                 return Ok((radome_driver::recording::open(&path)?, None));
             }
             let header = RecordingHeader::new(simulator.waveform().clone());
@@ -165,26 +166,6 @@ impl Simulation {
         // Models judge on this thread: they must not queue behind the next frames.
         let source: Box<dyn FrameSource> = Box::new(Guarded::new(Box::new(simulator.on_own_threads()?)));
         Ok((source, recorder))
-    }
-
-    /// Whether a file is this recording, by its last frame. Whatever changes a scene or the simulator shows there.
-    fn is_kept(&self, path: &Path, simulator: &Simulator) -> bool {
-        let last = self.frames - 1;
-        let read = || -> Option<Frame> {
-            let mut recording = Recording::open(path).ok()?;
-            recording.seek_frame(last).ok()?;
-            let mut frame = Frame::zeroed(recording.waveform().shape());
-            let is_there = matches!(recording.next_frame(&mut frame), Ok(SourceEvent::Frame));
-            let mut behind = Frame::zeroed(recording.waveform().shape());
-            let is_last = matches!(recording.next_frame(&mut behind), Ok(SourceEvent::End));
-            (is_there && is_last).then_some(frame)
-        };
-        read().is_some_and(|kept| {
-            let again = simulator.render(last);
-            (kept.sequence, kept.time_ns, kept.shape, kept.truth)
-                == (again.sequence, again.time_ns, again.shape, again.truth)
-                && kept.codes == again.codes
-        })
     }
 }
 
