@@ -132,11 +132,12 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let below = below + BELOW;
     let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.paper);
 
-    let title = format!("{}, seed {}", scene.name(), preview.seed);
-    canvas.text([LEFT - WALL, 10.0], &title, Letters::Title, INK);
-    let note = format!("0 to {:.0} s", preview.until_s);
-    let note_x = LEFT - WALL + Letters::Title.size(&title)[0] + 24.0;
-    canvas.text([note_x, 16.0], &note, Letters::Small, GREY);
+    let (seed, note) = (format!(", seed {}", preview.seed), format!("0 to {:.0} s", preview.until_s));
+    let (left, seed_width) = (LEFT - WALL, Letters::Title.size(&seed)[0] + 24.0);
+    let name_width = width - RIGHT - left - seed_width - Letters::Small.size(&note)[0];
+    let title = Letters::Title.shortened(scene.name(), name_width) + &seed;
+    canvas.text([left, 10.0], &title, Letters::Title, INK);
+    canvas.text([left + Letters::Title.size(&title)[0] + 24.0, 16.0], &note, Letters::Small, GREY);
     for view in &views {
         draw_view(&mut canvas, view, preview, &ways);
     }
