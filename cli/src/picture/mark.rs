@@ -68,6 +68,16 @@ impl Letters {
         let (weight, height) = self.font();
         [(get_raster_width(weight, height) * line.chars().count()) as f64, height.val() as f64]
     }
+
+    /// A line of text, shortened with dots at its end where it is wider than this many pixels.
+    pub fn shortened(self, line: &str, width: f64) -> String {
+        if self.size(line)[0] <= width {
+            return line.to_owned();
+        }
+        let most = (width / self.size(".")[0]) as usize;
+        let kept: String = line.chars().take(most.saturating_sub(3)).collect();
+        format!("{}...", kept.trim_end())
+    }
 }
 
 /// One thing that is drawn; later ones lie on earlier ones.
@@ -108,4 +118,31 @@ pub enum Mark {
         /// Colour.
         ink: Ink,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use noto_sans_mono_bitmap::get_raster;
+
+    use super::*;
+
+    #[test]
+    fn letters_of_european_languages_have_glyphs() {
+        for letters in [Letters::Small, Letters::Title] {
+            let (weight, height) = letters.font();
+            for character in "Büro Küche, Fußgänger, año, żółw".chars() {
+                assert!(get_raster(character, weight, height).is_some(), "{character}");
+            }
+        }
+    }
+
+    /// A line that has room stays as it is; a longer one takes no more room than there is.
+    #[test]
+    fn long_lines_are_shortened() {
+        let letters = Letters::Title;
+        let width = letters.size("0123456789")[0];
+        assert_eq!(letters.shortened("Büro Küche", width), "Büro Küche");
+        assert_eq!(letters.shortened("Büro Küche!", width), "Büro Kü...");
+        assert_eq!(letters.shortened("abcdef ghijk", width), "abcdef...");
+    }
 }

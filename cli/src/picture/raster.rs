@@ -78,7 +78,9 @@ impl Raster {
         let (weight, height) = letters.font();
         let step = get_raster_width(weight, height);
         for (i, character) in line.chars().enumerate() {
-            let Some(glyph) = get_raster(character, weight, height) else { continue };
+            // A question mark for what the font lacks.
+            let glyph = get_raster(character, weight, height).or_else(|| get_raster('?', weight, height));
+            let Some(glyph) = glyph else { continue };
             for (row, values) in glyph.rows().enumerate() {
                 for (column, &value) in values.iter().enumerate().filter(|(_, value)| **value > 0) {
                     let at = [x.round() as i64 + (i * step + column) as i64, y.round() as i64 + row as i64];

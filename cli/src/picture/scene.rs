@@ -132,11 +132,12 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let below = below + BELOW;
     let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.paper);
 
-    let title = format!("{}, seed {}", scene.name(), preview.seed);
-    canvas.text([LEFT - WALL, 10.0], &title, Letters::Title, INK);
-    let note = format!("0 to {:.0} s", preview.until_s);
-    let note_x = LEFT - WALL + Letters::Title.size(&title)[0] + 24.0;
-    canvas.text([note_x, 16.0], &note, Letters::Small, GREY);
+    let (seed, note) = (format!(", seed {}", preview.seed), format!("0 to {:.0} s", preview.until_s));
+    let (left, seed_width) = (LEFT - WALL, Letters::Title.size(&seed)[0] + 24.0);
+    let name_width = width - RIGHT - left - seed_width - Letters::Small.size(&note)[0];
+    let title = Letters::Title.shortened(scene.name(), name_width) + &seed;
+    canvas.text([left, 10.0], &title, Letters::Title, INK);
+    canvas.text([left + Letters::Title.size(&title)[0] + 24.0, 16.0], &note, Letters::Small, GREY);
     for view in &views {
         draw_view(&mut canvas, view, preview, &ways);
     }
@@ -284,8 +285,50 @@ fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
             canvas.line(&edge.map(|p| view.at(p)), &line);
         }
     }
+    if view.is_plan() {
+        draw_openings(canvas, view, scene, back);
+    }
     for door in &scene.file().door {
         draw_door(canvas, view, door.position_m, door.width_m);
+    }
+}
+
+/// Draws openings of a plan from above: a gap in the wall, and in it the pane or the door leaf. `back` is the colour of the floor.
+fn draw_openings(canvas: &mut Canvas, view: &View, scene: &Scene, back: Ink) {
+    /// Width of the strip in which a wall's line is taken away, pixels.
+    const STRIP: f64 = 4.0;
+    let size = view.size_m;
+    let sides = [(0, 0.0, [-1.0, 0.0]), (0, size.x, [1.0, 0.0]), (1, 0.0, [0.0, 1.0]), (1, size.y, [0.0, -1.0])];
+    let openings = scene.openings();
+    for opening in &openings {
+        let [a, b] = opening.ends.map(|end| view.at(end.extend(0.0)));
+        // Paper takes the line away; the floor goes on over it.
+        for ink in [Ink::solid([255, 255, 255]), back] {
+            canvas.line(&[a, b], &Line { ink, width: STRIP, is_dashed: false });
+        }
+        let is_on = |axis: usize, at_m: f64| opening.ends.iter().all(|end| (end[axis] - at_m).abs() < 1e-6);
+        if let Some((.., outward)) = sides.into_iter().find(|(axis, at_m, _)| is_on(*axis, *at_m)) {
+            draw_gap(canvas, [a, b], outward);
+        }
+    }
+    // After all gaps, for a leaf may stand before another opening.
+    for opening in &openings {
+        let leaf = opening.leaf.zip(opening.file.door.as_ref()).map(|(ends, door)| (ends, &door.material));
+        let pane = opening.file.material.as_ref().map(|material| (opening.ends, material));
+        if let Some((ends, material)) = leaf.or(pane).filter(|(_, material)| *material != "open") {
+            let ink = material_ink(scene, material).darker(0.35);
+            let ends: [Pixel; 2] = ends.map(|end| view.at(end.extend(0.0)));
+            canvas.line(&ends, &Line { ink, width: 1.4, is_dashed: false });
+        }
+    }
+}
+
+/// Draws a gap in the thick wall around a room, beside a line along its inner side.
+fn draw_gap(canvas: &mut Canvas, [a, b]: [Pixel; 2], outward: Pixel) {
+    let out = |[x, y]: Pixel| [x + outward[0] * (WALL + 1.0), y + outward[1] * (WALL + 1.0)];
+    canvas.fill(&[vec![a, b, out(b), out(a)]], Ink::solid([255, 255, 255]));
+    for end in [a, b] {
+        canvas.line(&[end, out(end)], &Line { ink: INK, width: 2.0, is_dashed: false });
     }
 }
 
@@ -300,12 +343,7 @@ fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
         // A gap in the wall, with both leaves' ends.
         let outward =
             if in_x_wall { [if x < 1e-6 { -1.0 } else { 1.0 }, 0.0] } else { [0.0, if y < 1e-6 { 1.0 } else { -1.0 }] };
-        let (a, b) = (view.at(middle - along), view.at(middle + along));
-        let out = |[x, y]: Pixel| [x + outward[0] * (WALL + 1.0), y + outward[1] * (WALL + 1.0)];
-        canvas.fill(&[vec![a, b, out(b), out(a)]], Ink::solid([255, 255, 255]));
-        for end in [a, b] {
-            canvas.line(&[end, out(end)], &Line { ink: INK, width: 2.0, is_dashed: false });
-        }
+        draw_gap(canvas, [view.at(middle - along), view.at(middle + along)], outward);
     } else if in_x_wall == (view.across == 1) {
         let high = middle + along + DVec3::Z * HEIGHT_M.min(view.size_m.z);
         let door = view.rectangle(middle - along, high);
@@ -585,14 +623,14 @@ mod tests {
         assert!((high[1] - low[1] - 2.0 * half.z).abs() < 0.02 * half.z, "{} {}", high[1] - low[1], half.z);
     }
 
-    /// Pixels of a PNG.
-    fn rgb_of(file: &Path) -> Vec<[u8; 3]> {
+    /// Width and pixels of a PNG.
+    fn rgb_of(file: &Path) -> (usize, Vec<[u8; 3]>) {
         let bytes = std::io::BufReader::new(std::fs::File::open(file).expect("a file"));
         let mut reader = png::Decoder::new(bytes).read_info().expect("a PNG");
         let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
         let image = reader.next_frame(&mut pixels).expect("an image");
         assert_eq!((image.color_type, image.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
-        pixels.as_chunks().0.to_vec()
+        (image.width as usize, pixels.as_chunks().0.to_vec())
     }
 
     /// Every shipped scene has a picture, with something in it.
@@ -609,13 +647,34 @@ mod tests {
             let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
             let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0, paths: &[] };
             draw(&preview, &file).expect("a picture");
-            let pixels = rgb_of(&file);
+            let (_, pixels) = rgb_of(&file);
             let inked = pixels.iter().filter(|pixel| **pixel != [255; 3]).count();
             assert!(inked as f64 > 0.1 * pixels.len() as f64, "{}", path.display());
             drawn += 1;
         }
         std::fs::remove_file(&file).expect("the picture");
         assert!(drawn >= 8);
+    }
+
+    /// A partition is drawn beside its doorway and not in it, where the leaf stands open.
+    #[test]
+    fn openings_are_gaps_in_the_plan() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
+        let scene = Scene::load(&path).expect("a scene");
+        let file = std::env::temp_dir().join(format!("radome-openings-{}.png", std::process::id()));
+        let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 0.1, paths: &[] };
+        draw(&preview, &file).expect("a picture");
+        let (width, pixels) = rgb_of(&file);
+        std::fs::remove_file(&file).expect("the picture");
+        let [plan, _] = views(&scene);
+        let differ = |a: [f64; 2], b: [f64; 2]| {
+            let [a, b] = [a, b].map(|[x, y]| plan.at(DVec3::new(x, y, 0.0)));
+            let [a, b] = [a, b].map(|[x, y]| pixels[y as usize * width + x as usize]);
+            (0..3).map(|i| a[i].abs_diff(b[i])).max() > Some(20)
+        };
+        assert!(differ([3.5, 3.6], [3.6, 3.6]));
+        assert!(!differ([3.5, 2.2], [3.6, 2.2]));
+        assert!(differ([3.182, 1.818], [3.6, 2.2]));
     }
 
     /// The beam ends where the pattern has lost half its power.

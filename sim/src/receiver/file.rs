@@ -74,7 +74,9 @@ pub struct Antenna {
     pub rx_gain_dbi: f64,
     /// One-way half-power beamwidth in azimuth (the radar's own horizontal plane), degrees. Default 30.5.
     pub azimuth_beamwidth_deg: f64,
-    /// One-way half-power beamwidth in elevation, degrees. Default 60.5.
+    /// One-way half-power beamwidth in elevation, degrees. Default 60.5. It is that of the pattern alone. At each antenna the
+    /// projection of the vertical polarisation across a path also multiplies its field by the cosine of the elevation, so that
+    /// the default makes paths lose half their power within 51 degrees. Diffuse echoes have the pattern alone.
     pub elevation_beamwidth_deg: f64,
     /// Power pattern never falls below this, relative to boresight, one way, dB: side and back lobes. Default -25.
     pub side_lobe_floor_db: f64,

@@ -7,8 +7,8 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::{Scene, plan};
-use crate::geometry::polygon::{doubled_area, encloses, sides};
-use crate::scene_file::{DoorLeafFile, FurnitureFile, HingeFile, OpeningFile, PartitionFile, PlanFile};
+use crate::geometry::polygon::{encloses, sides};
+use crate::scene_file::{FurnitureFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
 
 /// A box on the ground plan: low and high corner, m.
@@ -95,34 +95,10 @@ pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
 /// Boxes around the leaves of a plan's doors.
 fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
     let mut boxes = Vec::new();
-    let (sides, twice_area_m2) = (plan::walls(plan), doubled_area(&plan::corners(plan)));
-    for opening in &plan.opening {
-        if let (Some(wall), Some(door)) = (opening.wall.and_then(|wall| sides.get(wall)), &opening.door) {
-            let [hinge, end] = leaf(wall, opening, door, twice_area_m2.signum());
-            add_line(hinge, end, &mut boxes);
-        }
-    }
-    for partition in &plan.partition {
-        let line = plan::ends(partition);
-        for opening in &partition.opening {
-            if let Some(door) = &opening.door {
-                let [hinge, end] = leaf(&line, opening, door, 1.0);
-                add_line(hinge, end, &mut boxes);
-            }
-        }
+    for [hinge, end] in plan::openings(plan).into_iter().filter_map(|opening| opening.leaf) {
+        add_line(hinge, end, &mut boxes);
     }
     boxes
-}
-
-/// Hinge and end of a door leaf, which opens to the left of the way along its wall (1) or to the right (-1).
-fn leaf([from, to]: &[DVec2; 2], opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> [DVec2; 2] {
-    let along = (*to - *from).normalize_or_zero();
-    let at = |place_m: f64| *from + along * place_m;
-    let (hinge, shut, turn) = match door.hinge {
-        HingeFile::From => (at(opening.from_m), at(opening.to_m), left),
-        HingeFile::To => (at(opening.to_m), at(opening.from_m), -left),
-    };
-    [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
 }
 
 /// Parts of a plan that people walk around, but for door leaves.

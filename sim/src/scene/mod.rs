@@ -9,6 +9,7 @@ mod draft;
 mod plan;
 mod room;
 
+pub use plan::Opening;
 pub use room::Outline;
 
 use std::path::{Path, PathBuf};
@@ -336,6 +337,11 @@ impl Scene {
     /// Outlines of the room's meshes or of the faces of its plan; none where the room is a box.
     pub fn outlines(&self) -> &[Outline] {
         &self.outlines
+    }
+
+    /// Openings of the room's plan; none without a plan.
+    pub fn openings(&self) -> Vec<Opening<'_>> {
+        self.file.room.plan.as_ref().map_or_else(Vec::new, plan::openings)
     }
 
     /// Name of the scene.

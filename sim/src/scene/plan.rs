@@ -86,6 +86,49 @@ pub(super) fn ends(partition: &PartitionFile) -> [DVec2; 2] {
     [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
 }
 
+/// An opening of a floor plan as seen from above.
+#[derive(Debug, Clone, Copy)]
+pub struct Opening<'a> {
+    /// Its beginning and end on the line of its wall or partition, m.
+    pub ends: [DVec2; 2],
+    /// Hinge and end of its door leaf, m. None without a door.
+    pub leaf: Option<[DVec2; 2]>,
+    /// Its keys in the scene file.
+    pub file: &'a OpeningFile,
+}
+
+impl<'a> Opening<'a> {
+    /// Places an opening on a line. A door leaf turns to the left of the way along it (1) or to the right (-1).
+    fn new([from, to]: [DVec2; 2], file: &'a OpeningFile, left: f64) -> Self {
+        let along = (to - from).normalize_or_zero();
+        let ends = [file.from_m, file.to_m].map(|place_m| from + along * place_m);
+        let leaf = file.door.as_ref().map(|door| {
+            let (hinge, shut, turn) = match door.hinge {
+                HingeFile::From => (ends[0], ends[1], left),
+                HingeFile::To => (ends[1], ends[0], -left),
+            };
+            [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
+        });
+        Opening { ends, leaf, file }
+    }
+}
+
+/// Openings of all walls and partitions.
+pub(super) fn openings(plan: &PlanFile) -> Vec<Opening<'_>> {
+    let (walls, left) = (walls(plan), polygon::doubled_area(&corners(plan)).signum());
+    let mut openings = Vec::new();
+    for file in &plan.opening {
+        if let Some(&line) = file.wall.and_then(|wall| walls.get(wall)) {
+            openings.push(Opening::new(line, file, left));
+        }
+    }
+    for partition in &plan.partition {
+        let line = ends(partition);
+        openings.extend(partition.opening.iter().map(|file| Opening::new(line, file, 1.0)));
+    }
+    openings
+}
+
 /// The floor, which faces up.
 fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
     let corners: Vec<DVec3> = corners(plan).into_iter().map(|corner| corner.extend(0.0)).collect();
