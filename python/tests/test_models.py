@@ -215,6 +215,31 @@ class TestHardCases:
         with pytest.raises(FileNotFoundError):
             radome.Dataset(dataset_path / "none")
 
+    def test_a_training_divides_by_the_rule_of_its_dataset(self, tmp_path, dataset_path):
+        rule = {"seed": 5, "test": 0.5, "validation": 0.25}
+        ruled = radome.Dataset(dataset_path, split="train", rule=rule)
+        trained = train(ruled)
+        held = radome.Dataset(dataset_path, split="test", rule=rule)
+        assert trained.test == radome.evaluate(trained.model, held)
+        by_settings = radome.train(dataset_path, {**QUICK, "split": rule}, network="descriptor_linear")
+        assert by_settings.test == trained.test and by_settings.validation == trained.validation
+        with pytest.raises(ValueError, match="give one of them"):
+            radome.train(ruled, {**QUICK, "split": {"seed": 6}})
+        file = tmp_path / "training.toml"
+        file.write_text("epochs = 1\n")
+        with pytest.raises(ValueError, match="under \\[split\\]"):
+            radome.train(ruled, file)
+        with pytest.raises(ValueError, match="without rule"):
+            radome.adapt("room-hqnn", [], simulated=ruled)
+
+    def test_a_split_to_judge_by_is_not_learnt_from(self, dataset_path):
+        for split in ("validation", "test"):
+            dataset = radome.Dataset(dataset_path, split=split)
+            with pytest.raises(ValueError, match="without split"):
+                train(dataset)
+            with pytest.raises(ValueError, match="without split"):
+                radome.adapt("room-hqnn", [], simulated=dataset)
+
     def test_settings_that_cannot_be_are_refused(self, dataset_path):
         with pytest.raises(radome.RadomeError, match="epochs"):
             radome.train(dataset_path, {"epochs": 0})
