@@ -136,6 +136,26 @@ class TestHardCases:
             assert len(list(source)) == 2
             assert list(source) == [] and source.next_frame() is None
 
+    @pytest.mark.parametrize("kind", ["{}", "emulated:{}"])
+    def test_every_source_ends_after_so_many_frames(self, recording, kind):
+        for path in (recording, DESK):
+            with radome.open(kind.format(path), frames=4) as source:
+                assert source.frame_count in (4, None)
+                assert len(list(source)) == 4 and source.next_frame() is None
+        # The recording has a gap behind its third frame, which is no frame.
+        with radome.open(recording, frames=4) as source:
+            assert [frame.sequence for frame in source] == [0, 1, 2, 5] and source.frames_lost == 2
+        with radome.open(recording, frames=100) as source:
+            assert source.frame_count == 8 and len(list(source)) == 8
+        with radome.open(recording, frames=0) as source:
+            assert list(source) == []
+
+    @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+    @pytest.mark.parametrize("name", ["speed", "give_up_after_s"])
+    def test_times_and_speeds_that_cannot_be_are_refused(self, recording, name, value):
+        with pytest.raises(ValueError, match=name):
+            radome.open(recording, **{name: value})
+
     def test_two_threads_share_a_source(self):
         seen = []
         with radome.simulate(DESK, frames=60, people=0) as source:
