@@ -261,6 +261,49 @@ class TestHardCases:
         with pytest.raises(FileExistsError):
             radome.Recorder(recording, desk_frames[0].waveform)
 
+    def test_frames_that_are_left_out_are_a_gap(self, tmp_path, desk_frames):
+        path = tmp_path / "some.mcap"
+        with radome.Recorder(path, desk_frames[0].waveform) as recorder:
+            for frame in desk_frames[2:4] + desk_frames[6:8]:
+                recorder.write(frame)
+            # A gap of unknown length is not counted twice.
+            recorder.write(radome.Gap(8, 0, "disconnected"))
+            recorder.write(desk_frames[9])
+        assert recorder.report["gaps"] == 2 and recorder.report["frames_lost"] == 2
+        with radome.open(path) as source:
+            assert [frame.sequence for frame in source] == [2, 3, 6, 7, 9]
+            assert source.gaps == [radome.Gap(4, 2, "recorded"), radome.Gap(8, 0, "disconnected")]
+
+    def test_frames_out_of_order_are_not_recorded(self, tmp_path, desk_frames):
+        with radome.Recorder(tmp_path / "order.mcap", desk_frames[0].waveform) as recorder:
+            recorder.write(desk_frames[5])
+            for sequence in (3, 5):
+                with pytest.raises(ValueError, match="in their order"):
+                    recorder.write(desk_frames[sequence])
+            recorder.write(desk_frames[6])
+        assert recorder.report["frames"] == 2 and recorder.report["gaps"] == 0
+
+    @pytest.mark.parametrize(
+        "label",
+        [
+            radome.Label(3.0, 1.0, "one"),
+            radome.Label(float("nan"), 1.0, "one"),
+            radome.Label(0.0, float("inf"), "one"),
+            radome.Label(-1.0, 1.0, "one"),
+            radome.Label(0.0, 1.0, " "),
+            radome.Label(0.0, 1.0, "one", confidence=1.5),
+            radome.Label(0.0, 1.0, "one", confidence=float("nan")),
+        ],
+    )
+    def test_labels_that_cannot_be_are_not_recorded(self, tmp_path, desk_frames, label):
+        path = tmp_path / "label.mcap"
+        with radome.Recorder(path, desk_frames[0].waveform) as recorder:
+            recorder.write(desk_frames[0])
+            with pytest.raises(ValueError, match="label"):
+                recorder.write(label)
+        with radome.open(path) as source:
+            assert source.labels == []
+
     def test_a_recording_has_its_own_waveform(self, recording):
         with pytest.raises(radome.RadomeError, match="recording has"):
             radome.open(recording, waveform="paper")
