@@ -83,11 +83,15 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
 /// Value of a Python object, by way of JSON; `what` begins the message of an error.
 ///
 /// # Errors
-/// The object has no JSON form, or is not of the type's form.
+/// The object has no JSON form, holds a number that is not finite, or is not of the type's form.
 pub fn from_python<T: DeserializeOwned>(what: &str, object: &Bound<'_, PyAny>) -> PyResult<T> {
     let py = object.py();
-    let text: String = py.import("json")?.call_method1("dumps", (object,))?.extract()?;
-    let refused = |error: serde_json::Error| raised_text(py, format!("{what}: {error}"));
+    let text: String = py.import("radome._json")?.call_method1("text", (what, object))?.extract()?;
+    let refused = |error: serde_json::Error| {
+        let (prefix, message) = (format!("{what}: "), error.to_string());
+        // Errors of waveforms begin so by themselves.
+        raised_text(py, if message.starts_with(&prefix) { message } else { prefix + &message })
+    };
     let value: serde_json::Value = serde_json::from_str(&text).map_err(refused)?;
     serde_json::from_value(value).map_err(refused)
 }

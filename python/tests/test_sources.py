@@ -313,3 +313,23 @@ class TestHardCases:
             desk_frames[0].waveform.replace(sample_rate_hz=1.0)
         with pytest.raises(radome.RadomeError, match="colour"):
             desk_frames[0].waveform.replace(colour=1)
+        with pytest.raises(radome.RadomeError, match="^waveform: rx_antennas"):
+            desk_frames[0].waveform.replace(rx_antennas=[9])
+
+    def test_numbers_of_numpy_are_numbers(self, desk_frames):
+        with radome.simulate(DESK, frames=np.int64(2), seed=np.int64(3), people=np.uint8(1)) as source:
+            assert all(np.array_equal(a.codes, b.codes) for a, b in zip(source, desk_frames))
+        changed = {"samples_per_chirp": np.int32(32), "if_gain_db": np.float32(33.0), "rx_antennas": np.array([1, 3])}
+        waveform = desk_frames[0].waveform.replace(**changed)
+        assert waveform.shape == (2, 8, 32) and waveform.request["if_gain_db"] == 33.0
+        spec = {"channels": {"one": np.int64(1)}, "chirp_mean_removal": np.bool_(True)}
+        assert radome.rdm(desk_frames[0], spec).shape[0] == 1
+
+    @pytest.mark.parametrize("value", [float("nan"), float("-inf"), np.float32("inf")])
+    def test_numbers_that_are_not_finite_are_named(self, desk_frames, value):
+        with pytest.raises(ValueError, match="tolerance_db is"):
+            radome.simulate(DESK, tolerance_db=value)
+        with pytest.raises(ValueError, match="sample_rate_hz is"):
+            desk_frames[0].waveform.replace(sample_rate_hz=value)
+        with pytest.raises(ValueError, match="alpha is"):
+            radome.rdm(desk_frames[0], {"static_removal": {"recursive_mti": {"alpha": value}}})
