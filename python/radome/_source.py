@@ -183,7 +183,7 @@ class Source(Iterator[Frame]):
 def open(  # noqa: A001 - users write radome.open
     source: _StrPath,
     *,
-    waveform: Union[Waveform, str, None] = None,
+    waveform: Union[Waveform, _StrPath, None] = None,
     frames: Optional[int] = None,
     seed: int = 1,
     people: Optional[int] = None,
@@ -213,7 +213,7 @@ def open(  # noqa: A001 - users write radome.open
         ``None`` or 0
     :param give_up_after_s: time for which a board that is lost is looked for, s; 30 if ``None``
     """
-    if isinstance(waveform, str):
+    if waveform is not None and not isinstance(waveform, Waveform):
         waveform = Waveform.load(waveform)
     for name, value in (("speed", speed), ("give_up_after_s", give_up_after_s)):
         if value is not None and not 0.0 <= value < math.inf:
@@ -236,7 +236,7 @@ def simulate(
     seed: int = 1,
     people: Optional[int] = None,
     tolerance_db: Optional[float] = None,
-    waveform: Union[Waveform, str, None] = None,
+    waveform: Union[Waveform, _StrPath, None] = None,
 ) -> Source:
     """Frames of a scene file, each with its truth (:attr:`Frame.truth`); see :func:`open` for the parameters.
 

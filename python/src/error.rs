@@ -1,10 +1,13 @@
 //! Errors as Python exceptions, and JSON as the form of everything that is not an array.
 
 use std::error::Error;
+use std::fmt;
 use std::io;
+use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use radome_driver::{BoardError, RecordingError};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -69,6 +72,33 @@ fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
         Some(BoardError::PermissionDenied { .. }) => "permission",
         _ => "",
     }
+}
+
+/// Error of a text file that cannot be read.
+#[derive(Debug)]
+struct Unreadable {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl fmt::Display for Unreadable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: cannot be read", self.path.display())
+    }
+}
+
+impl Error for Unreadable {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        Some(&self.source)
+    }
+}
+
+/// Text of a settings or label file.
+///
+/// # Errors
+/// The file cannot be read, is too long or is not UTF-8. The message names the file.
+pub fn text_of(path: &Path) -> Outcome<String> {
+    read_text(path, TEXT_LIMIT_BYTES).map_err(|source| Unreadable { path: path.to_owned(), source }.into())
 }
 
 /// Python object of a value, by way of JSON.

@@ -32,10 +32,15 @@ type Probabilities = [f32; 3];
 /// # Errors
 /// The file cannot be read or is no model.
 pub fn network(name: &Path) -> Outcome<radome_models::Model> {
-    if name == Path::new(BUILT_IN) && !name.exists() {
+    if is_built_in(name) {
         return Ok(radome_models::Model::from_bytes(name, BUILT_IN_FILE)?);
     }
     Ok(radome_models::Model::load(name)?)
+}
+
+/// Whether a name is that of the built-in model, and of no file.
+pub fn is_built_in(name: &Path) -> bool {
+    name == Path::new(BUILT_IN) && !name.exists()
 }
 
 fn is_onnx(name: &Path) -> bool {

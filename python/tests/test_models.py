@@ -245,6 +245,8 @@ class TestHardCases:
             radome.train(dataset_path, {"epochs": 0})
         with pytest.raises(radome.RadomeError, match="colour"):
             radome.train(dataset_path, {"colour": 1})
+        with pytest.raises(FileNotFoundError, match="none.toml"):
+            radome.train(dataset_path, "none.toml")
         with pytest.raises(radome.RadomeError) as error:
             radome.train(dataset_path, network="house")
         assert "networks" in error.value.hint

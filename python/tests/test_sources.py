@@ -100,6 +100,7 @@ def test_waveforms_change_and_travel(desk_frames):
     assert other.shape == (3, 8, 32) and other != waveform
     assert pickle.loads(pickle.dumps(waveform)) == waveform
     assert radome.Waveform.load("paper").shape == (3, 128, 256)
+    assert radome.Waveform.load("room-hqnn") == radome.Model("room-hqnn").waveform
     assert any(name == "MAIN" for name, _, _ in waveform.registers())
     with radome.open(DESK, waveform=other, frames=1) as source:
         assert next(source).shape == (3, 8, 32)
@@ -244,6 +245,18 @@ class TestHardCases:
         assert isinstance(error.value, radome.RadomeError) and error.value.errno == errno.ENOENT
         with pytest.raises(OSError):
             radome.open(f"serial:{tmp_path}/none")
+
+    def test_a_waveform_is_named_by_any_path(self, tmp_path, recording, desk_frames):
+        assert radome.Waveform.load(recording) == desk_frames[0].waveform
+        with radome.open(DESK, waveform=recording, frames=1) as source:
+            assert next(source).shape == (3, 8, 64)
+        with pytest.raises(TypeError):
+            radome.Waveform.load(3)
+
+    def test_errors_of_files_name_the_file(self, tmp_path):
+        for read in (radome.Waveform.load, radome.read_labels, lambda path: radome.open(DESK, waveform=path)):
+            with pytest.raises(FileNotFoundError, match="none.toml|none.txt"):
+                read(tmp_path / ("none.txt" if read is radome.read_labels else "none.toml"))
 
     def test_an_error_has_hint_and_cause(self, tmp_path):
         scene = tmp_path / "bad.toml"
