@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use pyo3::prelude::*;
 use radome_driver::{BoardError, RecordingError};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::dataset::DatasetError;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -66,6 +67,9 @@ fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
         Some(RecordingError::Missing { .. }) => return "not_found",
         Some(RecordingError::Occupied { .. }) => return "exists",
         _ => {}
+    }
+    if let Some(DatasetError::Exists { .. }) = error.downcast_ref::<DatasetError>() {
+        return "exists";
     }
     match error.downcast_ref::<BoardError>() {
         Some(BoardError::Absent { .. }) => "not_found",

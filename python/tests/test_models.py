@@ -208,7 +208,7 @@ class TestHardCases:
         assert np.array_equal(radome.circuit(x.astype(">f8"), np.repeat(theta, 2)[::2]).expectations, expected)
 
     def test_a_dataset_is_not_replaced(self, dataset_path, desk_frames):
-        with pytest.raises(radome.RadomeError, match="exists"):
+        with pytest.raises(radome.ExistingFileError, match="exists"):
             radome.DatasetWriter(dataset_path, desk_frames[0].waveform, SPEC)
         with pytest.raises(ValueError):
             radome.Dataset(dataset_path, split="rest")
