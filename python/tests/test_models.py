@@ -79,6 +79,15 @@ def test_a_dataset_is_a_sequence_of_maps_and_classes(dataset_path):
     assert copies[0][0].flags.writeable
 
 
+def test_a_dataset_is_found_from_another_folder(tmp_path, dataset_path, monkeypatch):
+    monkeypatch.chdir(dataset_path.parent)
+    dataset = radome.Dataset(dataset_path.name)
+    monkeypatch.chdir(tmp_path)
+    assert dataset[0][0].shape == radome.Dataset(dataset_path)[0][0].shape
+    assert len(pickle.loads(pickle.dumps(dataset))) == 48
+    dataset.verify()
+
+
 def label_sum(dataset):
     return sum(label for _, label in (dataset[index] for index in range(len(dataset))))
 
@@ -214,6 +223,9 @@ class TestHardCases:
             radome.Dataset(dataset_path, split="rest")
         with pytest.raises(FileNotFoundError):
             radome.Dataset(dataset_path / "none")
+        for split in (None, "train"):
+            with pytest.raises(radome.RadomeError, match="split: unknown field `x`"):
+                radome.Dataset(dataset_path, split=split, rule={"x": 1})
 
     def test_a_training_divides_by_the_rule_of_its_dataset(self, tmp_path, dataset_path):
         rule = {"seed": 5, "test": 0.5, "validation": 0.25}
