@@ -118,7 +118,7 @@ def evaluate(model: Union[Model, _StrPath], dataset: Union[Dataset, _StrPath]) -
     """
     model = model if isinstance(model, Model) else Model(os.fspath(model))
     dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-    return model.evaluate(dataset._native, dataset.indices.tolist())
+    return model._evaluate(dataset._native, dataset.indices.tolist())
 
 
 _Recording = Union[_StrPath, Tuple[_StrPath, Union[str, Sequence[Label], None]]]

@@ -216,7 +216,8 @@ impl Model {
         })
     }
 
-    /// Scores over the maps of a dataset with these indices, a dict.
+    /// Scores over the maps of a dataset with these indices, a dict; `radome.evaluate` gives them.
+    #[pyo3(name = "_evaluate")]
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
