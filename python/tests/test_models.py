@@ -88,6 +88,15 @@ def test_a_dataset_is_found_from_another_folder(tmp_path, dataset_path, monkeypa
     dataset.verify()
 
 
+def test_what_holds_no_state_of_the_compiled_part_is_pickled(desk_frames):
+    kept = [desk_frames[0].waveform, radome.Gap(1, 2, "crc"), radome.Label(0.0, 1.0, "one")]
+    assert pickle.loads(pickle.dumps(kept)) == kept
+    model = radome.Model()
+    for lent in (desk_frames[0], radome.rdm(desk_frames[0]), model, model.filter(0.1), radome.Counter(model), radome.Circuit()):
+        with pytest.raises(TypeError):
+            pickle.dumps(lent)
+
+
 def label_sum(dataset):
     return sum(label for _, label in (dataset[index] for index in range(len(dataset))))
 

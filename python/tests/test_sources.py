@@ -88,6 +88,15 @@ def test_a_recording_that_fails_leaves_no_file(tmp_path, desk_frames):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_public_names_have_docstrings():
+    for name in set(radome.__all__) - {"CLASSES"}:
+        assert getattr(radome, name).__doc__, name
+    for preset in ("default", "paper", "sdk"):
+        assert f'"{preset}"' in radome.rdm.__doc__
+    for key in radome.MapProcessor(radome.Waveform.load("paper")).spec:
+        assert f"`{key}`" in radome.rdm.__doc__, key
+
+
 def test_importing_does_not_import_numpy():
     """Two thirds of the import's time would be NumPy's."""
     code = "import radome, sys; assert not {'numpy', 'torch'} & set(sys.modules), 'imported'"
