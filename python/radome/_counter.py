@@ -12,7 +12,8 @@ from ._source import Gap
 if TYPE_CHECKING:
     import numpy as np
 
-#: Classes in the order of the probabilities.
+#: Names of the classes: nobody, one person, two people. Their order is that of ``[class]`` in the probabilities of
+#: models, and of the numbers 0, 1 and 2 in the labels of datasets.
 CLASSES = ("empty", "one", "two")
 
 
@@ -49,6 +50,7 @@ class Counter:
         self._last_time_s: Optional[float] = None
 
     def __call__(self, frame: Frame) -> Answer:
+        """Answer to the next frame. A frame earlier than the one before begins anew."""
         time_s = frame.time_s
         if self._last_time_s is not None and time_s < self._last_time_s:
             # What was known of later frames says nothing of earlier ones.

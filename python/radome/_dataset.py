@@ -46,7 +46,8 @@ class Dataset:
 
         if split is not None and split not in _SPLITS:
             raise ValueError(f"split is {split!r}, expected one of {', '.join(_SPLITS)} or None")
-        self.path = os.fspath(path)
+        #: Folder, absolute: it stays the same when the working directory changes.
+        self.path = os.path.abspath(os.fspath(path))
         self.split = split
         self.transform = transform
         self.rule = dict(rule or {})
@@ -58,6 +59,9 @@ class Dataset:
         if split is None:
             #: Index of each map in the folder, ``[map]``, int64.
             self.indices = np.arange(len(all_labels))
+            if self.rule:
+                # A rule that cannot be is refused here and not by a training later.
+                self._native.splits(self.rule)
         else:
             self.indices = np.flatnonzero(self._native.splits(self.rule) == _SPLITS.index(split))
         #: Class of each map: 0 empty, 1 one, 2 two; ``[map]``, int64.

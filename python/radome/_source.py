@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple, Union
@@ -182,7 +183,7 @@ class Source(Iterator[Frame]):
 def open(  # noqa: A001 - users write radome.open
     source: _StrPath,
     *,
-    waveform: Union[Waveform, str, None] = None,
+    waveform: Union[Waveform, _StrPath, None] = None,
     frames: Optional[int] = None,
     seed: int = 1,
     people: Optional[int] = None,
@@ -203,15 +204,20 @@ def open(  # noqa: A001 - users write radome.open
     ==============================  ===============================================================
 
     :param waveform: waveform to program a board with or to simulate a scene in, or what :meth:`Waveform.load` takes
-    :param frames: frames after which a simulation ends; endless if ``None``
+    :param frames: frames after which the source ends; if ``None``, recordings end with their last frame, simulations
+        and boards never
     :param seed: seed of everything random in a simulation
     :param people: people that a simulation has at most; the scene's own number if ``None``
     :param tolerance_db: error of a simulation's echoes that is asked for, dB; 0.5 if ``None``
-    :param speed: times real time for recordings, simulations and emulated boards; as fast as it goes if ``None``
+    :param speed: times real time for recordings, simulations and emulated boards; as fast as it goes if
+        ``None`` or 0
     :param give_up_after_s: time for which a board that is lost is looked for, s; 30 if ``None``
     """
-    if isinstance(waveform, str):
+    if waveform is not None and not isinstance(waveform, Waveform):
         waveform = Waveform.load(waveform)
+    for name, value in (("speed", speed), ("give_up_after_s", give_up_after_s)):
+        if value is not None and not 0.0 <= value < math.inf:
+            raise ValueError(f"{name} is {value}, expected 0 or a positive number")
     options = {
         "seed": seed,
         "people": people,
@@ -230,7 +236,7 @@ def simulate(
     seed: int = 1,
     people: Optional[int] = None,
     tolerance_db: Optional[float] = None,
-    waveform: Union[Waveform, str, None] = None,
+    waveform: Union[Waveform, _StrPath, None] = None,
 ) -> Source:
     """Frames of a scene file, each with its truth (:attr:`Frame.truth`); see :func:`open` for the parameters.
 

@@ -64,6 +64,9 @@ def train(
 
     The same dataset and settings give the same model, bit by bit. Ctrl-C ends the training behind the epoch.
 
+    :param dataset: folder, or a :class:`Dataset` of all maps (or of ``split="train"``, which means the same): training,
+        validation and test take their splits from it. Its ``rule`` divides it unless the settings have a ``split``;
+        its ``transform`` is not used
     :param settings: keys of a training that differ from the defaults, or a TOML file with them
     :param network: name of a network, as :func:`networks` lists them
     :param checkpoint: file that holds the training after each epoch; a training that was stopped goes on from it
@@ -72,11 +75,39 @@ def train(
     >>> trained = radome.train("dataset", {"epochs": 10, "seed": 3}, report=print)
     >>> trained.model.save("model.safetensors")
     """
-    native = dataset._native if isinstance(dataset, Dataset) else _radome.Dataset(os.fspath(dataset))
     given = settings if isinstance(settings, dict) else {} if settings is None else os.fspath(settings)
+    native, rule = _whole(dataset)
+    if rule:
+        given = _with_rule(given, rule)
     file = None if checkpoint is None else os.fspath(checkpoint)
     model, scores = _radome.train(native, given, network, file, report)
     return Trained(model=model, **scores)
+
+
+def _whole(dataset: Union[Dataset, _StrPath]) -> "Tuple[_radome.Dataset, Dict[str, Any]]":
+    """All maps of a dataset, and the rule that divides them."""
+    if not isinstance(dataset, Dataset):
+        return _radome.Dataset(os.fspath(dataset)), {}
+    if dataset.split not in (None, "train"):
+        raise ValueError(
+            f"the dataset is the split {dataset.split!r}, and maps to learn from are those of the training split; "
+            "give radome.Dataset(path) without split"
+        )
+    return dataset._native, dataset.rule
+
+
+def _with_rule(settings: Union[Dict[str, Any], str], rule: Dict[str, Any]) -> Dict[str, Any]:
+    """Settings with the rule of a dataset as their ``split``."""
+    if not isinstance(settings, dict):
+        raise ValueError(
+            f"the dataset has a rule, and {settings} has settings too; write the rule under [split] of that file and "
+            "leave it out of radome.Dataset"
+        )
+    if settings.get("split", rule) != rule:
+        raise ValueError(
+            f"the dataset's rule is {rule} and the settings' split is {settings['split']}; give one of them"
+        )
+    return {**settings, "split": rule}
 
 
 def evaluate(model: Union[Model, _StrPath], dataset: Union[Dataset, _StrPath]) -> Dict[str, Any]:
@@ -87,7 +118,7 @@ def evaluate(model: Union[Model, _StrPath], dataset: Union[Dataset, _StrPath]) -
     """
     model = model if isinstance(model, Model) else Model(os.fspath(model))
     dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-    return model.evaluate(dataset._native, dataset.indices.tolist())
+    return model._evaluate(dataset._native, dataset.indices.tolist())
 
 
 _Recording = Union[_StrPath, Tuple[_StrPath, Union[str, Sequence[Label], None]]]
@@ -102,14 +133,20 @@ def adapt(
     :param recordings: sources, or pairs of a source and what is true of it: ``"empty"``, ``"one"``, ``"two"``, or a
         list of :class:`Label`. A source alone has the labels that it holds, or the truth of its frames. Two or more
         that show the same are held out in turn: that measures what is gained
-    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms
+    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms; by
+        the default rule, so that a :class:`Dataset` with a rule of its own is refused
 
     >>> result = radome.adapt("room-hqnn", [("empty.mcap", "empty"), ("me.mcap", "one")])
     >>> result.model.save("my-room.safetensors")
     """
     adapter = _radome.Adapter(os.fspath(model))
     if simulated is not None:
-        native = simulated._native if isinstance(simulated, Dataset) else _radome.Dataset(os.fspath(simulated))
+        native, rule = _whole(simulated)
+        if rule:
+            raise ValueError(
+                f"the simulated dataset has the rule {rule}, and its training split is that of the default rule; "
+                "give radome.Dataset(path) without rule"
+            )
         adapter.mix(native)
     judging = Model(os.fspath(model))
     for recording in recordings:

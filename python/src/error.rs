@@ -1,10 +1,14 @@
 //! Errors as Python exceptions, and JSON as the form of everything that is not an array.
 
 use std::error::Error;
+use std::fmt;
 use std::io;
+use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use radome_driver::{BoardError, RecordingError};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::dataset::DatasetError;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -64,11 +68,41 @@ fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
         Some(RecordingError::Occupied { .. }) => return "exists",
         _ => {}
     }
+    if let Some(DatasetError::Exists { .. }) = error.downcast_ref::<DatasetError>() {
+        return "exists";
+    }
     match error.downcast_ref::<BoardError>() {
         Some(BoardError::Absent { .. }) => "not_found",
         Some(BoardError::PermissionDenied { .. }) => "permission",
         _ => "",
     }
+}
+
+/// Error of a text file that cannot be read.
+#[derive(Debug)]
+struct Unreadable {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl fmt::Display for Unreadable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: cannot be read", self.path.display())
+    }
+}
+
+impl Error for Unreadable {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        Some(&self.source)
+    }
+}
+
+/// Text of a settings or label file.
+///
+/// # Errors
+/// The file cannot be read, is too long or is not UTF-8. The message names the file.
+pub fn text_of(path: &Path) -> Outcome<String> {
+    read_text(path, TEXT_LIMIT_BYTES).map_err(|source| Unreadable { path: path.to_owned(), source }.into())
 }
 
 /// Python object of a value, by way of JSON.
@@ -83,11 +117,15 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
 /// Value of a Python object, by way of JSON; `what` begins the message of an error.
 ///
 /// # Errors
-/// The object has no JSON form, or is not of the type's form.
+/// The object has no JSON form, holds a number that is not finite, or is not of the type's form.
 pub fn from_python<T: DeserializeOwned>(what: &str, object: &Bound<'_, PyAny>) -> PyResult<T> {
     let py = object.py();
-    let text: String = py.import("json")?.call_method1("dumps", (object,))?.extract()?;
-    let refused = |error: serde_json::Error| raised_text(py, format!("{what}: {error}"));
+    let text: String = py.import("radome._json")?.call_method1("text", (what, object))?.extract()?;
+    let refused = |error: serde_json::Error| {
+        let (prefix, message) = (format!("{what}: "), error.to_string());
+        // Errors of waveforms begin so by themselves.
+        raised_text(py, if message.starts_with(&prefix) { message } else { prefix + &message })
+    };
     let value: serde_json::Value = serde_json::from_str(&text).map_err(refused)?;
     serde_json::from_value(value).map_err(refused)
 }

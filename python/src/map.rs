@@ -113,6 +113,9 @@ pub fn next_map(processor: &mut RdmProcessor, frame: &radome_dsp::Frame) -> Outc
 }
 
 /// Maker of maps from a stream of frames, with the state between frames that the spec asks for.
+///
+/// Call it with the frames of one source in their order. It returns the `Map` of each, or `None` while a window over frames
+/// fills. `spec` is the name of a preset, a dict of keys or `None`; `radome.rdm` lists them. Call `reset` at a gap.
 #[pyclass(frozen, module = "radome._radome")]
 pub struct MapProcessor {
     processor: Mutex<RdmProcessor>,
@@ -131,7 +134,7 @@ impl MapProcessor {
         Ok(MapProcessor { processor: Mutex::new(processor), spec, waveform })
     }
 
-    /// Map of the next frame; `None` while a window over frames fills.
+    /// Map of the next frame, `[rx][doppler][range]`, float32, dB; `None` while a window over frames fills.
     fn __call__(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Option<Map>> {
         let frame = &frame.get().inner;
         let map = detached(py, || next_map(&mut self.processor.lock().unwrap_or_else(PoisonError::into_inner), frame))?;
@@ -170,7 +173,29 @@ fn processor(spec: &RdmSpec, waveform: &Arc<radome_dsp::Waveform>) -> Outcome<Rd
 /// waited for.
 static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex::new(Vec::new());
 
-/// Map of one frame alone.
+/// Map of one frame alone: its `db` is `[rx][doppler][range]`, float32, dB.
+///
+/// `spec` is the name of a preset, or a dict of keys that differ from the default. `None` is `"default"`.
+///
+/// Presets:
+/// - `"default"`: all channels in dB of full scale, Hann windows, nothing removed.
+/// - `"paper"`: channel 0 without normalisation, samples from -1 to 1, the mean over slow time removed.
+/// - `"sdk"`: the vendor's example, with memory between frames: moving-target indication, symmetric Blackman-Harris windows, twice
+///   as many points on both axes. `rdm` gives its first map alone; give a stream to a `MapProcessor`.
+///
+/// Keys, the default first:
+/// - `scale`: `"full_scale"`, `"zero_to_one"`, `"minus_one_to_one"`: the numbers that codes become.
+/// - `channels`: `"all"`, `{"one": 0}` (index of the channel), `"incoherent_sum"` (mean power of all).
+/// - `chirp_mean_removal`: `False`, `True`: subtracts the mean of each chirp.
+/// - `static_removal`: `"none"`, `"slow_time_mean"`, `{"recursive_mti": {"alpha": 0.8}}`.
+/// - `range_window`, `doppler_window`: `"hann"`, `"rectangular"`, `"hamming"`, `"blackman_harris"`, `"blackman_harris_symmetric"`.
+/// - `range_fft_length`, `doppler_fft_length`: `None` (the data's own) or a number of points; zeros are appended.
+/// - `physical_axes`: `None` (the axes of the waveform) or a dict of `range_step_m`, m, `range_bins`, `velocity_step_m_per_s`, m/s,
+///   and `velocity_bins`.
+/// - `change_over_s`: `None` or the time constant, s, of change in cells of zero velocity; with `physical_axes` and a stream.
+/// - `slow_time`: `"chirps"`, `{"frames": {"frames": 64}}` (a window over frames; with a stream).
+/// - `amplitude`: `"full_scale_sine"`, `"unnormalised"`, `"vendor"`: the amplitude that reads 0 dB.
+/// - `floor_db`: -200, the lowest level of a cell, dB.
 #[pyfunction]
 #[pyo3(signature = (frame, spec=None))]
 pub fn rdm(py: Python<'_>, frame: &Bound<'_, Frame>, spec: Option<&Bound<'_, PyAny>>) -> PyResult<Map> {

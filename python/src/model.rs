@@ -32,10 +32,15 @@ type Probabilities = [f32; 3];
 /// # Errors
 /// The file cannot be read or is no model.
 pub fn network(name: &Path) -> Outcome<radome_models::Model> {
-    if name == Path::new(BUILT_IN) && !name.exists() {
+    if is_built_in(name) {
         return Ok(radome_models::Model::from_bytes(name, BUILT_IN_FILE)?);
     }
     Ok(radome_models::Model::load(name)?)
+}
+
+/// Whether a name is that of the built-in model, and of no file.
+pub fn is_built_in(name: &Path) -> bool {
+    name == Path::new(BUILT_IN) && !name.exists()
 }
 
 fn is_onnx(name: &Path) -> bool {
@@ -50,7 +55,11 @@ struct Work {
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
 }
 
-/// Trained model. Called with a frame or a map it returns the probabilities of empty, one and two.
+/// Trained model: a file, or `"room-hqnn"` for the built-in one.
+///
+/// Called with a `Frame` or a `Map` it returns the probabilities of empty, one and two (`radome.CLASSES`), `[class]`, float32. Give
+/// it the frames of one source in their order, and call `reset` at a gap. It returns `None` while a window over frames fills, and
+/// for a frame in which no receiver gives a signal. A map must be made by the model's `rdm_spec`.
 #[pyclass(frozen, module = "radome._radome")]
 pub struct Model {
     work: Mutex<Work>,
@@ -142,6 +151,7 @@ impl Model {
         })
     }
 
+    /// Probabilities of empty, one and two, `[class]`, float32, of the next frame or of a map; `None` as the class says.
     fn __call__<'py>(&self, py: Python<'py>, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyArray1<f32>>>> {
         let probabilities = if let Ok(map) = frame.cast::<Map>() {
             let map = map.get();
@@ -169,7 +179,8 @@ impl Model {
         checked.map_err(|error| raised(py, &error))
     }
 
-    /// The filter over probabilities, with the model's settings.
+    /// Filter over the probabilities of single frames, with the settings of the model's card. `frame_interval_s` is the time from
+    /// frame to frame, s.
     fn filter(&self, frame_interval_s: f64) -> Filter {
         Filter(Mutex::new(OccupancyFilter::new(self.card.smoothing, frame_interval_s)))
     }
@@ -213,7 +224,8 @@ impl Model {
         })
     }
 
-    /// Scores over the maps of a dataset with these indices, a dict.
+    /// Scores over the maps of a dataset with these indices, a dict; `radome.evaluate` gives them.
+    #[pyo3(name = "_evaluate")]
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
@@ -240,7 +252,8 @@ pub struct Filter(Mutex<OccupancyFilter>);
 
 #[pymethods]
 impl Filter {
-    /// Takes the probabilities of the frame at `time_s`; returns the filtered ones.
+    /// Takes the probabilities of empty, one and two of the frame at `time_s`, s; returns the filtered ones, `[class]`, float32.
+    /// Frames come in the order of their times.
     fn update<'py>(&self, py: Python<'py>, time_s: f64, probabilities: [f32; 3]) -> Bound<'py, PyArray1<f32>> {
         let mut filter = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         filter.update(time_s, probabilities).to_vec().into_pyarray(py)

@@ -9,7 +9,7 @@ use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Pace,
     RealTime, Reconnect, candidates,
 };
-use radome_dsp::{FrameSource, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::Deserialize;
 
@@ -53,6 +53,34 @@ impl Opened {
     }
 }
 
+/// Source that ends after so many frames; gaps do not count.
+struct Limited {
+    source: Box<dyn FrameSource>,
+    most: u64,
+    taken: u64,
+}
+
+impl FrameSource for Limited {
+    fn waveform(&self) -> &Waveform {
+        self.source.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        if self.taken >= self.most {
+            return Ok(SourceEvent::End);
+        }
+        let event = self.source.next_frame(frame)?;
+        if event == SourceEvent::Frame {
+            self.taken += 1;
+        }
+        Ok(event)
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        self.source.frame_count().map(|count| count.min(self.most))
+    }
+}
+
 impl Options {
     /// Positive speed, if one was given.
     fn speed(&self) -> Option<f64> {
@@ -84,6 +112,12 @@ impl Options {
 /// # Errors
 /// There is no such source, it cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &Options) -> Outcome<Opened> {
+    let opened = open_unlimited(spec, options)?;
+    let Some(most) = options.frames else { return Ok(opened) };
+    Ok(Opened { frames: Box::new(Limited { source: opened.frames, most, taken: 0 }), ..opened })
+}
+
+fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }

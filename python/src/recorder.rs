@@ -7,10 +7,9 @@ use pyo3::prelude::*;
 use radome_driver::recording::{Existing, Format, RecordingWriter, label_text};
 use radome_driver::{LabelSpan, RecordingHeader};
 use radome_dsp::Gap;
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use serde_json::json;
 
-use crate::error::{Outcome, detached, from_python, to_python};
+use crate::error::{Outcome, detached, from_python, text_of, to_python};
 use crate::frame::Frame;
 use crate::waveform::Waveform;
 
@@ -110,7 +109,7 @@ pub fn read_labels<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, P
                 return Err(text.into());
             }
         };
-        let text = read_text(&path, TEXT_LIMIT_BYTES)?;
+        let text = text_of(&path)?;
         read(&text).map_err(|error| format!("{}: {error}", path.display()).into())
     })?;
     to_python(py, &labels)

@@ -5,13 +5,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::{EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
 use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
 use crate::dataset::Dataset;
-use crate::error::{Failure, Outcome, detached, from_python, raised_text, to_python};
+use crate::error::{Failure, Outcome, detached, from_python, raised_text, text_of, to_python};
 use crate::fork;
 use crate::model::Model;
 
@@ -20,7 +19,7 @@ struct Stopped(PyErr);
 
 /// Settings of a training from a TOML file.
 fn read_spec(path: &Path) -> Outcome<TrainSpec> {
-    let text = read_text(path, TEXT_LIMIT_BYTES)?;
+    let text = text_of(path)?;
     let refused = |error: toml::de::Error| format!("{} is no training spec: {}", path.display(), error.message());
     let mut spec: TrainSpec = toml::from_str(&text).map_err(refused)?;
     if let Some(weights) = &spec.weights {

@@ -1,6 +1,6 @@
 //! Waveforms.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use pyo3::prelude::*;
@@ -11,9 +11,9 @@ use radome_driver::protocol::mcu7::SliceLayout;
 use radome_driver::recording::Recording;
 use radome_dsp::{FrameSource, WaveformRequest};
 use radome_models::ModelCard;
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 
-use crate::error::{Outcome, detached, from_python, raised, to_python};
+use crate::error::{Outcome, detached, from_python, raised, text_of, to_python};
+use crate::model;
 
 /// Waveform as the chip realises it. Keyword arguments are the keys of a waveform in scene files:
 /// `start_frequency_hz`, `end_frequency_hz`, `samples_per_chirp`, `chirps_per_frame`, `sample_rate_hz`, `chirp_interval_s`,
@@ -30,24 +30,27 @@ impl Waveform {
     }
 }
 
-/// Waveform by name (`paper`), or that of a model file, a recording, or a TOML file with a waveform's keys.
-fn load(spec: &str) -> Outcome<radome_dsp::Waveform> {
-    if spec == "paper" {
+/// Waveform by name (`paper`), or that of a model file or the built-in model, a recording, or a TOML file with a waveform's keys.
+fn load(path: &Path) -> Outcome<radome_dsp::Waveform> {
+    if path == Path::new("paper") {
         return Ok(radome_dsp::Waveform::realise(WaveformRequest::paper())?);
     }
-    let path = Path::new(spec);
+    if model::is_built_in(path) {
+        return Ok(model::network(path)?.card.waveform);
+    }
+    let shown = path.display();
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(ModelCard::load(path)?.waveform);
     }
     if path.extension().is_some_and(|e| e == "toml") {
-        let text = read_text(path, TEXT_LIMIT_BYTES)?;
-        let request = toml::from_str(&text).map_err(|error| format!("{spec} is no waveform: {}", error.message()))?;
+        let text = text_of(path)?;
+        let request = toml::from_str(&text).map_err(|error| format!("{shown} is no waveform: {}", error.message()))?;
         return Ok(radome_dsp::Waveform::realise(request)?);
     }
     match Recording::open(path) {
         Ok(recording) => Ok(recording.waveform().clone()),
         Err(RecordingError::Unknown { .. }) => Err(format!(
-            "{spec}: no waveform\n\nhint: it is 'paper', a .toml file with the keys of a waveform, a model file or a recording"
+            "{shown}: no waveform\n\nhint: it is 'paper', a .toml file with the keys of a waveform, a model file, 'room-hqnn' or a recording"
         )
         .into()),
         Err(error) => Err(error.into()),
@@ -63,11 +66,12 @@ impl Waveform {
         Self::realise(py, from_python("waveform", keys.as_any())?)
     }
 
-    /// Waveform by name (`"paper"`), or that of a model file, a recording, or a TOML file with a waveform's keys.
+    /// Waveform by name (`"paper"`), or that of a model file or the built-in model (`"room-hqnn"`), a recording, or a TOML file
+    /// with a waveform's keys.
     #[staticmethod]
     #[pyo3(name = "load")]
-    fn load_from(py: Python<'_>, spec: &str) -> PyResult<Self> {
-        let waveform = detached(py, || load(spec))?;
+    fn load_from(py: Python<'_>, spec: PathBuf) -> PyResult<Self> {
+        let waveform = detached(py, || load(&spec))?;
         Ok(Waveform(Arc::new(waveform)))
     }
 

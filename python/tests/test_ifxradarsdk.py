@@ -66,6 +66,15 @@ def test_a_device_measures_what_it_is_told():
         assert np.abs(cube).max() <= 1.0 and cube.std() > 0.0
 
 
+def test_a_device_is_closed_behind_its_with_block(recording):
+    with DeviceFmcw(port=str(recording)) as device:
+        device.get_next_frame()
+    for use in (device.get_next_frame, device.start_acquisition):
+        with pytest.raises(ErrorNoDevice, match="closed"):
+            use()
+    device.stop_acquisition()
+
+
 def test_frames_of_a_recording_are_its_codes(recording, desk_frames):
     with DeviceFmcw(port=str(recording)) as device:
         cube = device.get_next_frame()[0]

@@ -79,6 +79,24 @@ def test_a_dataset_is_a_sequence_of_maps_and_classes(dataset_path):
     assert copies[0][0].flags.writeable
 
 
+def test_a_dataset_is_found_from_another_folder(tmp_path, dataset_path, monkeypatch):
+    monkeypatch.chdir(dataset_path.parent)
+    dataset = radome.Dataset(dataset_path.name)
+    monkeypatch.chdir(tmp_path)
+    assert dataset[0][0].shape == radome.Dataset(dataset_path)[0][0].shape
+    assert len(pickle.loads(pickle.dumps(dataset))) == 48
+    dataset.verify()
+
+
+def test_what_holds_no_state_of_the_compiled_part_is_pickled(desk_frames):
+    kept = [desk_frames[0].waveform, radome.Gap(1, 2, "crc"), radome.Label(0.0, 1.0, "one")]
+    assert pickle.loads(pickle.dumps(kept)) == kept
+    model = radome.Model()
+    for lent in (desk_frames[0], radome.rdm(desk_frames[0]), model, model.filter(0.1), radome.Counter(model), radome.Circuit()):
+        with pytest.raises(TypeError):
+            pickle.dumps(lent)
+
+
 def label_sum(dataset):
     return sum(label for _, label in (dataset[index] for index in range(len(dataset))))
 
@@ -208,18 +226,48 @@ class TestHardCases:
         assert np.array_equal(radome.circuit(x.astype(">f8"), np.repeat(theta, 2)[::2]).expectations, expected)
 
     def test_a_dataset_is_not_replaced(self, dataset_path, desk_frames):
-        with pytest.raises(radome.RadomeError, match="exists"):
+        with pytest.raises(radome.ExistingFileError, match="exists"):
             radome.DatasetWriter(dataset_path, desk_frames[0].waveform, SPEC)
         with pytest.raises(ValueError):
             radome.Dataset(dataset_path, split="rest")
         with pytest.raises(FileNotFoundError):
             radome.Dataset(dataset_path / "none")
+        for split in (None, "train"):
+            with pytest.raises(radome.RadomeError, match="split: unknown field `x`"):
+                radome.Dataset(dataset_path, split=split, rule={"x": 1})
+
+    def test_a_training_divides_by_the_rule_of_its_dataset(self, tmp_path, dataset_path):
+        rule = {"seed": 5, "test": 0.5, "validation": 0.25}
+        ruled = radome.Dataset(dataset_path, split="train", rule=rule)
+        trained = train(ruled)
+        held = radome.Dataset(dataset_path, split="test", rule=rule)
+        assert trained.test == radome.evaluate(trained.model, held)
+        by_settings = radome.train(dataset_path, {**QUICK, "split": rule}, network="descriptor_linear")
+        assert by_settings.test == trained.test and by_settings.validation == trained.validation
+        with pytest.raises(ValueError, match="give one of them"):
+            radome.train(ruled, {**QUICK, "split": {"seed": 6}})
+        file = tmp_path / "training.toml"
+        file.write_text("epochs = 1\n")
+        with pytest.raises(ValueError, match="under \\[split\\]"):
+            radome.train(ruled, file)
+        with pytest.raises(ValueError, match="without rule"):
+            radome.adapt("room-hqnn", [], simulated=ruled)
+
+    def test_a_split_to_judge_by_is_not_learnt_from(self, dataset_path):
+        for split in ("validation", "test"):
+            dataset = radome.Dataset(dataset_path, split=split)
+            with pytest.raises(ValueError, match="without split"):
+                train(dataset)
+            with pytest.raises(ValueError, match="without split"):
+                radome.adapt("room-hqnn", [], simulated=dataset)
 
     def test_settings_that_cannot_be_are_refused(self, dataset_path):
         with pytest.raises(radome.RadomeError, match="epochs"):
             radome.train(dataset_path, {"epochs": 0})
         with pytest.raises(radome.RadomeError, match="colour"):
             radome.train(dataset_path, {"colour": 1})
+        with pytest.raises(FileNotFoundError, match="none.toml"):
+            radome.train(dataset_path, "none.toml")
         with pytest.raises(radome.RadomeError) as error:
             radome.train(dataset_path, network="house")
         assert "networks" in error.value.hint

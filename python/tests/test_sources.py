@@ -88,6 +88,15 @@ def test_a_recording_that_fails_leaves_no_file(tmp_path, desk_frames):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_public_names_have_docstrings():
+    for name in set(radome.__all__) - {"CLASSES"}:
+        assert getattr(radome, name).__doc__, name
+    for preset in ("default", "paper", "sdk"):
+        assert f'"{preset}"' in radome.rdm.__doc__
+    for key in radome.MapProcessor(radome.Waveform.load("paper")).spec:
+        assert f"`{key}`" in radome.rdm.__doc__, key
+
+
 def test_importing_does_not_import_numpy():
     """Two thirds of the import's time would be NumPy's."""
     code = "import radome, sys; assert not {'numpy', 'torch'} & set(sys.modules), 'imported'"
@@ -100,6 +109,7 @@ def test_waveforms_change_and_travel(desk_frames):
     assert other.shape == (3, 8, 32) and other != waveform
     assert pickle.loads(pickle.dumps(waveform)) == waveform
     assert radome.Waveform.load("paper").shape == (3, 128, 256)
+    assert radome.Waveform.load("room-hqnn") == radome.Model("room-hqnn").waveform
     assert any(name == "MAIN" for name, _, _ in waveform.registers())
     with radome.open(DESK, waveform=other, frames=1) as source:
         assert next(source).shape == (3, 8, 32)
@@ -135,6 +145,26 @@ class TestHardCases:
         with radome.simulate(DESK, frames=2, people=0) as source:
             assert len(list(source)) == 2
             assert list(source) == [] and source.next_frame() is None
+
+    @pytest.mark.parametrize("kind", ["{}", "emulated:{}"])
+    def test_every_source_ends_after_so_many_frames(self, recording, kind):
+        for path in (recording, DESK):
+            with radome.open(kind.format(path), frames=4) as source:
+                assert source.frame_count in (4, None)
+                assert len(list(source)) == 4 and source.next_frame() is None
+        # The recording has a gap behind its third frame, which is no frame.
+        with radome.open(recording, frames=4) as source:
+            assert [frame.sequence for frame in source] == [0, 1, 2, 5] and source.frames_lost == 2
+        with radome.open(recording, frames=100) as source:
+            assert source.frame_count == 8 and len(list(source)) == 8
+        with radome.open(recording, frames=0) as source:
+            assert list(source) == []
+
+    @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+    @pytest.mark.parametrize("name", ["speed", "give_up_after_s"])
+    def test_times_and_speeds_that_cannot_be_are_refused(self, recording, name, value):
+        with pytest.raises(ValueError, match=name):
+            radome.open(recording, **{name: value})
 
     def test_two_threads_share_a_source(self):
         seen = []
@@ -225,6 +255,18 @@ class TestHardCases:
         with pytest.raises(OSError):
             radome.open(f"serial:{tmp_path}/none")
 
+    def test_a_waveform_is_named_by_any_path(self, tmp_path, recording, desk_frames):
+        assert radome.Waveform.load(recording) == desk_frames[0].waveform
+        with radome.open(DESK, waveform=recording, frames=1) as source:
+            assert next(source).shape == (3, 8, 64)
+        with pytest.raises(TypeError):
+            radome.Waveform.load(3)
+
+    def test_errors_of_files_name_the_file(self, tmp_path):
+        for read in (radome.Waveform.load, radome.read_labels, lambda path: radome.open(DESK, waveform=path)):
+            with pytest.raises(FileNotFoundError, match="none.toml|none.txt"):
+                read(tmp_path / ("none.txt" if read is radome.read_labels else "none.toml"))
+
     def test_an_error_has_hint_and_cause(self, tmp_path):
         scene = tmp_path / "bad.toml"
         scene.write_text("format = 1\n")
@@ -241,6 +283,49 @@ class TestHardCases:
         with pytest.raises(FileExistsError):
             radome.Recorder(recording, desk_frames[0].waveform)
 
+    def test_frames_that_are_left_out_are_a_gap(self, tmp_path, desk_frames):
+        path = tmp_path / "some.mcap"
+        with radome.Recorder(path, desk_frames[0].waveform) as recorder:
+            for frame in desk_frames[2:4] + desk_frames[6:8]:
+                recorder.write(frame)
+            # A gap of unknown length is not counted twice.
+            recorder.write(radome.Gap(8, 0, "disconnected"))
+            recorder.write(desk_frames[9])
+        assert recorder.report["gaps"] == 2 and recorder.report["frames_lost"] == 2
+        with radome.open(path) as source:
+            assert [frame.sequence for frame in source] == [2, 3, 6, 7, 9]
+            assert source.gaps == [radome.Gap(4, 2, "recorded"), radome.Gap(8, 0, "disconnected")]
+
+    def test_frames_out_of_order_are_not_recorded(self, tmp_path, desk_frames):
+        with radome.Recorder(tmp_path / "order.mcap", desk_frames[0].waveform) as recorder:
+            recorder.write(desk_frames[5])
+            for sequence in (3, 5):
+                with pytest.raises(ValueError, match="in their order"):
+                    recorder.write(desk_frames[sequence])
+            recorder.write(desk_frames[6])
+        assert recorder.report["frames"] == 2 and recorder.report["gaps"] == 0
+
+    @pytest.mark.parametrize(
+        "label",
+        [
+            radome.Label(3.0, 1.0, "one"),
+            radome.Label(float("nan"), 1.0, "one"),
+            radome.Label(0.0, float("inf"), "one"),
+            radome.Label(-1.0, 1.0, "one"),
+            radome.Label(0.0, 1.0, " "),
+            radome.Label(0.0, 1.0, "one", confidence=1.5),
+            radome.Label(0.0, 1.0, "one", confidence=float("nan")),
+        ],
+    )
+    def test_labels_that_cannot_be_are_not_recorded(self, tmp_path, desk_frames, label):
+        path = tmp_path / "label.mcap"
+        with radome.Recorder(path, desk_frames[0].waveform) as recorder:
+            recorder.write(desk_frames[0])
+            with pytest.raises(ValueError, match="label"):
+                recorder.write(label)
+        with radome.open(path) as source:
+            assert source.labels == []
+
     def test_a_recording_has_its_own_waveform(self, recording):
         with pytest.raises(radome.RadomeError, match="recording has"):
             radome.open(recording, waveform="paper")
@@ -250,3 +335,23 @@ class TestHardCases:
             desk_frames[0].waveform.replace(sample_rate_hz=1.0)
         with pytest.raises(radome.RadomeError, match="colour"):
             desk_frames[0].waveform.replace(colour=1)
+        with pytest.raises(radome.RadomeError, match="^waveform: rx_antennas"):
+            desk_frames[0].waveform.replace(rx_antennas=[9])
+
+    def test_numbers_of_numpy_are_numbers(self, desk_frames):
+        with radome.simulate(DESK, frames=np.int64(2), seed=np.int64(3), people=np.uint8(1)) as source:
+            assert all(np.array_equal(a.codes, b.codes) for a, b in zip(source, desk_frames))
+        changed = {"samples_per_chirp": np.int32(32), "if_gain_db": np.float32(33.0), "rx_antennas": np.array([1, 3])}
+        waveform = desk_frames[0].waveform.replace(**changed)
+        assert waveform.shape == (2, 8, 32) and waveform.request["if_gain_db"] == 33.0
+        spec = {"channels": {"one": np.int64(1)}, "chirp_mean_removal": np.bool_(True)}
+        assert radome.rdm(desk_frames[0], spec).shape[0] == 1
+
+    @pytest.mark.parametrize("value", [float("nan"), float("-inf"), np.float32("inf")])
+    def test_numbers_that_are_not_finite_are_named(self, desk_frames, value):
+        with pytest.raises(ValueError, match="tolerance_db is"):
+            radome.simulate(DESK, tolerance_db=value)
+        with pytest.raises(ValueError, match="sample_rate_hz is"):
+            desk_frames[0].waveform.replace(sample_rate_hz=value)
+        with pytest.raises(ValueError, match="alpha is"):
+            radome.rdm(desk_frames[0], {"static_removal": {"recursive_mti": {"alpha": value}}})

@@ -91,6 +91,7 @@ class DeviceFmcw:
         self._wanted: Optional[Waveform] = None
         self._known: Optional[Dict[str, Any]] = None
         self._last: Optional[Frame] = None
+        self._is_closed = False
         self.frames_lost = 0
 
     @staticmethod
@@ -254,6 +255,8 @@ class DeviceFmcw:
     # Frames.
 
     def _running(self) -> Source:
+        if self._is_closed:
+            raise ErrorNoDevice("the device was closed at the end of its with block", "make a new DeviceFmcw")
         if self._source_name is None:
             raise ErrorNoDevice("the device was made without a board", "make it without sensor_type")
         if self._source is None:
@@ -308,6 +311,7 @@ class DeviceFmcw:
         self._close()
 
     def _close(self) -> None:
+        self._is_closed = True
         self.stop_acquisition()
 
     def __del__(self) -> None:
