@@ -238,6 +238,13 @@ fn wrong_use_ends_with_2() {
     {
         assert_eq!(outcome(radome().args(arguments)).0, Some(2), "{arguments:?}");
     }
+    for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
+        for value in ["nan", "inf", "-3"] {
+            let argument = format!("{option}={value}");
+            let (status, _, said) = outcome(radome().args(["live", "x.mcap", &argument]));
+            assert!(status == Some(2) && said.contains("0 or more"), "{argument}: {said}");
+        }
+    }
 }
 
 #[test]

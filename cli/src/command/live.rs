@@ -50,10 +50,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
     /// Seconds of agreement before `occupied`, or a greater number of people, is said
-    #[arg(long, default_value_t = Delays::default().on_s)]
+    #[arg(long, default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
     pub on_delay_s: f64,
     /// Seconds of agreement before `empty`, or a smaller number of people, is said
-    #[arg(long, default_value_t = Delays::default().off_s)]
+    #[arg(long, default_value_t = Delays::default().off_s, value_parser = source::not_negative)]
     pub off_delay_s: f64,
     /// One object a frame and one at the end
     #[arg(long)]
