@@ -42,7 +42,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
-    #[arg(long)]
+    #[arg(long, requires = "output")]
     pub allow_loss: bool,
     #[command(flatten)]
     pub overwrite: Overwrite,
