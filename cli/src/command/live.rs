@@ -78,6 +78,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         if files::is_same(path, Path::new(&arguments.source.source)) {
             bail!("{} is source and output at once\n\nhint: choose another name", path.display());
         }
+        output_file::check_is_mcap(path)?;
         arguments.overwrite.check(path)?;
     }
     let model = Model::open(&arguments.model)?;

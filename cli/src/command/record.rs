@@ -48,6 +48,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
+    output_file::check_is_mcap(&path)?;
     arguments.overwrite.check(&path)?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     eprintln!("{}", source.description);
