@@ -1,7 +1,7 @@
 //! MQTT: tells a broker what is said, and announces the radar to Home Assistant. Wherever the broker is, frames are judged.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use radome_dsp::Occupancy;
@@ -69,7 +69,14 @@ impl Mqtt {
             };
             // A task of its own: whatever a broker sends that the protocol's library does not survive ends that task only.
             let mut connection = tokio::spawn(listener.listen(events));
-            let mut teller = Teller { mqtt: &self, client, told_online: None, announced: None, wants_hello: false };
+            let mut teller = Teller {
+                mqtt: &self,
+                client,
+                told_online: None,
+                announced: None,
+                wants_hello: false,
+                has_warned: AtomicBool::new(false),
+            };
             tokio::select! {
                 () = teller.tell(&mut heard, &mut stop) => {}
                 _ = &mut connection => {
@@ -194,6 +201,8 @@ struct Teller<'a> {
     /// Time at which the hub was last told who we are.
     announced: Option<Instant>,
     wants_hello: bool,
+    /// Whether it was said that a message could not be sent.
+    has_warned: AtomicBool,
 }
 
 impl Teller<'_> {
@@ -289,6 +298,8 @@ impl Teller<'_> {
     fn publish(&self, topic: &str, message: String) {
         if self.client.try_publish(topic, QoS::AtLeastOnce, true, message).is_ok() {
             count(&self.mqtt.latest.counters.mqtt_published);
+        } else if !self.has_warned.swap(true, Ordering::Relaxed) {
+            tracing::warn!("MQTT broker {}: a message to {topic} could not be sent", self.mqtt.broker);
         }
     }
 }
