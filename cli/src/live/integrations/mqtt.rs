@@ -62,6 +62,7 @@ impl Mqtt {
             let (hears, mut heard) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
+                has_own_name: self.device.has_own_name(),
                 hub_topic: self.device.hub_topic(),
                 report_topic: self.device.report_topic(),
                 latest: self.latest.clone(),
@@ -93,9 +94,27 @@ impl Mqtt {
     }
 }
 
+/// Connections that the broker closed lately: two clients of one name throw each other off.
+#[derive(Default)]
+struct Closings {
+    at: Vec<Instant>,
+    is_told: bool,
+}
+
+impl Closings {
+    /// Notes one more; says once, at the third within a minute, that they are too many.
+    fn are_too_many(&mut self) -> bool {
+        let now = Instant::now();
+        self.at.retain(|at| now.duration_since(*at) < Duration::from_secs(60));
+        self.at.push(now);
+        self.at.len() >= 3 && !std::mem::replace(&mut self.is_told, true)
+    }
+}
+
 /// Drives the connection and picks out what is meant for us.
 struct Listener {
     broker: Broker,
+    has_own_name: bool,
     hub_topic: String,
     report_topic: Option<String>,
     latest: Arc<Latest>,
@@ -108,6 +127,7 @@ impl Listener {
         let [first_wait, longest_wait] = WAITS;
         let mut wait = first_wait;
         let mut since: Option<Instant> = None;
+        let mut closings = Closings::default();
         let mut last_words = String::new();
         loop {
             match events.poll().await {
@@ -127,8 +147,13 @@ impl Listener {
                 Ok(_) => {}
                 Err(error) => {
                     counters.mqtt_connected.store(false, Ordering::Relaxed);
-                    if since.take().is_some_and(|since| since.elapsed() > GOOD_CONNECTION) {
-                        wait = first_wait;
+                    if let Some(since) = since.take() {
+                        if since.elapsed() > GOOD_CONNECTION {
+                            wait = first_wait;
+                        }
+                        if !self.has_own_name && closings.are_too_many() {
+                            self.warn_of_another();
+                        }
                     }
                     if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
                         count(&counters.mqtt_refused);
@@ -148,6 +173,14 @@ impl Listener {
                 }
             }
         }
+    }
+
+    fn warn_of_another(&self) {
+        tracing::warn!(
+            "MQTT broker {}: it ends each connection; another radar of the same name may be connected there: give each a \
+             name of its own with --mqtt-name",
+            self.broker
+        );
     }
 
     /// Meaning of a message; `None` if it is malformed.
