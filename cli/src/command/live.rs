@@ -72,6 +72,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
+    if arguments.view.access().is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
+        bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
+    }
     let output = arguments.output.as_deref().map(output_file::dated);
     let output = output.as_deref();
     if let Some(path) = output {

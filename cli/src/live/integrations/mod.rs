@@ -52,6 +52,13 @@ pub struct Arguments {
     keep: keep::Arguments,
 }
 
+impl Arguments {
+    /// Whether metrics are served.
+    pub fn has_metrics(&self) -> bool {
+        self.metrics.is_some()
+    }
+}
+
 /// Longest time to close connections.
 const FAREWELL: Duration = Duration::from_secs(4);
 /// A board that gives no frame for so many intervals, and this long, counts as gone.
