@@ -21,6 +21,7 @@ mod slurm;
 mod source;
 mod viewers;
 
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
@@ -58,6 +59,10 @@ fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let level = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG][usize::from(verbose.min(2))];
     let given: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
     let filter = given.unwrap_or_else(|| Targets::new().with_default(level));
-    let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time().with_filter(filter);
+    // Files and journals get no codes of colours; https://no-color.org.
+    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let has_colours = std::io::stderr().is_terminal() && !is_plain;
+    let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours);
+    let talk = talk.without_time().with_filter(filter);
     tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::bail;
-use radome_driver::recording::{Existing, utc};
+use radome_driver::recording::{Existing, Format, utc};
 
 use crate::files;
 
@@ -63,6 +63,20 @@ fn dated_at(path: &Path, stamp: &str) -> PathBuf {
     names.find(|path| path.symlink_metadata().is_err()).unwrap_or(pattern)
 }
 
+/// Fails where the name of a recording to be made says that it is of another format than MCAP.
+///
+/// # Errors
+/// The name is that of a text recording.
+pub fn check_is_mcap(path: &Path) -> anyhow::Result<()> {
+    if Format::of_output(path) == Some(Format::Text) {
+        bail!(
+            "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -84,6 +98,15 @@ mod tests {
         assert_eq!(dated_at(&folder.join("a.mcap"), stamp), folder.join("a.mcap"));
         assert_eq!(dated_at(Path::new("no/such/"), stamp), Path::new("no/such/20261122T212200Z.mcap"));
         std::fs::remove_dir_all(&folder).expect("removes");
+    }
+
+    #[test]
+    fn a_recording_is_not_written_into_a_text_file() {
+        let said = check_is_mcap(Path::new("no/such/night.txt")).expect_err("refused").to_string();
+        assert!(said.contains("MCAP") && said.contains("recording convert"), "{said}");
+        for name in ["night.mcap", "no/such/night", "/dev/null"] {
+            check_is_mcap(Path::new(name)).expect(name);
+        }
     }
 
     #[test]

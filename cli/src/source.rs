@@ -44,7 +44,7 @@ pub struct SourceArgs {
     #[arg(long)]
     pub frames: Option<u64>,
     /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
-    #[arg(long)]
+    #[arg(long, value_parser = not_negative)]
     pub speed: Option<f64>,
     /// Seed of a simulation; 1 if absent, 100001 for `live`
     #[arg(long)]
@@ -350,13 +350,21 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
 }
 
+/// A finite number of 0 or more, as an argument.
+///
+/// # Errors
+/// The text is no such number.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number >= 0.0);
+    number.ok_or_else(|| "expected a finite number, 0 or more".to_owned())
+}
+
 /// Seconds, as an argument.
 ///
 /// # Errors
-/// The text is no number of seconds.
+/// The text is no number of seconds, or more than a [`Duration`] holds.
 pub fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
-    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
+    Duration::try_from_secs_f64(not_negative(text)?).map_err(|error| error.to_string())
 }
 
 /// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file or a built-in model, or

@@ -306,6 +306,8 @@ fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
         });
         killed.signal("KILL");
         killed.wait();
+        let info = json_lines(subcommand("recording info").arg(&recorded).arg("--json")).remove(0);
+        assert_eq!(info["finished"], false, "{info}");
         record_frames(&port, 20, None, &folder.path().join(format!("next-{number}.mcap")));
     }
 }

@@ -640,6 +640,10 @@ mod hard_cases {
         assert!(text.contains("does not begin with mqtt://") && text.contains("hint:"), "{text}");
         let text = said(&["--mqtt", "mqtt://:secret@hub:bad"]);
         assert!(!text.contains("secret") && text.contains("hint:"), "{text}");
+        for prefix in ["", "/", "home/#", "+/home"] {
+            let text = said(&["--mqtt", "mqtt://127.0.0.1:1", "--mqtt-discovery-prefix", prefix]);
+            assert!(text.contains("--mqtt-discovery-prefix") && text.contains("hint:"), "{text}");
+        }
         let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = taken.local_addr().expect("bound").to_string();
         let text = said(&["--metrics", &address]);

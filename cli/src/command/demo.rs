@@ -4,7 +4,7 @@ use super::live;
 use crate::exit::Ended;
 use crate::files;
 use crate::judge::Delays;
-use crate::source::SourceArgs;
+use crate::source::{SourceArgs, not_negative};
 
 /// `radome demo`
 #[derive(clap::Args)]
@@ -16,7 +16,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = live::UNSEEN_SEED)]
     seed: u64,
     /// Times real time; 0 is as fast as it goes
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
     speed: f64,
     /// Another scene than the corridor
     #[arg(long)]

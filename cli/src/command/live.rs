@@ -42,7 +42,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
-    #[arg(long)]
+    #[arg(long, requires = "output")]
     pub allow_loss: bool,
     #[command(flatten)]
     pub overwrite: Overwrite,
@@ -50,10 +50,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
     /// Seconds of agreement before `occupied`, or a greater number of people, is said
-    #[arg(long, default_value_t = Delays::default().on_s)]
+    #[arg(long, default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
     pub on_delay_s: f64,
     /// Seconds of agreement before `empty`, or a smaller number of people, is said
-    #[arg(long, default_value_t = Delays::default().off_s)]
+    #[arg(long, default_value_t = Delays::default().off_s, value_parser = source::not_negative)]
     pub off_delay_s: f64,
     /// One object a frame and one at the end
     #[arg(long)]
@@ -72,10 +72,14 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
+    if arguments.view.access().is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
+        bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
+    }
     let output = arguments.output.as_deref().map(output_file::dated);
     let output = output.as_deref();
     if let Some(path) = output {
         files::check_not_input(path, Path::new(&arguments.source.source))?;
+        output_file::check_is_mcap(path)?;
         arguments.overwrite.check(path)?;
     }
     let model = Model::open(&arguments.model)?;

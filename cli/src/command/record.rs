@@ -49,6 +49,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
     files::check_not_input(&path, Path::new(&arguments.source.source))?;
+    output_file::check_is_mcap(&path)?;
     arguments.overwrite.check(&path)?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     eprintln!("{}", source.description);

@@ -39,6 +39,11 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// Whether any of these options is given.
+    pub fn is_given(&self) -> bool {
+        self.token_file.is_some() || !self.allow_host.is_empty()
+    }
+
     /// The token of `--token-file`, if there is to be one.
     ///
     /// # Errors

@@ -44,16 +44,16 @@ pub struct Arguments {
     #[arg(long)]
     view: bool,
     /// Address of the page; only this machine reaches the default. A page that the network reaches asks for the token in its link
-    #[arg(long, default_value = "127.0.0.1:8060")]
+    #[arg(long, default_value = "127.0.0.1:8060", requires = "view")]
     listen: SocketAddr,
     /// Let pages watch and download labels, and change none
-    #[arg(long)]
+    #[arg(long, requires = "view")]
     read_only_labels: bool,
     #[command(flatten)]
     access: access::Arguments,
     /// Folder that `scene pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
     /// NAME.mcap
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", requires = "view")]
     pair: Option<PathBuf>,
 }
 

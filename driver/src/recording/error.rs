@@ -57,7 +57,10 @@ pub enum RecordingError {
     )]
     Truncated { path: PathBuf, offset: u64, whole_frames: u64, expected_frames: u64 },
     /// The file was never finished and ends within a record.
-    #[error("{path}: the recording was not finished: its last whole chunk ends at byte {offset}")]
+    #[error(
+        "{path}: the recording was not finished: its last whole chunk ends at byte {offset}; radome recording repair FILE -o OUT \
+         makes a finished one"
+    )]
     Unfinished { path: PathBuf, offset: u64 },
     /// The file was written by a newer program.
     #[error("{path}: format version {got}, this program reads up to {supported}; update it")]

@@ -224,6 +224,29 @@ fn a_simulated_partner_stands_beside_its_recording() {
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
 }
 
+#[test]
+fn an_old_answer_is_not_shown_as_the_present_one() {
+    let mut command = live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000");
+    let served = Served::start(command.stdout(Stdio::null()));
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
+    let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
+                    !document.getElementById('confidence').textContent";
+    let says = |text: &str| format!("document.getElementById('status').textContent.startsWith('{text}')");
+    browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
+    // The connection stays, and nothing comes.
+    let signal = |name: &str| {
+        let status = Command::new("kill").args(["-s", name, &served.id().to_string()]).status();
+        assert!(status.is_ok_and(|status| status.success()), "kill -s {name}");
+    };
+    signal("STOP");
+    browser.wait_until(&format!("{is_blank} && {}", says("no frames for")));
+    signal("CONT");
+    browser.wait_until(&format!("!({is_blank}) && {}", says("frame ")));
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+    assert!(served.stop(), "an orderly end");
+    browser.wait_until(&format!("{is_blank} && {}", says("the run is over")));
+}
+
 /// Pictures for the README and `docs/page.md`.
 #[test]
 #[ignore = "makes files: RADOME_PICTURES=docs cargo test --release --workspace --test page -- --ignored pictures"]

@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
     /// Times real time; 0 is as fast as the host reads
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = source::not_negative)]
     speed: f64,
     /// Seed of a simulation, and of the board's temperature
     #[arg(long, default_value_t = DEFAULT_SEED)]

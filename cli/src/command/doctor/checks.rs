@@ -89,7 +89,7 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
     Check::ok("onnxruntime", found)
 }
 
-/// Checks whether the broker answers at its address; `None` where no broker is named.
+/// Checks whether the broker takes connections at its address, without a login; `None` where no broker is named.
 pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
     let broker = match arguments.broker() {
         Ok(broker) => broker?,
@@ -108,7 +108,7 @@ pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
         Err(last)
     };
     Some(match connect() {
-        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections")),
+        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login was not tried")),
         Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
     })
 }

@@ -37,6 +37,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Recording::Infineon(_) => "infineon",
         Recording::Text(_) => "text",
     };
+    let is_finished = !matches!(&recording, Recording::Mcap(reader) if !reader.is_complete());
+    if !is_finished {
+        eprintln!(
+            "{} was never finished\n\nhint: radome recording repair FILE -o OUT makes a finished one",
+            path.display()
+        );
+    }
     let spans = labels::of(path)?;
     let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
     for span in &spans {
@@ -48,6 +55,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return output::json_line(&json!({
             "path": path,
             "format": format,
+            "finished": is_finished,
             "frames": frames,
             "duration_s": duration_s,
             "waveform": waveform,

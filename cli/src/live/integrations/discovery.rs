@@ -9,6 +9,9 @@ use super::latest::Said;
 /// A state that is older than this counts as unknown, s.
 pub const EXPIRES_AFTER_S: u64 = 30;
 
+/// Identity of a radar that neither a board nor the user has named.
+const UNNAMED: &str = "radome";
+
 /// The radar as the house knows it, and its topics.
 #[derive(Debug, Clone)]
 pub struct Device {
@@ -32,7 +35,7 @@ impl Device {
     /// The device of a board, or of a name where no board has an identity.
     pub fn new(board: Option<&BoardIdentity>, name: Option<&str>, discovery_prefix: &str, takes_reports: bool) -> Self {
         let uuid = board.map(|board| board.uuid.as_str()).filter(|uuid| uuid.contains(|c| c != '0'));
-        let id = uuid.map_or_else(|| slug(name.unwrap_or("radome")), slug);
+        let id = uuid.map_or_else(|| slug(name.unwrap_or(UNNAMED)), slug);
         Device {
             name: name.unwrap_or("Radar").to_owned(),
             id,
@@ -47,6 +50,11 @@ impl Device {
     /// Client identity at the broker: the same after a restart, so that the broker drops the connection that went before.
     pub fn client_id(&self) -> String {
         format!("radome-{}", self.id)
+    }
+
+    /// Whether a board or the user has named it: two radars without a name are one to the broker.
+    pub fn has_own_name(&self) -> bool {
+        self.id != UNNAMED
     }
 
     /// `online` or `offline`, retained.
@@ -136,7 +144,7 @@ pub fn state(said: &Said, dropped_frames: u64) -> Value {
 fn slug(name: &str) -> String {
     let text: String =
         name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).take(64).collect();
-    if text.is_empty() { "radome".to_owned() } else { text }
+    if text.is_empty() { UNNAMED.to_owned() } else { text }
 }
 
 #[cfg(test)]

@@ -29,13 +29,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to")]
     keep_last_s: f64,
     /// Memory for it; what does not fit is not kept
-    #[arg(long, value_name = "MIB", default_value_t = 256)]
+    #[arg(long, value_name = "MIB", default_value_t = 256, requires = "keep_to")]
     keep_memory_mib: u64,
     /// Reports are refused when the folder holds so much
-    #[arg(long, value_name = "MIB", default_value_t = 4096)]
+    #[arg(long, value_name = "MIB", default_value_t = 4096, requires = "keep_to")]
     keep_disk_mib: u64,
 }
 

@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
-    #[arg(long, value_name = "TOPIC", default_value = "homeassistant")]
+    #[arg(long, value_name = "TOPIC", default_value = "homeassistant", requires = "mqtt")]
     mqtt_discovery_prefix: String,
     /// Certificates to trust the broker by, instead of the system's
     #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
@@ -50,6 +50,13 @@ pub struct Arguments {
     metrics: Option<SocketAddr>,
     #[command(flatten)]
     keep: keep::Arguments,
+}
+
+impl Arguments {
+    /// Whether metrics are served.
+    pub fn has_metrics(&self) -> bool {
+        self.metrics.is_some()
+    }
 }
 
 /// Longest time to close connections.
@@ -106,6 +113,7 @@ impl Integrations {
             serve_metrics(&runtime, address, access, latest.clone(), reports.clone())?;
         }
         if let Some(broker) = arguments.broker.broker()? {
+            check_prefix(&arguments.mqtt_discovery_prefix)?;
             let name = arguments.mqtt_name.as_deref();
             let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
             let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
@@ -132,6 +140,16 @@ impl Integrations {
     pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
         std::mem::take(&mut self.sinks)
     }
+}
+
+/// Fails for a prefix under which nothing can be published.
+fn check_prefix(prefix: &str) -> anyhow::Result<()> {
+    if prefix.trim_matches('/').is_empty() || prefix.contains(['#', '+', '\0']) {
+        bail!(
+            "--mqtt-discovery-prefix {prefix:?}: expected a topic without # and +\n\nhint: Home Assistant's own is homeassistant"
+        );
+    }
+    Ok(())
 }
 
 /// Opens the metrics' port, which the network reaches only with a token.

@@ -1,7 +1,7 @@
 //! MQTT: tells a broker what is said, and announces the radar to Home Assistant. Wherever the broker is, frames are judged.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use radome_dsp::Occupancy;
@@ -62,6 +62,7 @@ impl Mqtt {
             let (hears, mut heard) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
+                has_own_name: self.device.has_own_name(),
                 hub_topic: self.device.hub_topic(),
                 report_topic: self.device.report_topic(),
                 latest: self.latest.clone(),
@@ -69,7 +70,14 @@ impl Mqtt {
             };
             // A task of its own: whatever a broker sends that the protocol's library does not survive ends that task only.
             let mut connection = tokio::spawn(listener.listen(events));
-            let mut teller = Teller { mqtt: &self, client, told_online: None, announced: None, wants_hello: false };
+            let mut teller = Teller {
+                mqtt: &self,
+                client,
+                told_online: None,
+                announced: None,
+                wants_hello: false,
+                has_warned: AtomicBool::new(false),
+            };
             tokio::select! {
                 () = teller.tell(&mut heard, &mut stop) => {}
                 _ = &mut connection => {
@@ -86,9 +94,27 @@ impl Mqtt {
     }
 }
 
+/// Connections that the broker closed lately: two clients of one name throw each other off.
+#[derive(Default)]
+struct Closings {
+    at: Vec<Instant>,
+    is_told: bool,
+}
+
+impl Closings {
+    /// Notes one more; says once, at the third within a minute, that they are too many.
+    fn are_too_many(&mut self) -> bool {
+        let now = Instant::now();
+        self.at.retain(|at| now.duration_since(*at) < Duration::from_secs(60));
+        self.at.push(now);
+        self.at.len() >= 3 && !std::mem::replace(&mut self.is_told, true)
+    }
+}
+
 /// Drives the connection and picks out what is meant for us.
 struct Listener {
     broker: Broker,
+    has_own_name: bool,
     hub_topic: String,
     report_topic: Option<String>,
     latest: Arc<Latest>,
@@ -101,6 +127,7 @@ impl Listener {
         let [first_wait, longest_wait] = WAITS;
         let mut wait = first_wait;
         let mut since: Option<Instant> = None;
+        let mut closings = Closings::default();
         let mut last_words = String::new();
         loop {
             match events.poll().await {
@@ -120,8 +147,13 @@ impl Listener {
                 Ok(_) => {}
                 Err(error) => {
                     counters.mqtt_connected.store(false, Ordering::Relaxed);
-                    if since.take().is_some_and(|since| since.elapsed() > GOOD_CONNECTION) {
-                        wait = first_wait;
+                    if let Some(since) = since.take() {
+                        if since.elapsed() > GOOD_CONNECTION {
+                            wait = first_wait;
+                        }
+                        if !self.has_own_name && closings.are_too_many() {
+                            self.warn_of_another();
+                        }
                     }
                     if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
                         count(&counters.mqtt_refused);
@@ -141,6 +173,14 @@ impl Listener {
                 }
             }
         }
+    }
+
+    fn warn_of_another(&self) {
+        tracing::warn!(
+            "MQTT broker {}: it ends each connection; another radar of the same name may be connected there: give each a \
+             name of its own with --mqtt-name",
+            self.broker
+        );
     }
 
     /// Meaning of a message; `None` if it is malformed.
@@ -194,6 +234,8 @@ struct Teller<'a> {
     /// Time at which the hub was last told who we are.
     announced: Option<Instant>,
     wants_hello: bool,
+    /// Whether it was said that a message could not be sent.
+    has_warned: AtomicBool,
 }
 
 impl Teller<'_> {
@@ -289,6 +331,8 @@ impl Teller<'_> {
     fn publish(&self, topic: &str, message: String) {
         if self.client.try_publish(topic, QoS::AtLeastOnce, true, message).is_ok() {
             count(&self.mqtt.latest.counters.mqtt_published);
+        } else if !self.has_warned.swap(true, Ordering::Relaxed) {
+            tracing::warn!("MQTT broker {}: a message to {topic} could not be sent", self.mqtt.broker);
         }
     }
 }

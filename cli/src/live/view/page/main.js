@@ -32,6 +32,9 @@ Object.assign(page, { map, partner, profile, doppler, chirps, timeline, send: re
 
 // ---- what comes
 
+/** When the newest frame came. */
+let arrived_ms = 0;
+
 const link = new Link({
   picture({ header, parts }) {
     page.pictures++;
@@ -40,9 +43,11 @@ const link = new Link({
     health.take(header.health);
     const { answer } = header, isNew = page.last !== answer.sequence;
     page.last = answer.sequence;
+    if (isNew) arrived_ms = performance.now();
     timeline.now = answer.time_s;
     timeline.draw();
-    say(answer);
+    if (silent_s()) unsay();
+    else say(answer);
     if (header.map) {
       const floor = floats(parts.floor);
       map.take(header.map, parts.map, floor);
@@ -90,7 +95,9 @@ const link = new Link({
   state(state) {
     page.state = state;
     $('status').textContent = { open: '', lost: 'no connection', locked: 'a token is needed: open the link that the program shows', over: 'the run is over' }[state];
+    $('status').classList.toggle('bad', state !== 'open');
     if (state === 'open') look();
+    else unsay();
   },
 });
 const send = request => link.send(request);
@@ -153,8 +160,33 @@ function say(answer) {
   $('occupied').textContent = answer.occupied ? 'occupied' : 'not occupied';
   $('occupied').classList.toggle('on', answer.occupied);
   $('truth').textContent = answer.truth ? `truth: ${answer.truth}${answer.transition ? ', coming or going' : ''}` : '';
-  if (page.state === 'open') $('status').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
+  if (page.state === 'open') {
+    $('status').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
+    $('status').classList.remove('bad');
+  }
 }
+
+/** What was said is no longer so: an old answer must not look like the present one. */
+function unsay() {
+  $('answer').value = '–';
+  $('confidence').textContent = $('truth').textContent = '';
+  $('occupied').hidden = true;
+  health.put('frames/s', '–');
+}
+
+/** Seconds without a frame where they are too many, else 0. A recording may rest on a frame. */
+function silent_s() {
+  const seconds = (performance.now() - arrived_ms) / 1000;
+  return page.hello && !page.hello.tape && seconds > Math.max(2, 5 * page.hello.frame_interval_s) ? seconds : 0;
+}
+
+setInterval(() => {
+  const seconds = silent_s();
+  if (!seconds || page.state !== 'open') return;
+  unsay();
+  $('status').textContent = `no frames for ${Math.floor(seconds)} s`;
+  $('status').classList.add('bad');
+}, 500);
 
 let seeking = false;
 function place() {
