@@ -126,7 +126,7 @@ mod hard_cases {
         live(&night, "3");
         let before = std::fs::read(&night).expect("readable");
         let live = |output: &Path| failure(live_command(&night, "-o").arg(output));
-        assert!(live(&night).contains("source and output"));
+        assert!(live(&night).contains("input and output at once"));
         assert!(live(&folder.path().join("no/such/x.mcap")).contains("does not exist"));
         assert_eq!(std::fs::read(&night).expect("readable"), before);
     }

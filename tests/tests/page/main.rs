@@ -232,6 +232,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
                     !document.getElementById('confidence').textContent";
     let says = |text: &str| format!("document.getElementById('status').textContent.startsWith('{text}')");
+    browser.wait_until("window.radome?.header");
     browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
     // The connection stays, and nothing comes.
     let signal = |name: &str| {
