@@ -31,6 +31,12 @@ def test_a_model_judges_frames_and_maps_alike(room_frames):
     assert np.array_equal(model(radome.rdm(room_frames[0], model.rdm_spec)), of_frame)
 
 
+def test_a_model_refuses_maps_of_another_spec(room_frames):
+    model = radome.Model()
+    with pytest.raises(radome.RadomeError, match="floor_db -55.0 instead of"):
+        model(radome.rdm(room_frames[0], {**model.rdm_spec, "floor_db": -55.0}))
+
+
 def test_a_model_is_saved_and_read(tmp_path, room_frames):
     model, path = radome.Model(), tmp_path / "model.safetensors"
     model.save(path)
