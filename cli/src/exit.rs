@@ -6,7 +6,8 @@ use crate::output;
 
 /// Exit statuses, as `radome --help` lists them.
 pub const HELP: &str = "Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
-                        quietly with 0. Ctrl-C and SIGTERM end it in order; a second one ends it at once with 130.";
+                        quietly with 0. Ctrl-C and SIGTERM end in order what streams, records, simulates or builds, and other \
+                        commands at once; a second one ends all at once with 130.";
 
 /// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -27,8 +27,8 @@ pub fn paths<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) 
     let Options { time_s, seed, people, person, margin_db } = from_python("paths", options)?;
     let list = detached(py, || {
         fork::check_pools("the simulator")?;
-        if time_s < 0.0 {
-            return Err(format!("time_s is {time_s}\n\nhint: give seconds from the first frame on").into());
+        if !(0.0..=PathListOptions::LATEST_S).contains(&time_s) {
+            return Err(format!("time_s is {time_s}, not within a day\n\nhint: give seconds from the first frame on").into());
         }
         let options = PathListOptions { seed, people, person, time_s, margin_db };
         Ok(PathList::new(&Scene::load(&scene)?, &options)?)

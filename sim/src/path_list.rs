@@ -42,6 +42,12 @@ pub struct PathListOptions {
     pub margin_db: f64,
 }
 
+impl PathListOptions {
+    /// Latest time that programs and packages take, s, a day: motions are followed from the first frame on, which takes a second of
+    /// work for a day.
+    pub const LATEST_S: f64 = 86_400.0;
+}
+
 impl Default for PathListOptions {
     fn default() -> Self {
         PathListOptions { seed: 1, people: None, person: None, time_s: 0.0, margin_db: 10.0 }

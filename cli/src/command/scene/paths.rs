@@ -52,8 +52,8 @@ pub struct Arguments {
 /// # Errors
 /// An argument or the scene is not valid, the person is not there, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if !(arguments.time >= 0.0 && arguments.time.is_finite()) {
-        bail!("--time {} is no time\n\nhint: seconds from the first frame on", arguments.time);
+    if !(0.0..=PathListOptions::LATEST_S).contains(&arguments.time) {
+        bail!("--time {} is not within a day\n\nhint: seconds from the first frame on", arguments.time);
     }
     if !arguments.margin_db.is_finite() {
         bail!("--margin-db {} is no number of decibels", arguments.margin_db);
