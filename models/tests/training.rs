@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_dsp::{Occupancy, Rdm};
+use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
@@ -212,6 +212,28 @@ fn a_checkpoint_of_another_training_is_refused() {
         let error = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {}).err().expect("refused").to_string();
         assert!(error.contains("checkpoint"), "{error}");
     }
+}
+
+/// A map of the same shape that another spec made, or another waveform, is judged wrongly without a sign of it.
+#[test]
+fn maps_of_another_spec_or_waveform_are_refused() {
+    let (set, spec) = brief();
+    let classifier = Classifier::new(train(&set, &spec, &mut |_| {}).expect("training").model);
+    let header = set.header();
+    classifier.check_maps(&header.rdm_spec, &header.waveform).expect("its own");
+    let another = RdmSpec { floor_db: header.rdm_spec.floor_db - 10.0, ..header.rdm_spec };
+    let refused = |spec: &RdmSpec, waveform: &Waveform| {
+        let error = classifier.check_maps(spec, waveform).expect_err("refused");
+        assert!(matches!(error, ClassifyError::OtherMaps { .. }), "{error}");
+        error.to_string()
+    };
+    let said = refused(&another, &header.waveform);
+    assert!(said.contains("floor_db") && said.contains("instead of") && said.contains("hint: "), "{said}");
+    // The same numbers of chirps and samples, another range a bin.
+    let request = WaveformRequest { end_frequency_hz: 60.2e9, ..header.waveform.request.clone() };
+    let narrow = Waveform::realise(request).expect("waveform");
+    let said = refused(&header.rdm_spec, &narrow);
+    assert!(said.contains("waveform") && said.contains("hint: "), "{said}");
 }
 
 /// A network that sees range and Doppler exchanged says so in its card and answers the same after a round through a file.
