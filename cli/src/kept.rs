@@ -23,7 +23,7 @@ pub fn is_recording_of(path: &Path, simulator: &Simulator, frames: Range<u64>, l
             && matches!(recording.next_frame(&mut kept), Ok(SourceEvent::Frame))
             && kept.sequence == index;
         is_there && {
-            let again = simulator.render(index);
+            let again = simulator.frame(index);
             (kept.time_ns, kept.shape, kept.truth) == (again.time_ns, again.shape, again.truth)
                 && kept.codes == again.codes
         }

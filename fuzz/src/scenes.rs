@@ -1,9 +1,9 @@
 //! Checks of scene files and of every kind of file that a scene names.
 
 use radome_sim::Scene;
-use radome_sim::actor::bvh::parse_bvh;
-use radome_sim::actor::clip::BodyClip;
-use radome_sim::actor::imported::{Actor, ActorOptions};
+use radome_sim::people::bvh::parse_bvh;
+use radome_sim::people::clip::BodyClip;
+use radome_sim::people::imported::{Actor, ActorOptions};
 use radome_sim::geometry::import::{LengthUnit, Part, UpAxis, import, parse_obj, parse_stl};
 use radome_sim::geometry::{lint, weld};
 

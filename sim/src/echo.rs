@@ -1,21 +1,21 @@
-//! Echoes of people: highlights of their segments by every audible pair of images, at key times.
+//! Echoes of people: specular points of their segments by every audible pair of images, at key times.
 
 mod audible;
-pub mod chirp_sum;
-pub mod demand;
 pub mod dense;
 pub mod diffuse;
-mod key_rows;
+pub mod error_budget;
 mod obstruction;
 mod patch;
+mod patch_field;
+mod patch_pose;
+mod patch_solver;
+pub mod patch_sum;
 mod path_rows;
-mod posed_patch;
-pub mod self_shadow;
+pub mod self_occlusion;
 mod side_by_side;
 pub mod skin;
 pub mod still;
-mod strength;
-mod workbench;
+mod surface_currents;
 
 pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
@@ -28,18 +28,18 @@ use num_complex::Complex64;
 use obstruction::{SharedWays, Way, past_own, past_people, visibility};
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
-use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
-use crate::actor::motion::{AtDesk, BodyPoint, Motion};
-use crate::field::fresnel::half_space;
-use crate::field::highlight::Ellipsoid;
-use crate::field::image::{BoxRoom, Element, ImageIndex};
-use crate::field::{Phasor3, incidence_frame};
+use crate::diffraction::Column;
+use crate::em::fresnel::half_space;
+use crate::em::image::{BoxRoom, Element, ImageIndex};
+use crate::em::specular::Ellipsoid;
+use crate::em::{Phasor3, incidence_frame};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
+use crate::path_segment::PathSample;
 use crate::paths::{EdgesBeside, Surroundings};
-use crate::shadow::Column;
-use crate::slow_time::Key;
-use crate::stage::Stage;
+use crate::people::body::{CHEST, PELVIS, SEGMENTS};
+use crate::people::motion::{AtDesk, BodyPoint, Motion};
+use crate::prepared_scene::PreparedScene;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.
 pub const LEAST_DISTANCE_M: f64 = 0.1;
@@ -83,7 +83,7 @@ impl Snapshot {
         (now, (after - before) / twice, (after - 2.0 * now + before) / (VELOCITY_STEP_S * VELOCITY_STEP_S))
     }
 
-    /// Velocity of the material at a highlight, m/s.
+    /// Velocity of the material at a specular point, m/s.
     fn velocity(&self, segment: usize, unit: DVec3) -> DVec3 {
         (self.after[segment].surface(unit) - self.before[segment].surface(unit)) / (2.0 * VELOCITY_STEP_S)
     }
@@ -103,15 +103,15 @@ pub struct EchoReport {
 /// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`, then what a person at a desk has besides. Paths
 /// that do not exist have amplitude zero.
 pub fn echoes(
-    stage: &Stage,
+    prepared: &PreparedScene,
     motion: &Motion,
     people: &[Snapshot],
     me: usize,
     pairs: &[(ImageIndex, ImageIndex)],
-    out: &mut Vec<Key>,
+    out: &mut Vec<PathSample>,
     report: &mut EchoReport,
 ) {
-    let paths = Paths::new(stage, motion, me, pairs);
+    let paths = Paths::new(prepared, motion, me, pairs);
     for path in 0..paths.count() {
         paths.trace(path, people, None, out, report);
     }
@@ -133,14 +133,14 @@ struct Pair {
 /// heard, then what a person at a desk has besides. In rooms of plane faces they are those of one frame: which edges are beside them
 /// is found out once.
 pub struct Paths<'a> {
-    stage: &'a Stage,
+    prepared: &'a PreparedScene,
     motion: &'a Motion,
     me: usize,
     pairs: Vec<Pair>,
     /// Number of images that pairs are made of.
     images: usize,
-    /// Number of the pair and segment of each highlight, in order.
-    highlights: Vec<(usize, usize)>,
+    /// Number of the pair and segment of each specular point, in order.
+    specular_points: Vec<(usize, usize)>,
     /// Instructions for paths side by side.
     level: KernelLevel,
     /// In rooms of plane faces, edges beside the ways to each segment, once they are known: `[image][segment]`.
@@ -149,16 +149,21 @@ pub struct Paths<'a> {
 
 impl<'a> Paths<'a> {
     /// By these pairs of images, of which the direct one is the first: pairs of indices for all segments, or [`AudiblePair`]s.
-    pub fn new<P: Copy + Into<AudiblePair>>(stage: &'a Stage, motion: &'a Motion, me: usize, pairs: &[P]) -> Self {
+    pub fn new<P: Copy + Into<AudiblePair>>(
+        prepared: &'a PreparedScene,
+        motion: &'a Motion,
+        me: usize,
+        pairs: &[P],
+    ) -> Self {
         let pairs: Vec<AudiblePair> = pairs.iter().map(|&pair| pair.into()).collect();
         let mut images: Vec<ImageIndex> = pairs.iter().flat_map(|&AudiblePair { pair: (p, q), .. }| [p, q]).collect();
         images.sort_unstable();
         images.dedup();
         let pair = |&AudiblePair { pair: (p, q), .. }: &AudiblePair| {
-            let source = stage.room.image_position(p, stage.tx.position);
-            let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
-            let first_rx = stage.rx.first().unwrap_or(&stage.tx);
-            let there = Way { image: p, source, antenna: stage.tx.position };
+            let source = prepared.room.image_position(p, prepared.tx.position);
+            let sinks: Vec<DVec3> = prepared.rx.iter().map(|rx| prepared.room.image_position(q, rx.position)).collect();
+            let first_rx = prepared.rx.first().unwrap_or(&prepared.tx);
+            let there = Way { image: p, source, antenna: prepared.tx.position };
             let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
             let signs = [p, q].map(|image| BoxRoom::image_vector(image, DVec3::ONE).to_array());
             // Every image of a pair is among them.
@@ -169,15 +174,15 @@ impl<'a> Paths<'a> {
             let pair = *pair;
             (0..SEGMENTS).filter(move |&segment| pair.has(segment)).map(move |segment| (number, segment))
         };
-        let highlights = pairs.iter().enumerate().flat_map(of_pair).collect();
+        let specular_points = pairs.iter().enumerate().flat_map(of_pair).collect();
         let pairs = pairs.iter().map(pair).collect();
         let level = KernelLevel::detect();
-        let ways = match stage.room {
+        let ways = match prepared.room {
             Surroundings::Box(_) => 0,
             Surroundings::Polygons(_) => images.len() * SEGMENTS,
         };
         let (images, beside) = (images.len(), RefCell::new(vec![EdgesBeside::default(); ways]));
-        Paths { stage, motion, me, pairs, images, highlights, level, beside }
+        Paths { prepared, motion, me, pairs, images, specular_points, level, beside }
     }
 
     /// Number of paths.
@@ -186,7 +191,7 @@ impl<'a> Paths<'a> {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
             bounces + desk.points.len()
         });
-        self.highlights.len() + besides
+        self.specular_points.len() + besides
     }
 
     /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
@@ -196,7 +201,7 @@ impl<'a> Paths<'a> {
         path: usize,
         people: &[Snapshot],
         near: Option<DVec3>,
-        out: &mut Vec<Key>,
+        out: &mut Vec<PathSample>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
         let mut instant = Instant { people, own: people.get(self.me)?, ways: None };
@@ -209,61 +214,61 @@ impl<'a> Paths<'a> {
         path: usize,
         instant: &mut Instant,
         near: Option<DVec3>,
-        out: &mut Vec<Key>,
+        out: &mut Vec<PathSample>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
-        if let Some(&(number, segment)) = self.highlights.get(path) {
-            return self.highlight(self.pairs.get(number)?, segment, instant, near, out, report);
+        if let Some(&(number, segment)) = self.specular_points.get(path) {
+            return self.specular_point(self.pairs.get(number)?, segment, instant, near, out, report);
         }
         let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
-        let besides = path - self.highlights.len();
+        let besides = path - self.specular_points.len();
         let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
         let segment = if besides < bounces { besides } else { CHEST };
         let mut once = Vec::with_capacity(direct.sinks.len());
-        let met = self.highlight(direct, segment, instant, near, &mut once, report);
+        let met = self.specular_point(direct, segment, instant, near, &mut once, report);
         match desk.points.get(besides.wrapping_sub(bounces)) {
-            Some(place) => body_point(self.stage, desk, place, instant.people, self.me, &once, out),
-            None => once.iter().for_each(|key| out.push(double_bounce(self.stage, desk, segment, key))),
+            Some(place) => body_point(self.prepared, desk, place, instant.people, self.me, &once, out),
+            None => once.iter().for_each(|key| out.push(double_bounce(self.prepared, desk, segment, key))),
         }
         met
     }
 
-    /// The highlight of a segment by a pair of images.
-    fn highlight(
+    /// The specular point of a segment by a pair of images.
+    fn specular_point(
         &self,
         pair: &Pair,
         segment: usize,
         instant: &mut Instant,
         near: Option<DVec3>,
-        out: &mut Vec<Key>,
+        out: &mut Vec<PathSample>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
-        let (stage, Pair { there: way_there, back: way_back, sinks, .. }) = (self.stage, pair);
+        let (prepared, Pair { there: way_there, back: way_back, sinks, .. }) = (self.prepared, pair);
         report.paths += 1;
         let own = instant.own;
         let ellipsoid = own.body.get(segment)?;
         let met = if instant.is_dark(pair, segment) {
             None
         } else {
-            ellipsoid.highlight(way_there.source, way_back.source, near)
+            ellipsoid.specular_point(way_there.source, way_back.source, near)
         };
         let Some(h) = met else {
             let delay_s = (way_there.source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
-            let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
+            let nothing = PathSample { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
             out.extend(sinks.iter().map(|_| nothing));
             return None;
         };
         let [(there, left_there), (back, left_back)] = self.seen(pair, segment, h.point, instant)?;
-        let weight = inside_room(stage, h.point)
+        let weight = inside_room(prepared, h.point)
             * left_there
             * left_back
-            // Grazing highlights fade: forward scattering is not theirs to tell.
+            // Grazing specular points fade: forward scattering is not theirs to tell.
             * smooth_step((h.cosine - 0.2) / 0.1);
         let reflected = reflect_at_skin(there, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
-        let aperture = stage.aperture_m();
+        let aperture = prepared.aperture_m();
         let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let amplitude = reflected.received_by(back) * (spreading * cloth * weight);
@@ -275,28 +280,28 @@ impl<'a> Paths<'a> {
             let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
             let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
             let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
-            let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
-            out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
+            let beat_hz = prepared.chirp.beat_hz(delay_s, delay_rate);
+            out.push(PathSample { delay_s, delay_rate, amplitude: prepared.at_adc(rx, amplitude, beat_hz) });
         }
         Some(h.unit)
     }
 
     /// Fields of both antennas' images at a point of a segment, each with the part of it that people leave.
     fn seen(&self, pair: &Pair, segment: usize, point: DVec3, instant: &mut Instant) -> Option<[(Phasor3, f64); 2]> {
-        let (stage, people) = (self.stage, instant.people);
-        let first_rx = stage.rx.first()?;
-        let [there, back] = [(&stage.tx, &pair.there, pair.images[0]), (first_rx, &pair.back, pair.images[1])];
+        let (prepared, people) = (self.prepared, instant.people);
+        let first_rx = prepared.rx.first()?;
+        let [there, back] = [(&prepared.tx, &pair.there, pair.images[0]), (first_rx, &pair.back, pair.images[1])];
         if let Some(ways) = &mut instant.ways {
             let mut shared = |(element, way, number): (&Element, &Way, usize)| {
                 let (field, past_people) = ways.field((number, way.image), element, segment, point)?;
-                Some((field, past_people * past_own(stage, instant.own, segment, way.source, point)))
+                Some((field, past_people * past_own(prepared, instant.own, segment, way.source, point)))
             };
             return Some([shared(there)?, shared(back)?]);
         }
-        let fields = [there, back].map(|(element, way, _)| stage.room.illuminate(element, way.image, point).field);
+        let fields = [there, back].map(|(element, way, _)| prepared.room.illuminate(element, way.image, point).field);
         // Where no path leads, nobody can be in its way.
         let is_lit = fields.iter().all(|field| field.magnitude() > 0.0);
-        let left = |way: &Way| if is_lit { visibility(stage, people, self.me, segment, way, point) } else { 0.0 };
+        let left = |way: &Way| if is_lit { visibility(prepared, people, self.me, segment, way, point) } else { 0.0 };
         let [of_there, of_back] = fields;
         Some([(of_there, left(there.1)), (of_back, left(back.1))])
     }
@@ -307,7 +312,7 @@ struct Instant<'a> {
     people: &'a [Snapshot],
     /// Person by way of whom the paths go.
     own: &'a Snapshot,
-    /// Obstructions of the ways to segments, where highlights share them: in rooms of plane faces.
+    /// Obstructions of the ways to segments, where specular points share them: in rooms of plane faces.
     ways: Option<SharedWays<'a>>,
 }
 
@@ -322,11 +327,11 @@ impl Instant<'_> {
 
 /// An echo that goes to a person, back to the radar's board or the desk under it, to the person again and home, from the
 /// direct one.
-fn double_bounce(stage: &Stage, desk: &AtDesk, segment: usize, direct: &Key) -> Key {
+fn double_bounce(prepared: &PreparedScene, desk: &AtDesk, segment: usize, direct: &PathSample) -> PathSample {
     let delay_s = 2.0 * (direct.delay_s + desk.double_bounce_offset_m / SPEED_OF_LIGHT_M_PER_S);
     let delay_rate = 2.0 * direct.delay_rate;
-    let once = stage.filters.response(stage.chirp.beat_hz(direct.delay_s, direct.delay_rate));
-    let twice = stage.filters.response(stage.chirp.beat_hz(delay_s, delay_rate));
+    let once = prepared.filters.response(prepared.chirp.beat_hz(direct.delay_s, direct.delay_rate));
+    let twice = prepared.filters.response(prepared.chirp.beat_hz(delay_s, delay_rate));
     // The direct echo has passed the filters at its own beat.
     // Only the chest is broad enough to be seen in the small mirror that the board is.
     let amplitude = if once.norm_sqr() > 0.0 && segment == CHEST {
@@ -334,51 +339,51 @@ fn double_bounce(stage: &Stage, desk: &AtDesk, segment: usize, direct: &Key) -> 
     } else {
         Complex64::ZERO
     };
-    Key { delay_s, delay_rate, amplitude }
+    PathSample { delay_s, delay_rate, amplitude }
 }
 
 /// An echo of a shoulder, an arm or the lap, which no smooth ellipsoid has: a key for each receiver. It fades behind the chest's
 /// nearest place.
 fn body_point(
-    stage: &Stage,
+    prepared: &PreparedScene,
     desk: &AtDesk,
     p: &BodyPoint,
     people: &[Snapshot],
     me: usize,
-    chest: &[Key],
-    out: &mut Vec<Key>,
+    chest: &[PathSample],
+    out: &mut Vec<PathSample>,
 ) {
-    let (Some(own), Some(first_rx)) = (people.get(me), stage.rx.first()) else { return };
+    let (Some(own), Some(first_rx)) = (people.get(me), prepared.rx.first()) else { return };
     let chest_m = chest.first().map_or(0.0, |k| 0.5 * k.delay_s * SPEED_OF_LIGHT_M_PER_S);
     let here = ImageIndex::default();
     let point = own.body[CHEST].surface(p.place);
     let velocity = own.velocity(CHEST, p.place);
     let way = |antenna: DVec3| Way { image: here, source: antenna, antenna };
-    let weight = inside_room(stage, point)
-        * visibility(stage, people, me, CHEST, &way(stage.tx.position), point)
-        * visibility(stage, people, me, CHEST, &way(first_rx.position), point);
-    let there = stage.room.illuminate(&stage.tx, here, point);
-    let back = stage.room.illuminate(first_rx, here, point);
+    let weight = inside_room(prepared, point)
+        * visibility(prepared, people, me, CHEST, &way(prepared.tx.position), point)
+        * visibility(prepared, people, me, CHEST, &way(first_rx.position), point);
+    let there = prepared.room.illuminate(&prepared.tx, here, point);
+    let back = prepared.room.illuminate(first_rx, here, point);
     let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
     let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
-    let aperture = stage.aperture_m();
+    let aperture = prepared.aperture_m();
     let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
     let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
-    let from_tx = point - stage.tx.position;
-    for (rx, element) in stage.rx.iter().enumerate() {
+    let from_tx = point - prepared.tx.position;
+    for (rx, element) in prepared.rx.iter().enumerate() {
         let from_rx = point - element.position;
         let delay_s = (from_tx.length() + from_rx.length() + 2.0 * p.detour_m) / SPEED_OF_LIGHT_M_PER_S;
         let rate = from_tx.normalize_or_zero().dot(velocity) + from_rx.normalize_or_zero().dot(velocity);
         let delay_rate = rate / SPEED_OF_LIGHT_M_PER_S;
-        let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
-        out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
+        let beat_hz = prepared.chirp.beat_hz(delay_s, delay_rate);
+        out.push(PathSample { delay_s, delay_rate, amplitude: prepared.at_adc(rx, amplitude, beat_hz) });
     }
 }
 
 /// 1 in a box room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall. Always 1
 /// where the field at the point has the walls in it: that of polygons, and of boxes whose walls let waves through.
-pub fn inside_room(stage: &Stage, point: DVec3) -> f64 {
-    let Surroundings::Box(room) = &stage.room else { return 1.0 };
+pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
+    let Surroundings::Box(room) = &prepared.room else { return 1.0 };
     if room.transmission {
         return 1.0;
     }

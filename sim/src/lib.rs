@@ -18,7 +18,7 @@
 //! let mut frames = 0;
 //! while simulator.next_frame(&mut frame)? == SourceEvent::Frame {
 //!     // The same frame by its index, whichever came before.
-//!     assert_eq!(simulator.render(frames).codes, frame.codes);
+//!     assert_eq!(simulator.frame(frames).codes, frame.codes);
 //!     frames += 1;
 //! }
 //! assert_eq!(frames, 2);
@@ -27,49 +27,49 @@
 //! ```
 //!
 //! # Stages of a frame
-//! 1. [`actor`]: people's bodies at the key times, thirteen ellipsoids or a skin.
+//! 1. [`people`]: people's bodies at the key times, thirteen ellipsoids or a skin.
 //! 2. [`echo`]: the echo of each ellipsoid by every audible pair of image antennas; of skins ([`echo::skin`]), to an error that is
 //!    asked for. [`diffuse`]: echoes that walls scatter in all directions.
-//! 3. [`keys`]: the key times of each path. [`slow_time`]: every chirp between them. [`tracks`]: every receiver.
+//! 3. [`path_sampling`]: the key times of each path. [`path_segment`]: every chirp between them. [`tracks`]: every receiver.
 //! 4. [`synthesis`]: paths to samples.
 //! 5. [`receiver`]: leakage, noise, rounding to codes.
 //!
-//! [`rcs`] applies the same integrators to canonical targets whose answer is known.
+//! [`validation`] applies the same integrators to canonical targets whose answer is known.
 //!
 //! # Conventions
 //! Those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up. The radar's own axes are x boresight, y left,
 //! z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in any order and on any number of
 //! threads.
 
-pub mod actor;
 pub mod bounded_file;
 pub mod chirp;
+pub mod diffraction;
 pub mod diffuse;
 pub mod echo;
-pub mod fault;
-pub mod field;
+pub mod em;
+pub mod file_error;
+mod frame;
 pub mod geometry;
-pub mod keys;
 pub(crate) mod lanes;
 pub mod material;
 mod math;
 pub mod path_list;
+pub mod path_sampling;
+pub mod path_segment;
 pub mod paths;
-pub mod program;
+pub mod people;
+pub mod prepared_scene;
 pub mod random;
-pub mod rcs;
+pub mod rays;
 pub mod receiver;
-mod render;
+pub mod scenario;
 pub mod scene;
 pub mod scene_file;
-pub mod shadow;
 pub mod simulator;
-pub mod slow_time;
-pub mod stage;
 pub mod sway;
 pub mod synthesis;
-pub mod trace;
 pub mod tracks;
+pub mod validation;
 
 pub use receiver::Receiver;
 pub use scene::{Scene, SceneError, load_receiver};

@@ -1,6 +1,6 @@
 //! Every path between the antennas of a scene at one time, one by one: how a simulation is checked against geometry.
 //!
-//! Listed are the paths of which frames are made: reflections of walls, points of furniture, and the highlights of people's
+//! Listed are the paths of which frames are made: reflections of walls, points of furniture, and the specular points of people's
 //! ellipsoids by pairs of images. People who are skins are listed by the ellipsoids that they are drawn over. Not listed are the
 //! leakage from antenna to antenna, small reflectors that sway, and ways by diffuse walls.
 
@@ -12,17 +12,17 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use serde::Serialize;
 
-use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
-use crate::actor::motion::Motion;
+use crate::diffraction::{self, Column};
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
-use crate::field::image::ImageIndex;
+use crate::em::image::ImageIndex;
 use crate::math::wrapped;
-use crate::program::Program;
+use crate::path_segment::PathSample;
+use crate::people::body::{SEGMENT_NAMES, SEGMENTS};
+use crate::people::motion::Motion;
+use crate::prepared_scene::PreparedScene;
+use crate::scenario::Scenario;
 use crate::scene::{Scene, SceneError};
 use crate::scene_file::ShadowFile;
-use crate::shadow::{self, Column};
-use crate::slow_time::Key;
-use crate::stage::Stage;
 
 /// Points nearer to a surface than this lie on it, m.
 const ON_SURFACE_M: f64 = 1e-6;
@@ -111,7 +111,7 @@ pub struct PathList {
 /// Inputs of lists.
 struct Lister<'a> {
     scene: &'a Scene,
-    stage: Stage,
+    prepared: PreparedScene,
     antennas: Vec<u8>,
     frequency_hz: f64,
     columns: Vec<Column>,
@@ -124,17 +124,17 @@ impl PathList {
     /// If the seed makes no scene of the file's random values.
     pub fn new(scene: &Scene, options: &PathListOptions) -> Result<Self, SceneError> {
         let scene = scene.drawn(options.seed)?;
-        let stage = Stage::new(&scene, options.seed, options.margin_db);
-        let program = Program::new(&scene, options.seed, options.people);
-        let present: Vec<(usize, Arc<Motion>)> = program.between(options.time_s, options.time_s);
+        let prepared = PreparedScene::new(&scene, options.seed, options.margin_db);
+        let scenario = Scenario::new(&scene, options.seed, options.people);
+        let present: Vec<(usize, Arc<Motion>)> = scenario.between(options.time_s, options.time_s);
         let snapshots: Vec<Snapshot> = present.iter().map(|(_, m)| Snapshot::new(m, options.time_s)).collect();
-        let frequency_hz = stage.chirp.start_hz + stage.chirp.slope_hz_per_s * stage.chirp.middle_s;
+        let frequency_hz = prepared.chirp.start_hz + prepared.chirp.slope_hz_per_s * prepared.chirp.middle_s;
         let lister = Lister {
             scene: &scene,
             antennas: scene.waveform().request.rx_antennas.antennas(),
             frequency_hz,
             columns: snapshots.iter().map(|person| person.column).collect(),
-            stage,
+            prepared,
         };
         let mut paths = Vec::new();
         if options.person.is_none() {
@@ -177,36 +177,36 @@ impl Lister<'_> {
 
     /// Field of a path from its amplitude at the ADC; `None` where the filters let nothing pass.
     fn field(&self, rx: usize, at_adc: Complex64, beat_hz: f64) -> Option<Complex64> {
-        let factor = self.stage.filters.response(beat_hz) * self.stage.lsb.get(rx).copied()?;
+        let factor = self.prepared.filters.response(beat_hz) * self.prepared.lsb.get(rx).copied()?;
         Some((at_adc / factor).conj()).filter(|field| field.is_finite())
     }
 
     /// Field that people leave on a static path.
     fn shade(&self, polyline: &[DVec3]) -> Complex64 {
-        let wavelength_m = self.stage.wavelength_m;
+        let wavelength_m = self.prepared.wavelength_m;
         match self.scene.file().people.shadow {
-            ShadowFile::Edge => shadow::along(polyline, &self.columns, wavelength_m).into(),
-            ShadowFile::Strip => shadow::along_strips(polyline, &self.columns, wavelength_m),
+            ShadowFile::Edge => diffraction::along(polyline, &self.columns, wavelength_m).into(),
+            ShadowFile::Strip => diffraction::along_strips(polyline, &self.columns, wavelength_m),
         }
     }
 
     /// Images by whose walls a static path is strong enough, as the first receiver has it.
     fn wall_images(&self) -> Vec<ImageIndex> {
-        let Some(first) = self.stage.rx.first() else { return Vec::new() };
+        let Some(first) = self.prepared.rx.first() else { return Vec::new() };
         let is_heard = |index: &ImageIndex| {
-            let (amplitude, length_m) = self.stage.room.direct(&self.stage.tx, *index, first);
-            let beat_hz = self.stage.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
-            self.stage.at_adc(0, amplitude, beat_hz).norm() > self.stage.threshold_lsb
+            let (amplitude, length_m) = self.prepared.room.direct(&self.prepared.tx, *index, first);
+            let beat_hz = self.prepared.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
+            self.prepared.at_adc(0, amplitude, beat_hz).norm() > self.prepared.threshold_lsb
         };
-        let all = self.stage.room.images(self.scene.file().room.max_reflections);
+        let all = self.prepared.room.images(self.scene.file().room.max_reflections);
         all.into_iter().skip(1).filter(is_heard).collect()
     }
 
     fn add_walls(&self, out: &mut Vec<ListedPath>) {
         for index in self.wall_images() {
-            for (i, rx) in self.stage.rx.iter().enumerate() {
-                let (amplitude, length_m) = self.stage.room.direct(&self.stage.tx, index, rx);
-                let polyline = self.stage.room.polyline(index, self.stage.tx.position, rx.position);
+            for (i, rx) in self.prepared.rx.iter().enumerate() {
+                let (amplitude, length_m) = self.prepared.room.direct(&self.prepared.tx, index, rx);
+                let polyline = self.prepared.room.polyline(index, self.prepared.tx.position, rx.position);
                 let field = amplitude * self.shade(&polyline);
                 out.push(ListedPath {
                     surfaces: self.names(&polyline, None),
@@ -219,16 +219,16 @@ impl Lister<'_> {
 
     /// Static paths that are none of walls: they follow those.
     fn add_furniture(&self, out: &mut Vec<ListedPath>) {
-        for path in self.stage.static_paths.iter().skip(self.wall_images().len()) {
+        for path in self.prepared.static_paths.iter().skip(self.wall_images().len()) {
             let shade = self.shade(&path.polyline);
             for (i, &(_, cycles_per_sample, amplitude)) in path.tones.iter().enumerate() {
-                let beat_hz = cycles_per_sample * self.stage.chirp.sample_rate_hz;
+                let beat_hz = cycles_per_sample * self.prepared.chirp.sample_rate_hz;
                 let Some(field) = self.field(i, amplitude, beat_hz) else { continue };
                 out.push(ListedPath {
                     kind: PathKind::Furniture,
                     surfaces: self.names(&path.polyline, Some("object")),
                     points_m: path.polyline.iter().map(DVec3::to_array).collect(),
-                    ..self.listed(i, field * shade, beat_hz / self.stage.chirp.slope_hz_per_s, 0.0)
+                    ..self.listed(i, field * shade, beat_hz / self.prepared.chirp.slope_hz_per_s, 0.0)
                 });
             }
         }
@@ -253,7 +253,7 @@ impl Lister<'_> {
             let at_once = inner[..i].iter().rev().take_while(|before| before.distance(*corner) < ON_SURFACE_M).count();
             let wall = || {
                 let before = &names[i - at_once..];
-                let of_point = self.stage.room.surface_names(*corner);
+                let of_point = self.prepared.room.surface_names(*corner);
                 let other = of_point.iter().find(|name| before.iter().all(|before| before != *name));
                 other.or(of_point.first()).map(|name| (*name).to_owned())
             };
@@ -272,13 +272,13 @@ impl Lister<'_> {
         time_s: f64,
         out: &mut Vec<ListedPath>,
     ) {
-        let receivers = self.stage.rx.len();
+        let receivers = self.prepared.rx.len();
         if receivers == 0 {
             return;
         }
-        let pairs = audible_pairs(&self.stage, motion, time_s);
-        let mut keys: Vec<Key> = Vec::new();
-        echoes(&self.stage, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
+        let pairs = audible_pairs(&self.prepared, motion, time_s);
+        let mut keys: Vec<PathSample> = Vec::new();
+        echoes(&self.prepared, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
         for (path, keys) in keys.chunks(receivers).enumerate() {
             let segment = path % SEGMENTS;
             let pair = pairs.get(path / SEGMENTS).copied();
@@ -288,9 +288,9 @@ impl Lister<'_> {
                 None => format!("person {slot} at desk"),
             };
             for (i, key) in keys.iter().enumerate() {
-                let beat_hz = self.stage.chirp.beat_hz(key.delay_s, key.delay_rate);
+                let beat_hz = self.prepared.chirp.beat_hz(key.delay_s, key.delay_rate);
                 let Some(field) = self.field(i, key.amplitude, beat_hz) else { continue };
-                if key.amplitude.norm() <= self.stage.threshold_lsb {
+                if key.amplitude.norm() <= self.prepared.threshold_lsb {
                     continue;
                 }
                 out.push(ListedPath {
@@ -304,19 +304,19 @@ impl Lister<'_> {
         }
     }
 
-    /// The way by the highlight of a segment.
+    /// The way by the specular point of a segment.
     fn polyline(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<Vec<DVec3>> {
-        let source = self.stage.room.image_position(p, self.stage.tx.position);
-        let sink = self.stage.room.image_position(q, self.stage.rx.first()?.position);
-        let highlight = own.body.get(segment)?.highlight(source, sink, None)?;
-        Some(self.stage.point_polyline(highlight.point, p, q))
+        let source = self.prepared.room.image_position(p, self.prepared.tx.position);
+        let sink = self.prepared.room.image_position(q, self.prepared.rx.first()?.position);
+        let specular_point = own.body.get(segment)?.specular_point(source, sink, None)?;
+        Some(self.prepared.point_polyline(specular_point.point, p, q))
     }
 
     /// Walls before the body, the body, walls behind it.
     fn names_by_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
         let Some((there, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
         let mut names = self.names(polyline, None);
-        if let Some(name) = names.get_mut(self.stage.room.order(there) as usize) {
+        if let Some(name) = names.get_mut(self.prepared.room.order(there) as usize) {
             *name = body.to_owned();
         }
         names

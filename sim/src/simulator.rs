@@ -7,8 +7,8 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use thiserror::Error;
 
-use crate::render::Renderer;
-pub use crate::render::{FrameReport, PersonState, SimulateOptions};
+use crate::frame::FrameSimulator;
+pub use crate::frame::{FrameReport, PersonState, SimulateOptions};
 use crate::scene::Scene;
 use ahead::Ahead;
 
@@ -45,7 +45,7 @@ pub enum SimError {
 /// the first frame asked for until it is dropped or told to [`seek`](Simulator::seek).
 #[derive(Debug)]
 pub struct Simulator {
-    inner: Arc<Renderer>,
+    inner: Arc<FrameSimulator>,
     /// The stream's next frame.
     next: u64,
     /// Frames from that one on.
@@ -81,7 +81,7 @@ impl Simulator {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
         let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
-        let inner = Renderer::new(&scene, options);
+        let inner = FrameSimulator::new(&scene, options);
         let (ahead, spare) = (VecDeque::new(), Vec::new());
         Ok(Simulator { inner: Arc::new(inner), next: 0, ahead, spare, last_report: None, pool: None })
     }
@@ -116,22 +116,22 @@ impl Simulator {
     }
 
     /// One frame, whichever came before.
-    pub fn render(&self, index: u64) -> Frame {
-        self.render_with_report(index).0
+    pub fn frame(&self, index: u64) -> Frame {
+        self.frame_with_report(index).0
     }
 
     /// One frame whose first chirp is at a time of the scene that need not be a multiple of the frame interval, as boards' are
     /// not: what is drawn by chance is frame `index`'s.
-    pub fn render_at(&self, index: u64, start_s: f64) -> Frame {
+    pub fn frame_at(&self, index: u64, start_s: f64) -> Frame {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
-        self.inner.render_from(index, start_s, &mut frame);
+        self.inner.simulate_from(index, start_s, &mut frame);
         frame
     }
 
     /// One frame, and what it took.
-    pub fn render_with_report(&self, index: u64) -> (Frame, FrameReport) {
+    pub fn frame_with_report(&self, index: u64) -> (Frame, FrameReport) {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
-        let report = self.inner.render_into(index, &mut frame);
+        let report = self.inner.simulate_into(index, &mut frame);
         (frame, report)
     }
 
@@ -194,7 +194,7 @@ impl Simulator {
             let (inner, index) = (Arc::clone(&self.inner), self.next.saturating_add(i));
             let mut frame = self.spare.pop().unwrap_or_else(|| Frame::zeroed(self.waveform().shape()));
             self.ahead.push_back(Ahead::new(pool, move || {
-                let report = inner.render_into(index, &mut frame);
+                let report = inner.simulate_into(index, &mut frame);
                 (frame, report)
             }));
         }
@@ -216,7 +216,7 @@ impl FrameSource for Simulator {
                 self.last_report = Some(report);
                 self.spare.push(std::mem::replace(frame, rendered));
             }
-            None => self.last_report = Some(self.inner.render_into(index, frame)),
+            None => self.last_report = Some(self.inner.simulate_into(index, frame)),
         }
         Ok(SourceEvent::Frame)
     }

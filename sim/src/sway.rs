@@ -14,13 +14,13 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use crate::diffraction::{self, Column};
+use crate::path_segment::{PathDerivatives, PathSample};
 use crate::paths::Surroundings;
+use crate::prepared_scene::PreparedScene;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene_file::{FurnitureFile, SwayFile, SwayPlaceFile};
-use crate::shadow::{self, Column};
-use crate::slow_time::{Bend, Key};
-use crate::stage::Stage;
 use crate::tracks::{Track, Tracks};
 
 /// Sinusoids of a motion that is not a single one.
@@ -102,7 +102,7 @@ pub struct SwayingReflectors {
 
 impl SwayingReflectors {
     /// Draws the reflectors of a scene for a seed. A reflector's draws depend on the numbers of its group and its own in it alone.
-    pub fn new(scene: &Scene, stage: &Stage, seed: u64) -> Self {
+    pub fn new(scene: &Scene, prepared: &PreparedScene, seed: u64) -> Self {
         let mut reflectors = Vec::new();
         for (g, group) in (0u64..).zip(&scene.file().room.sway) {
             let is_there = generator(seed, Purpose::Sway, [g, 0]).random::<f64>() < group.probability;
@@ -111,7 +111,7 @@ impl SwayingReflectors {
             }
             for r in 0..group.reflectors as u64 {
                 let mut rng = generator(seed, Purpose::Sway, [g, 1 + r]);
-                let reflector = Reflector::draw(scene, stage, group, &mut rng);
+                let reflector = Reflector::draw(scene, prepared, group, &mut rng);
                 if !reflector.paths.is_empty() {
                     reflectors.push(reflector);
                 }
@@ -131,8 +131,8 @@ impl SwayingReflectors {
                 (0..=parts).map(|end| reflector.motion.at(start_s + stretch_s * end as f64)).collect();
             for path in &reflector.paths {
                 let shades: Vec<f64> =
-                    columns.iter().map(|people| shadow::along(&path.polyline, people, wavelength_m)).collect();
-                let keys: Vec<Vec<(Key, Bend)>> = motion
+                    columns.iter().map(|people| diffraction::along(&path.polyline, people, wavelength_m)).collect();
+                let keys: Vec<Vec<(PathSample, PathDerivatives)>> = motion
                     .iter()
                     .enumerate()
                     .map(|(end, x)| path.keys(x, between(&shades, end as f64 / parts as f64)))
@@ -150,12 +150,15 @@ impl SwayingReflectors {
 }
 
 impl SwayPath {
-    /// Key of every receiver where the reflector is displaced by `x` (m, and derivatives by time) and shaded.
-    fn keys(&self, x: &[f64; 4], shade: f64) -> Vec<(Key, Bend)> {
+    /// PathSample of every receiver where the reflector is displaced by `x` (m, and derivatives by time) and shaded.
+    fn keys(&self, x: &[f64; 4], shade: f64) -> Vec<(PathSample, PathDerivatives)> {
         let key = |&(delay_s, each_m_s, amplitude): &(f64, f64, Complex64)| {
-            let key =
-                Key { delay_s: delay_s + each_m_s * x[0], delay_rate: each_m_s * x[1], amplitude: amplitude * shade };
-            (key, Bend { delay: [each_m_s * x[2], each_m_s * x[3]], ..Bend::default() })
+            let key = PathSample {
+                delay_s: delay_s + each_m_s * x[0],
+                delay_rate: each_m_s * x[1],
+                amplitude: amplitude * shade,
+            };
+            (key, PathDerivatives { delay: [each_m_s * x[2], each_m_s * x[3]], ..PathDerivatives::default() })
         };
         self.receivers.iter().map(key).collect()
     }
@@ -184,8 +187,8 @@ fn logarithmic([low, high]: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> f64 {
 }
 
 impl Reflector {
-    fn draw(scene: &Scene, stage: &Stage, group: &SwayFile, rng: &mut Xoshiro256PlusPlus) -> Self {
-        let drawn = place(scene, stage, group.at, rng);
+    fn draw(scene: &Scene, prepared: &PreparedScene, group: &SwayFile, rng: &mut Xoshiro256PlusPlus) -> Self {
+        let drawn = place(scene, prepared, group.at, rng);
         let point = group.position_m.map_or(drawn, DVec3::from_array);
         let off_db = group.spread_db * (2.0 * rng.random::<f64>() - 1.0);
         let cross_section_m2 = 10f64.powf(0.1 * (group.cross_section_dbsm + off_db));
@@ -193,23 +196,23 @@ impl Reflector {
         let rms_m = logarithmic(group.amplitude_m, rng);
         let frequency_hz = logarithmic(group.frequency_hz, rng);
         let motion = Sway::draw(rms_m, frequency_hz, group.bandwidth, rng);
-        let line_of_sight = (point - stage.tx.position).try_normalize().unwrap_or(DVec3::X);
+        let line_of_sight = (point - prepared.tx.position).try_normalize().unwrap_or(DVec3::X);
         let mut paths = Vec::new();
-        for &(p, q) in stage.pairs_near(point, 0.0).iter() {
-            let receivers: Vec<(f64, f64, Complex64)> = stage
+        for &(p, q) in prepared.pairs_near(point, 0.0).iter() {
+            let receivers: Vec<(f64, f64, Complex64)> = prepared
                 .point_echoes(point, cross_section_m2, phase, p, q)
                 .iter()
                 .enumerate()
                 .map(|(rx, echo)| {
                     let delay_s = echo.length_m / SPEED_OF_LIGHT_M_PER_S;
                     let each_m_s = echo.directions.dot(line_of_sight) / SPEED_OF_LIGHT_M_PER_S;
-                    let beat_hz = stage.chirp.beat_hz(delay_s, 0.0);
-                    (delay_s, each_m_s, stage.at_adc(rx, echo.amplitude, beat_hz))
+                    let beat_hz = prepared.chirp.beat_hz(delay_s, 0.0);
+                    (delay_s, each_m_s, prepared.at_adc(rx, echo.amplitude, beat_hz))
                 })
                 .collect();
             // The first receiver stands for all, as for static paths.
-            if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * stage.threshold_lsb) {
-                paths.push(SwayPath { receivers, polyline: stage.point_polyline(point, p, q) });
+            if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * prepared.threshold_lsb) {
+                paths.push(SwayPath { receivers, polyline: prepared.point_polyline(point, p, q) });
             }
         }
         Reflector { motion, paths }
@@ -217,7 +220,7 @@ impl Reflector {
 }
 
 /// Draws a place in the room.
-fn place(scene: &Scene, stage: &Stage, at: SwayPlaceFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+fn place(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
     let (choice, part): (f64, f64) = (rng.random(), rng.random());
     let furniture = &scene.file().furniture;
     let at = match at {
@@ -227,22 +230,22 @@ fn place(scene: &Scene, stage: &Stage, at: SwayPlaceFile, rng: &mut Xoshiro256Pl
         other => other,
     };
     match (at, furniture.get((part * furniture.len() as f64) as usize)) {
-        (SwayPlaceFile::Furniture, Some(piece)) => on(piece, stage, rng),
+        (SwayPlaceFile::Furniture, Some(piece)) => on(piece, prepared, rng),
         (SwayPlaceFile::Radar, _) => {
             let along = direction(rng) * rng.random_range(0.15..0.9);
-            let place = stage.tx.position + scene.radar_from_world().transpose() * along;
-            place.clamp(DVec3::ZERO, stage.room.size_m())
+            let place = prepared.tx.position + scene.radar_from_world().transpose() * along;
+            place.clamp(DVec3::ZERO, prepared.room.size_m())
         }
         (kind, _) => {
             let towards = scene.radar_from_world().transpose() * direction(rng);
-            let wall_m = to_wall(stage, towards);
+            let wall_m = to_wall(prepared, towards);
             let before_m = if kind == SwayPlaceFile::Anywhere {
                 wall_m * 0.9 * rng.random::<f64>()
             } else {
                 rng.random_range(0.0..0.3)
             };
-            let place = stage.tx.position + towards * (wall_m - before_m).max(0.1);
-            place.clamp(DVec3::ZERO, stage.room.size_m())
+            let place = prepared.tx.position + towards * (wall_m - before_m).max(0.1);
+            place.clamp(DVec3::ZERO, prepared.room.size_m())
         }
     }
 }
@@ -254,10 +257,10 @@ fn direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
 }
 
 /// Draws a place on a face of a piece of furniture that looks at the radar.
-fn on(piece: &FurnitureFile, stage: &Stage, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+fn on(piece: &FurnitureFile, prepared: &PreparedScene, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
     let corner = DVec3::from_array(piece.position_m);
     let size = DVec3::from_array(piece.size_m);
-    let radar = stage.tx.position - (corner + 0.5 * size);
+    let radar = prepared.tx.position - (corner + 0.5 * size);
     let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
     let axis = rng.random_range(0..3usize);
     at[axis] = if radar[axis] > 0.0 { 1.0 } else { 0.0 };
@@ -265,9 +268,9 @@ fn on(piece: &FurnitureFile, stage: &Stage, rng: &mut Xoshiro256PlusPlus) -> DVe
 }
 
 /// Distance from the transmitter to what it sees in a direction, m: the walls of the room, or what stands before them.
-fn to_wall(stage: &Stage, towards: DVec3) -> f64 {
-    let (from, size_m) = (stage.tx.position, stage.room.size_m());
-    if let Surroundings::Polygons(room) = &stage.room
+fn to_wall(prepared: &PreparedScene, towards: DVec3) -> f64 {
+    let (from, size_m) = (prepared.tx.position, prepared.room.size_m());
+    if let Surroundings::Polygons(room) = &prepared.room
         && let Some(distance_m) = room.paths().environment().distance_m(from, towards)
     {
         return distance_m;
@@ -286,7 +289,7 @@ fn to_wall(stage: &Stage, towards: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slow_time::Stretch;
+    use crate::path_segment::PathSegment;
 
     #[test]
     fn a_motion_has_its_displacement_and_its_derivatives() {
@@ -322,12 +325,12 @@ mod tests {
             let stretch_s = span_s / f64::from(parts);
             let key = |time_s: f64| {
                 let x = sway.at(time_s);
-                let key = Key { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
-                (key, Bend { delay: [x[2], x[3]], ..Bend::default() })
+                let key = PathSample { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
+                (key, PathDerivatives { delay: [x[2], x[3]], ..PathDerivatives::default() })
             };
             for part in 0..parts {
                 let start_s = 17.0 + stretch_s * f64::from(part);
-                let stretch = Stretch::between(&key(start_s), &key(start_s + stretch_s), stretch_s);
+                let stretch = PathSegment::between(&key(start_s), &key(start_s + stretch_s), stretch_s);
                 for u in [0.1, 0.3, 0.5, 0.8] {
                     let error_m = stretch.delay(u).0 - sway.at(start_s + u * stretch_s)[0];
                     let error_rad = 2.0 * wavenumber_per_m * error_m.abs();

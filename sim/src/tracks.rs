@@ -6,7 +6,7 @@
 
 use num_complex::{Complex, Complex64};
 
-use crate::slow_time::{Bend, FiveKeys, Key, Stretch, cubic_of_four};
+use crate::path_segment::{FiveSamples, PathDerivatives, PathSample, PathSegment, cubic_of_four};
 
 /// Most receivers beside the first.
 pub const OTHERS: usize = 2;
@@ -25,7 +25,7 @@ pub struct Aside {
 impl Aside {
     /// Between keys of the first receiver and of another one at both ends of a stretch: a cubic in delay, a line in the ratio of
     /// amplitudes.
-    pub fn between(first: [&Key; 2], other: [&Key; 2], stretch_s: f64) -> Self {
+    pub fn between(first: [&PathSample; 2], other: [&PathSample; 2], stretch_s: f64) -> Self {
         let difference = |end: usize| {
             let rate = other[end].delay_rate - first[end].delay_rate;
             (other[end].delay_s - first[end].delay_s, rate * stretch_s)
@@ -39,7 +39,7 @@ impl Aside {
     }
 
     /// Through keys of the first receiver and of another one at the ends, quarters and middle of a stretch.
-    pub fn through(first: &FiveKeys, other: &FiveKeys) -> Self {
+    pub fn through(first: &FiveSamples, other: &FiveSamples) -> Self {
         let difference = |i: usize| other[i].delay_s - first[i].delay_s;
         let (delay_s, _) = cubic_of_four([0, 1, 3, 4].map(difference));
         let ratio = ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude));
@@ -78,27 +78,31 @@ fn ratio<const N: usize>(first: [Complex64; N], other: [Complex64; N]) -> [Compl
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Track {
     /// Path to the first receiver.
-    pub first: Stretch,
+    pub first: PathSegment,
     /// Differences of the others, in their order.
     pub others: [Aside; OTHERS],
 }
 
 impl Track {
     /// Between the keys of every receiver at both ends of a stretch, `stretch_s` apart; `None` without a receiver.
-    pub fn between(begin: &[(Key, Bend)], end: &[(Key, Bend)], stretch_s: f64) -> Option<Self> {
+    pub fn between(
+        begin: &[(PathSample, PathDerivatives)],
+        end: &[(PathSample, PathDerivatives)],
+        stretch_s: f64,
+    ) -> Option<Self> {
         let (first_begin, first_end) = (begin.first()?, end.first()?);
         let mut others = [Aside::default(); OTHERS];
         for (aside, (a, b)) in others.iter_mut().zip(begin.iter().zip(end).skip(1)) {
             *aside = Aside::between([&first_begin.0, &first_end.0], [&a.0, &b.0], stretch_s);
         }
-        Some(Track { first: Stretch::between(first_begin, first_end, stretch_s), others })
+        Some(Track { first: PathSegment::between(first_begin, first_end, stretch_s), others })
     }
 
     /// Through the keys of every receiver at the ends, quarters and middle of a stretch, and what is missed of the first
-    /// receiver's ([`Stretch::through`]); `None` without a receiver.
-    pub fn through(receivers: &[FiveKeys], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
+    /// receiver's ([`PathSegment::through`]); `None` without a receiver.
+    pub fn through(receivers: &[FiveSamples], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
         let keys_of_first = receivers.first()?;
-        let (first, missed_lsb) = Stretch::through(keys_of_first, stretch_s, frequency_hz);
+        let (first, missed_lsb) = PathSegment::through(keys_of_first, stretch_s, frequency_hz);
         let mut others = [Aside::default(); OTHERS];
         for (aside, keys) in others.iter_mut().zip(receivers.iter().skip(1)) {
             *aside = Aside::through(keys_of_first, keys);
@@ -106,7 +110,7 @@ impl Track {
         Some((Track { first, others }, missed_lsb))
     }
 
-    /// The same path by its delays ([`Stretch::by_delay`]).
+    /// The same path by its delays ([`PathSegment::by_delay`]).
     pub fn by_delay(&self) -> Self {
         let delays_s = [0.0, 1.0].map(|u| self.first.delay(u).0);
         let others = self.others.map(|aside| {
@@ -137,7 +141,7 @@ impl Tracks {
         }
     }
 
-    /// The same paths by their delays ([`Stretch::by_delay`]).
+    /// The same paths by their delays ([`PathSegment::by_delay`]).
     pub fn by_delay(&self) -> Self {
         let of = |tracks: &Vec<Track>| tracks.iter().map(Track::by_delay).collect();
         Tracks { levels: self.levels.iter().map(|level| level.iter().map(of).collect()).collect() }
@@ -163,8 +167,8 @@ impl Tracks {
 mod tests {
     use super::*;
 
-    fn key(delay_s: f64, delay_rate: f64, amplitude: Complex64) -> Key {
-        Key { delay_s, delay_rate, amplitude }
+    fn key(delay_s: f64, delay_rate: f64, amplitude: Complex64) -> PathSample {
+        PathSample { delay_s, delay_rate, amplitude }
     }
 
     /// A cubic difference in delay is held, and the ratio at both ends.

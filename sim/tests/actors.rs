@@ -6,13 +6,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
-use radome_sim::actor::clip::BodyClip;
-use radome_sim::actor::imported::{Actor, ActorOptions};
-use radome_sim::actor::motion::{Motion, MotionBuilder, Person, Steps};
-use radome_sim::actor::skin::EDGE_M;
-use radome_sim::actor::walking_mesh::WalkingMesh;
-use radome_sim::fault::FileFault;
+use radome_sim::file_error::FileError;
 use radome_sim::geometry::import::UpAxis;
+use radome_sim::people::clip::BodyClip;
+use radome_sim::people::imported::{Actor, ActorOptions};
+use radome_sim::people::motion::{Motion, MotionBuilder, Person, Steps};
+use radome_sim::people::skin::EDGE_M;
+use radome_sim::people::walking_mesh::WalkingMesh;
 use radome_sim::random::{Purpose, generator};
 use radome_skip::shared;
 use rand::Rng;
@@ -23,7 +23,7 @@ fn options() -> ActorOptions {
     ActorOptions { height_m: Some(1.75), ..ActorOptions::default() }
 }
 
-fn parse(bytes: &[u8], name: &str) -> Result<Actor, FileFault> {
+fn parse(bytes: &[u8], name: &str) -> Result<Actor, FileError> {
     Actor::parse(bytes, Path::new(name), &options())
 }
 
@@ -165,7 +165,7 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
         };
         assert!(sliding.standing_rms_m_per_s < sliding_m_per_s && sliding.standing > 0.5, "{sliding:?}");
         let simulator = common::simulator(&scene, 3, None);
-        let (frame, report) = simulator.render_with_report(40);
+        let (frame, report) = simulator.frame_with_report(40);
         assert!(report.moving_paths > 0 && report.clamped == 0, "{report:?}");
         assert_eq!(frame.truth.expect("truth").occupancy, radome_dsp::Occupancy::One);
         // The strongest cell is at the person's distance.
@@ -189,7 +189,7 @@ fn the_cesium_man_stands_on_the_floor_as_he_walks() {
 mod hard_cases {
     use super::*;
 
-    fn refused(result: Result<Actor, FileFault>, expected: &[&str]) {
+    fn refused(result: Result<Actor, FileError>, expected: &[&str]) {
         let message = result.map(|_| ()).expect_err("a fault").to_string();
         for word in expected.iter().chain(&["hint: "]) {
             assert!(message.contains(word), "{word:?} is not in {message:?}");
@@ -499,7 +499,7 @@ mod hard_cases {
             }
             bytes.truncate(end);
             let text = String::from_utf8_lossy(&bytes);
-            if let Ok(bvh) = radome_sim::actor::bvh::parse_bvh(&text) {
+            if let Ok(bvh) = radome_sim::people::bvh::parse_bvh(&text) {
                 let wide: usize = bvh.joints.iter().map(|j| j.channels.len()).sum();
                 proptest::prop_assert!(bvh.frames.iter().all(|f| f.len() == wide && f.iter().all(|n| n.is_finite())));
                 let parents_first = bvh.joints.iter().enumerate().all(|(i, j)| j.parent.is_none_or(|p| p < i));

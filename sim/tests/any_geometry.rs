@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
-use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
-use radome_sim::field::pattern::Pattern;
+use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
+use radome_sim::em::pattern::Pattern;
 use radome_sim::path_list::{ListedPath, PathList, PathListOptions};
 use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundings};
-use radome_sim::stage::Stage;
+use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::common::{self, WAVENUMBER, scene};
@@ -87,12 +87,12 @@ fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
 fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
     let folder = tempfile::tempdir().expect("a folder");
     let of_box = made(&box_keys("plasterboard"), WALKER, folder.path());
-    assert!(matches!(Stage::new(&of_box, 1, 10.0).room, Surroundings::Box(_)));
+    assert!(matches!(PreparedScene::new(&of_box, 1, 10.0).room, Surroundings::Box(_)));
     // Paths at the threshold are in one list or the other.
     let [expected, wider] = [10.0, 13.0].map(|margin_db| listed(&of_box, margin_db));
     assert!(expected.len() > 20, "{} paths", expected.len());
     for (name, scene) in rooms_of_faces(WALKER, folder.path()) {
-        assert!(matches!(Stage::new(&scene, 1, 10.0).room, Surroundings::Polygons(_)), "{name}");
+        assert!(matches!(PreparedScene::new(&scene, 1, 10.0).room, Surroundings::Polygons(_)), "{name}");
         assert_among(&expected, &listed(&scene, 13.0), name);
         assert_among(&listed(&scene, 10.0), &wider, name);
     }
@@ -123,12 +123,12 @@ fn a_mesh_that_is_a_box_is_one() {
     let quads = faces([0.0; 3], SIZE_M);
     std::fs::write(folder.path().join("room.stl"), stl(&triangles(&quads), 1.0)).expect("written");
     let keys = "[[room.mesh]]\nfile = \"room.stl\"\nmaterial = \"plasterboard\"\nunit = \"m\"\nup = \"z\"\n";
-    let room = |keys: &str| Stage::new(&made(keys, WALKER, folder.path()), 1, 10.0).room;
+    let room = |keys: &str| PreparedScene::new(&made(keys, WALKER, folder.path()), 1, 10.0).room;
     assert!(matches!(room(keys), Surroundings::Box(_)));
     assert!(matches!(room(&format!("solver = \"rays\"\n{keys}")), Surroundings::Polygons(_)));
-    assert!(matches!(Stage::new(&scene("room-mesh"), 1, 10.0).room, Surroundings::Polygons(_)));
+    assert!(matches!(PreparedScene::new(&scene("room-mesh"), 1, 10.0).room, Surroundings::Polygons(_)));
     let by_images = changed("room-mesh", &[("[[room.mesh]]", "[room]\nsolver = \"images\"\n[[room.mesh]]")]);
-    assert!(matches!(Stage::new(&by_images, 1, 10.0).room, Surroundings::Box(_)));
+    assert!(matches!(PreparedScene::new(&by_images, 1, 10.0).room, Surroundings::Box(_)));
 }
 
 /// Loudest path whose surfaces are these, by the first receiver.
@@ -179,7 +179,7 @@ fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
 #[test]
 fn l_corridors_have_frames() {
     let simulator = common::simulator(&scene("l-corridor"), 2, None);
-    let (_, report) = simulator.render_with_report(5);
+    let (_, report) = simulator.frame_with_report(5);
     assert!(report.static_paths > 3 && report.moving_paths > 3, "{report:?}");
     for frame in [20, 52] {
         let power: f64 = simulator.echo_samples(frame).iter().map(|&x| f64::from(x).powi(2)).sum();
@@ -187,25 +187,25 @@ fn l_corridors_have_frames() {
     }
 }
 
-fn polygons(scene: &Scene) -> Stage {
-    let stage = Stage::new(scene, 1, 10.0);
-    assert!(matches!(stage.room, Surroundings::Polygons(_)));
-    stage
+fn polygons(scene: &Scene) -> PreparedScene {
+    let prepared = PreparedScene::new(scene, 1, 10.0);
+    assert!(matches!(prepared.room, Surroundings::Polygons(_)));
+    prepared
 }
 
 /// Field of the transmitter's image at a point over that of its pattern, dB.
-fn seen_db(stage: &Stage, index: ImageIndex, point: DVec3) -> f64 {
-    let lit = stage.room.illuminate(&stage.tx, index, point);
-    let towards = stage.tx.radar_from_world * (point - stage.tx.position).normalize();
-    20.0 * (lit.field.magnitude() / stage.tx.pattern.field(towards)).max(1e-15).log10()
+fn seen_db(prepared: &PreparedScene, index: ImageIndex, point: DVec3) -> f64 {
+    let lit = prepared.room.illuminate(&prepared.tx, index, point);
+    let towards = prepared.tx.radar_from_world * (point - prepared.tx.position).normalize();
+    20.0 * (lit.field.magnitude() / prepared.tx.pattern.field(towards)).max(1e-15).log10()
 }
 
 /// The images by whose first reflection at a surface of this name a point is lit.
-fn lit_by(stage: &Stage, name: &str, point: DVec3) -> Vec<ImageIndex> {
-    let of_first = stage.room.images(1).into_iter().skip(1);
+fn lit_by(prepared: &PreparedScene, name: &str, point: DVec3) -> Vec<ImageIndex> {
+    let of_first = prepared.room.images(1).into_iter().skip(1);
     let is_lit = |index: &ImageIndex| {
-        let way = stage.room.polyline(*index, stage.tx.position, point);
-        way.get(1).filter(|_| way.len() == 3).is_some_and(|at| stage.room.surface_names(*at).contains(&name))
+        let way = prepared.room.polyline(*index, prepared.tx.position, point);
+        way.get(1).filter(|_| way.len() == 3).is_some_and(|at| prepared.room.surface_names(*at).contains(&name))
     };
     of_first.filter(is_lit).collect()
 }
@@ -213,37 +213,37 @@ fn lit_by(stage: &Stage, name: &str, point: DVec3) -> Vec<ImageIndex> {
 /// Through the gap all is seen, through the wall what plasterboard leaves, through the leaf what wood leaves; the leaf mirrors.
 #[test]
 fn a_half_open_door_shows_a_gap_and_mirrors() {
-    let stage = polygons(&scene("half-open-door"));
+    let prepared = polygons(&scene("half-open-door"));
     let direct = [0; 3];
-    let gap_db = seen_db(&stage, direct, DVec3::new(5.0, 2.3, 1.3));
+    let gap_db = seen_db(&prepared, direct, DVec3::new(5.0, 2.3, 1.3));
     assert!(gap_db.abs() < 2.0, "{gap_db}");
-    let wall_db = seen_db(&stage, direct, DVec3::new(5.0, 3.6, 1.3));
+    let wall_db = seen_db(&prepared, direct, DVec3::new(5.0, 3.6, 1.3));
     assert!((-9.0..-3.0).contains(&wall_db), "{wall_db}");
-    let leaf_db = seen_db(&stage, direct, DVec3::new(5.0, 1.6, 1.3));
+    let leaf_db = seen_db(&prepared, direct, DVec3::new(5.0, 1.6, 1.3));
     assert!((-40.0..-10.0).contains(&leaf_db), "{leaf_db}");
     let mirrored = DVec3::new(3.3, 0.8, 1.3);
-    let [image] = lit_by(&stage, "door in partition 0", mirrored)[..] else { panic!("no image in the leaf") };
-    let length_m = stage.room.illuminate(&stage.tx, image, mirrored).distance_m;
+    let [image] = lit_by(&prepared, "door in partition 0", mirrored)[..] else { panic!("no image in the leaf") };
+    let length_m = prepared.room.illuminate(&prepared.tx, image, mirrored).distance_m;
     // The leaf lies in the plane x + y = 5, which changes x and y of the transmitter to 5 less the other.
-    let tx = stage.tx.position;
+    let tx = prepared.tx.position;
     let expected_m = DVec3::new(5.0 - tx.y, 5.0 - tx.x, tx.z).distance(mirrored);
     assert!((length_m - expected_m).abs() < 1e-6, "{length_m} {expected_m}");
 }
 
 #[test]
 fn a_metal_cupboard_shadows_and_mirrors() {
-    let stage = polygons(&scene("cupboard"));
-    assert!(seen_db(&stage, [0; 3], DVec3::new(4.9, 2.0, 1.0)) < -20.0);
-    assert!(seen_db(&stage, [0; 3], DVec3::new(2.3, 1.6, 1.2)).abs() < 0.5);
+    let prepared = polygons(&scene("cupboard"));
+    assert!(seen_db(&prepared, [0; 3], DVec3::new(4.9, 2.0, 1.0)) < -20.0);
+    assert!(seen_db(&prepared, [0; 3], DVec3::new(2.3, 1.6, 1.2)).abs() < 0.5);
     let before = DVec3::new(2.3, 1.6, 1.2);
-    let [image] = lit_by(&stage, "cupboard x_low", before)[..] else { panic!("no image in the cupboard") };
-    let lit = stage.room.illuminate(&stage.tx, image, before);
-    let tx = stage.tx.position;
+    let [image] = lit_by(&prepared, "cupboard x_low", before)[..] else { panic!("no image in the cupboard") };
+    let lit = prepared.room.illuminate(&prepared.tx, image, before);
+    let tx = prepared.tx.position;
     let expected_m = DVec3::new(6.4 - tx.x, tx.y, tx.z).distance(before);
     assert!((lit.distance_m - expected_m).abs() < 1e-6);
     // Metal mirrors all of the field, but for what its edges take.
-    let towards = stage.tx.radar_from_world * DVec3::new(-lit.direction.x, lit.direction.y, lit.direction.z);
-    let part = lit.field.magnitude() / stage.tx.pattern.field(towards);
+    let towards = prepared.tx.radar_from_world * DVec3::new(-lit.direction.x, lit.direction.y, lit.direction.z);
+    let part = lit.field.magnitude() / prepared.tx.pattern.field(towards);
     assert!((part - 1.0).abs() < 0.2, "{part}");
     // Its faces are not points as well.
     let list = PathList::new(&scene("cupboard"), &PathListOptions { people: Some(0), ..Default::default() });
@@ -291,15 +291,15 @@ fn behind_a_glass_wall_somebody_is_seen() {
     // Some 8 dB of glass, twice.
     let lost_db = 10.0 * (through / free).log10();
     assert!((-30.0..-4.0).contains(&lost_db), "{lost_db}");
-    let stage = polygons(&scene("glass-wall"));
+    let prepared = polygons(&scene("glass-wall"));
     let behind = DVec3::new(6.0, 2.0, 1.2);
-    assert!(!lit_by(&stage, "wall 1", behind).is_empty(), "by the wall behind");
+    assert!(!lit_by(&prepared, "wall 1", behind).is_empty(), "by the wall behind");
 }
 
 #[test]
 fn an_office_of_ten_thousand_triangles_is_simulated() {
     let simulator = common::simulator(&scene("open-plan"), 1, None);
-    let (frame, report) = simulator.render_with_report(3);
+    let (frame, report) = simulator.frame_with_report(3);
     assert!(report.static_paths > 0 && report.moving_paths > 0, "{report:?}");
     assert!(frame.codes.iter().any(|&code| code != frame.codes[0]));
 }

@@ -3,24 +3,28 @@
 use std::collections::HashMap;
 
 use num_complex::Complex64;
-use radome_sim::actor::body::{CHEST, SEGMENTS};
-use radome_sim::actor::motion::Motion;
 use radome_sim::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths};
-use radome_sim::program::Program;
-use radome_sim::stage::Stage;
+use radome_sim::people::body::{CHEST, SEGMENTS};
+use radome_sim::people::motion::Motion;
+use radome_sim::prepared_scene::PreparedScene;
+use radome_sim::scenario::Scenario;
 
 use crate::common;
 
 const FRAME_S: f64 = 0.064;
 
-/// Counts a person's highlights in a frame: all, those that are kept, and those that are heard.
-fn count(stage: &Stage, motion: &Motion, start_s: f64) -> [usize; 3] {
+/// Counts a person's specular points in a frame: all, those that are kept, and those that are heard.
+fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] {
     let instants_s = [0.0, 0.5, 1.0].map(|part| start_s + part * FRAME_S);
-    let kept = audible_paths(stage, motion, &instants_s);
-    assert_eq!(kept.first().map(|first| first.pair), stage.body_pairs.first().copied(), "the direct pair is the first");
-    let all = Paths::new(stage, motion, 0, &stage.body_pairs);
+    let kept = audible_paths(prepared, motion, &instants_s);
+    assert_eq!(
+        kept.first().map(|first| first.pair),
+        prepared.body_pairs.first().copied(),
+        "the direct pair is the first"
+    );
+    let all = Paths::new(prepared, motion, 0, &prepared.body_pairs);
     let mut heard = 0;
-    for (number, &pair) in stage.body_pairs.iter().enumerate() {
+    for (number, &pair) in prepared.body_pairs.iter().enumerate() {
         for segment in 0..SEGMENTS {
             let is_kept = kept.iter().any(|kept| kept.pair == pair && kept.has(segment));
             let strongest = instants_s.map(|time_s| {
@@ -29,14 +33,14 @@ fn count(stage: &Stage, motion: &Motion, start_s: f64) -> [usize; 3] {
                 keys.first().map_or(0.0, |key| key.amplitude.norm())
             });
             let strongest = strongest.into_iter().fold(0.0, f64::max);
-            let is_heard = strongest > HEARD * stage.threshold_lsb;
-            let over = strongest / stage.threshold_lsb;
+            let is_heard = strongest > HEARD * prepared.threshold_lsb;
+            let over = strongest / prepared.threshold_lsb;
             assert!(is_kept || !is_heard, "{pair:?} {segment} at {start_s} s: {over} of the threshold");
             heard += usize::from(is_heard);
         }
     }
     let kept = kept.iter().map(|pair| pair.segments.count_ones() as usize).sum();
-    [stage.body_pairs.len() * SEGMENTS, kept, heard]
+    [prepared.body_pairs.len() * SEGMENTS, kept, heard]
 }
 
 /// Walkers, sitters and passers-by in rooms of several sizes and walls: whatever is heard is kept, and something is left out.
@@ -46,12 +50,12 @@ fn what_is_heard_is_kept() {
         let mut sums = [0; 3];
         for seed in seeds {
             let scene = common::scene(name).drawn(seed).expect("a scene");
-            let stage = Stage::new(&scene, seed, 10.0);
-            let program = Program::new(&scene, seed, None);
+            let prepared = PreparedScene::new(&scene, seed, 10.0);
+            let scenario = Scenario::new(&scene, seed, None);
             for i in 0..24 {
                 let start_s = 2.0 + 1.37 * f64::from(i);
-                for (_, motion) in program.between(start_s, start_s + FRAME_S) {
-                    let counts = count(&stage, &motion, start_s);
+                for (_, motion) in scenario.between(start_s, start_s + FRAME_S) {
+                    let counts = count(&prepared, &motion, start_s);
                     sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
                 }
             }
@@ -62,30 +66,30 @@ fn what_is_heard_is_kept() {
     }
 }
 
-/// Of somebody at an instant in a room of plane faces, power: of all highlights by pairs of images that geometry does not rule
+/// Of somebody at an instant in a room of plane faces, power: of all specular points by pairs of images that geometry does not rule
 /// out, each past what is in its own way; of those that are heard but left out by frames; and of the difference to those that
 /// frames have, which share what is in the way of a segment. Also how many pairs there are and how many are kept.
-fn compared(stage: &Stage, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
+fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
     let people = [Snapshot::new(motion, time_s)];
     let middle = people[0].body[CHEST].centre;
-    let reach = |e: &radome_sim::field::highlight::Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
+    let reach = |e: &radome_sim::em::specular::Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
     let reach_m = people[0].body.iter().map(reach).fold(0.0, f64::max);
-    let mut pairs = stage.pairs_near(middle, reach_m).into_owned();
-    let kept = audible_paths(stage, motion, &[time_s; 3]);
+    let mut pairs = prepared.pairs_near(middle, reach_m).into_owned();
+    let kept = audible_paths(prepared, motion, &[time_s; 3]);
     let counts = [pairs.len(), kept.len()];
     pairs.retain(|(p, q)| !only_direct || *p == [0; 3] || *q == [0; 3]);
 
-    let of_frame = Paths::new(stage, motion, 0, &kept);
-    let highlights =
+    let of_frame = Paths::new(prepared, motion, 0, &kept);
+    let specular_points =
         kept.iter().flat_map(|kept| (0..SEGMENTS).filter(move |&s| kept.has(s)).map(move |s| (kept.pair, s)));
-    let highlights: Vec<_> = highlights.collect();
-    assert_eq!(of_frame.count(), highlights.len(), "nobody of these sits at a desk");
-    let asked: Vec<_> = (0..highlights.len()).map(|path| (path, None)).collect();
+    let specular_points: Vec<_> = specular_points.collect();
+    assert_eq!(of_frame.count(), specular_points.len(), "nobody of these sits at a desk");
+    let asked: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();
     let met = of_frame.meet(&asked, &people, &mut EchoReport::default());
     let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));
-    let shared: HashMap<_, Complex64> = highlights.into_iter().zip(amplitudes).collect();
+    let shared: HashMap<_, Complex64> = specular_points.into_iter().zip(amplitudes).collect();
 
-    let each = Paths::new(stage, motion, 0, &pairs);
+    let each = Paths::new(prepared, motion, 0, &pairs);
     let mut powers = [0.0; 3];
     for (number, &pair) in pairs.iter().enumerate() {
         for segment in 0..SEGMENTS {
@@ -95,7 +99,7 @@ fn compared(stage: &Stage, motion: &Motion, time_s: f64, only_direct: bool) -> (
             powers[0] += own.norm_sqr();
             match shared.get(&(pair, segment)) {
                 Some(shared) => powers[2] += (own - shared).norm_sqr(),
-                None if own.norm() > HEARD * stage.threshold_lsb => powers[1] += own.norm_sqr(),
+                None if own.norm() > HEARD * prepared.threshold_lsb => powers[1] += own.norm_sqr(),
                 None => {}
             }
         }
@@ -113,13 +117,13 @@ fn db(part: f64, all: f64) -> f64 {
 fn faces_in_the_way_leave_out_what_is_not_heard() {
     for name in ["cupboard", "half-open-door", "glass-wall", "l-corridor"] {
         let scene = common::scene(name).drawn(1).expect("a scene");
-        let stage = Stage::new(&scene, 1, 10.0);
-        let program = Program::new(&scene, 1, None);
+        let prepared = PreparedScene::new(&scene, 1, 10.0);
+        let scenario = Scenario::new(&scene, 1, None);
         let mut sums = [0.0; 3];
         for i in 0..8 {
             let time_s = 0.3 + 0.7 * f64::from(i);
-            for (_, motion) in program.between(time_s, time_s) {
-                let (powers, _) = compared(&stage, &motion, time_s, false);
+            for (_, motion) in scenario.between(time_s, time_s) {
+                let (powers, _) = compared(&prepared, &motion, time_s, false);
                 sums.iter_mut().zip(powers).for_each(|(sum, power)| *sum += power);
             }
         }
@@ -134,11 +138,11 @@ fn faces_in_the_way_leave_out_what_is_not_heard() {
 #[test]
 fn in_an_office_few_images_are_seen() {
     let scene = common::scene("open-plan").drawn(1).expect("a scene");
-    let stage = Stage::new(&scene, 1, 10.0);
-    let program = Program::new(&scene, 1, None);
+    let prepared = PreparedScene::new(&scene, 1, 10.0);
+    let scenario = Scenario::new(&scene, 1, None);
     for time_s in [1.0, 4.0] {
-        for (_, motion) in program.between(time_s, time_s) {
-            let ([all, left_out, apart], [pairs, kept]) = compared(&stage, &motion, time_s, true);
+        for (_, motion) in scenario.between(time_s, time_s) {
+            let ([all, left_out, apart], [pairs, kept]) = compared(&prepared, &motion, time_s, true);
             assert!(kept < pairs / 4, "at {time_s} s {kept} of {pairs} kept");
             assert!(db(left_out, all) < -24.6, "at {time_s} s {:.1} dB left out", db(left_out, all));
             assert!(db(apart, all) < -24.6, "at {time_s} s {:.1} dB apart", db(apart, all));
@@ -150,10 +154,10 @@ fn in_an_office_few_images_are_seen() {
 #[test]
 fn plain_pairs_leave_nothing_out() {
     let scene = common::scene("corridor");
-    let stage = Stage::new(&scene, 1, 10.0);
-    let program = Program::new(&scene, 1, None);
+    let prepared = PreparedScene::new(&scene, 1, 10.0);
+    let scenario = Scenario::new(&scene, 1, None);
     let mut seconds = (0..100).map(f64::from);
-    let motion = seconds.find_map(|time_s| program.between(time_s, time_s).pop()).map(|(_, motion)| motion);
+    let motion = seconds.find_map(|time_s| scenario.between(time_s, time_s).pop()).map(|(_, motion)| motion);
     let motion = motion.expect("somebody comes");
-    assert_eq!(Paths::new(&stage, &motion, 0, &stage.body_pairs).count(), stage.body_pairs.len() * SEGMENTS);
+    assert_eq!(Paths::new(&prepared, &motion, 0, &prepared.body_pairs).count(), prepared.body_pairs.len() * SEGMENTS);
 }

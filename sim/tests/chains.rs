@@ -1,4 +1,4 @@
-//! By way of a body and a wall: highlights for pairs of image antennas against physical optics over the whole body, lit by
+//! By way of a body and a wall: specular points for pairs of image antennas against physical optics over the whole body, lit by
 //! one image and heard by the other, chirp by chirp.
 #![allow(clippy::print_stderr)]
 
@@ -7,23 +7,23 @@ use std::f64::consts::{PI, TAU};
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
-use radome_sim::actor::body::CHEST;
-use radome_sim::actor::motion::{MotionBuilder, Person};
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
-use radome_sim::field::current::{Arrival, Listener, heard};
-use radome_sim::field::highlight::Ellipsoid;
-use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
-use radome_sim::field::pattern::Pattern;
+use radome_sim::em::current::{Arrival, Listener, heard};
+use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
+use radome_sim::em::pattern::Pattern;
+use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::slow_time::{Bend, Key, Stretch};
-use radome_sim::stage::Stage;
+use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
+use radome_sim::people::body::CHEST;
+use radome_sim::people::motion::{MotionBuilder, Person};
+use radome_sim::prepared_scene::PreparedScene;
 use rayon::prelude::*;
 
 use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
 const FRAME_S: f64 = 0.064;
 
-/// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the highlight's closed form.
+/// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the specular point's closed form.
 fn bounce(
     room: &BoxRoom,
     (tx, p): (&Element, ImageIndex),
@@ -31,7 +31,7 @@ fn bounce(
     body: &Ellipsoid,
 ) -> (Complex64, f64) {
     let (source, sink) = (room.image_position(p, tx.position), room.image_position(q, rx.position));
-    let h = body.highlight(source, sink, None).expect("visible");
+    let h = body.specular_point(source, sink, None).expect("visible");
     let there = room.illuminate(tx, p, h.point);
     let back = room.illuminate(rx, q, h.point);
     let (r_t, r_r) = h.distances_m;
@@ -75,7 +75,7 @@ impl Chain {
     }
 
     /// See [`bounce`].
-    fn highlight(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> (Complex64, f64) {
+    fn specular_point(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> (Complex64, f64) {
         bounce(&self.room, (&self.tx, p), (&self.rx, q), &self.body(time_s))
     }
 
@@ -83,14 +83,14 @@ impl Chain {
     fn at_keys(&self, p: ImageIndex, q: ImageIndex) -> impl Fn(f64) -> Complex64 {
         let (step_s, h, apart_s) = (0.5 * FRAME_S, 1e-4, 1e-3);
         let key = |t: f64| {
-            let (amplitude, length_m) = self.highlight(p, q, t);
-            let rate = (self.highlight(p, q, t + h).1 - self.highlight(p, q, t - h).1) / (2.0 * h);
+            let (amplitude, length_m) = self.specular_point(p, q, t);
+            let rate = (self.specular_point(p, q, t + h).1 - self.specular_point(p, q, t - h).1) / (2.0 * h);
             let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
-            Key { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
+            PathSample { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
         };
         let [first, middle, last] = [0.0, step_s, 2.0 * step_s]
-            .map(|t| (key(t), Bend::between(&key(t - apart_s), &key(t), &key(t + apart_s), apart_s)));
-        let found = [Stretch::between(&first, &middle, step_s), Stretch::between(&middle, &last, step_s)];
+            .map(|t| (key(t), PathDerivatives::between(&key(t - apart_s), &key(t), &key(t + apart_s), apart_s)));
+        let found = [PathSegment::between(&first, &middle, step_s), PathSegment::between(&middle, &last, step_s)];
         move |time_s| {
             let stretch = usize::from(time_s >= step_s);
             let u = time_s / step_s - stretch as f64;
@@ -196,17 +196,17 @@ fn the_simulators_echoes_are_the_closed_form() {
         .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");
     let scene = parse(&text);
-    let (room, stage) = (scene.room(), Stage::new(&scene, 0, 20.0));
+    let (room, prepared) = (scene.room(), PreparedScene::new(&scene, 0, 20.0));
     let motion = MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, [4.0, 1.0], 3.0).stand(9.0).stay();
     let people = [Snapshot::new(&motion, 1.0)];
-    let (tx, rx) = (stage.tx, stage.rx[0]);
+    let (tx, rx) = (prepared.tx, prepared.rx[0]);
     for pair in [([0; 3], [0, -1, 0]), ([0, -1, 0], [0; 3]), ([0, -1, 0], [0, -1, 0]), ([0; 3], [0; 3])] {
         let mut keys = Vec::new();
-        echoes(&stage, &motion, &people, 0, &[pair], &mut keys, &mut EchoReport::default());
-        let key = keys[CHEST * stage.rx.len()];
+        echoes(&prepared, &motion, &people, 0, &[pair], &mut keys, &mut EchoReport::default());
+        let key = keys[CHEST * prepared.rx.len()];
         let (field, length_m) = bounce(&room, (&tx, pair.0), (&rx, pair.1), &people[0].body[CHEST]);
-        let aperture = stage.wavelength_m / (4.0 * PI) * motion.person.cloth[CHEST];
-        let expected = stage.at_adc(0, field * aperture, stage.chirp.beat_hz(key.delay_s, key.delay_rate));
+        let aperture = prepared.wavelength_m / (4.0 * PI) * motion.person.cloth[CHEST];
+        let expected = prepared.at_adc(0, field * aperture, prepared.chirp.beat_hz(key.delay_s, key.delay_rate));
         assert!((key.amplitude / expected - 1.0).norm() < 1e-6, "{pair:?}: {} {expected}", key.amplitude);
         assert!((key.delay_s * SPEED_OF_LIGHT_M_PER_S - length_m).abs() < 1e-9, "{pair:?}");
     }

@@ -19,11 +19,11 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 use num_complex::Complex;
-use radome_sim::field::image::{BoxRoom, Wall};
+use radome_sim::em::image::{BoxRoom, Wall};
 use radome_sim::geometry::Mesh;
 use radome_sim::random::{Purpose, generator};
+use radome_sim::rays::{Ray, World};
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone, exact_chirp};
-use radome_sim::trace::{Ray, World};
 use rand::Rng;
 
 use crate::common::WAVENUMBER;

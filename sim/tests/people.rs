@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use radome_dsp::Frame;
-use radome_sim::actor::body::{CHEST, PELVIS};
-use radome_sim::actor::motion::{Bed, Motion, MotionBuilder, Person};
-use radome_sim::actor::skin::EDGE_M;
-use radome_sim::actor::walking_mesh::WalkingMesh;
-use radome_sim::program::Program;
+use radome_sim::people::body::{CHEST, PELVIS};
+use radome_sim::people::motion::{Bed, Motion, MotionBuilder, Person};
+use radome_sim::people::skin::EDGE_M;
+use radome_sim::people::walking_mesh::WalkingMesh;
+use radome_sim::scenario::Scenario;
 use radome_sim::scene_file::{BodyFile, SceneFile};
 use radome_sim::{Scene, Simulator};
 
@@ -252,7 +252,7 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
     let (mut from_furniture, mut from_walls) = (f64::INFINITY, f64::INFINITY);
     let mut t = 0.0;
     while t < until_s {
-        for (_, motion) in Program::new(scene, seed, None).between(t, t) {
+        for (_, motion) in Scenario::new(scene, seed, None).between(t, t) {
             let p = motion.body(t)[PELVIS].centre;
             // On seats and beds, and in doorways, they may be where they are.
             let seated = file.seat.iter().any(|s| near(p, s.position_m, 0.55));
@@ -313,7 +313,7 @@ const WALKS: &str = "[people]\nactor = [{ step = [{ walk_to_m = [3.0, 10.2] }, {
 
 fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
     let simulator = simulator(scene, seed, None);
-    (20..22).flat_map(|i| simulator.render(i).codes).collect()
+    (20..22).flat_map(|i| simulator.frame(i).codes).collect()
 }
 
 /// Nothing that is not asked for changes a byte, for both kinds of bodies; what is asked for does, and by the seed alone.
@@ -331,7 +331,7 @@ fn what_is_off_leaves_every_byte_as_it_was() {
 
 /// Strongest cell around somebody's range over the median of the map, dB.
 fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
-    let rendered: Frame = simulator.render(frame);
+    let rendered: Frame = simulator.frame(frame);
     let map = map_db(&rendered, 0);
     let ranges = rendered.shape.samples / 2;
     let person = simulator.people(frame)[0];

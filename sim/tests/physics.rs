@@ -5,10 +5,10 @@ use std::f64::consts::TAU;
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
 use radome_sim::material::Material;
+use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::receiver::adc::quantise;
 use radome_sim::receiver::budget::Filters;
 use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
-use radome_sim::stage::Stage;
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
 
@@ -25,7 +25,7 @@ fn who_walks_away_has_positive_velocity_at_the_right_range() {
     for (from, to, sign) in [(4.0, 9.0, 1.0), (9.0, 4.0, -1.0)] {
         let scene = parse(&walker(from, to, 1.2));
         let simulator = simulator(&scene, 3, None);
-        let frame = simulator.render(20);
+        let frame = simulator.frame(20);
         let (doppler, range) = peak(&map_db(&frame, 0), 128);
         let w = scene.waveform();
         let velocity = (doppler as f64 - 64.0) * w.velocity_step_m_per_s(128);
@@ -51,14 +51,14 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
         .replace("[receiver.noise]", "[receiver.antenna]\nside_lobe_floor_db = 0.0\n[receiver.noise]")
         .replace("[room]", "[room]\nmax_reflections = 1");
     let scene = parse(&text);
-    let stage = Stage::new(&scene, 0, 40.0);
-    assert_eq!(stage.static_paths.len(), 2);
+    let prepared = PreparedScene::new(&scene, 0, 40.0);
+    assert_eq!(prepared.static_paths.len(), 2);
 
     // As simulated: in-phase and quadrature through the sampled synthesis; where is the envelope least?
     let synthesiser = Synthesiser::new(256);
     let quadrature = |turn: Complex<f32>| {
         let mut grid = synthesiser.grid();
-        for path in &stage.static_paths {
+        for path in &prepared.static_paths {
             let (phase_cycles, cycles_per_sample, a) = path.tones[0];
             let amplitude = Complex::new(a.re as f32, a.im as f32) * turn;
             synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
@@ -121,10 +121,10 @@ fn level_follows_the_radar_equation_with_the_fourth_power() {
              cross_section_dbsm = 0.0\npoints = 1\n{NOBODY}"
         ));
         let scene = parse(&text);
-        let stage = Stage::new(&scene, 0, 20.0);
-        assert_eq!(stage.static_paths.len(), 1);
-        let tone = stage.static_paths[0].tones[0];
-        let lsb = tone.2.norm() / stage.filters.response(tone.1 * scene.waveform().sample_rate_hz).norm();
+        let prepared = PreparedScene::new(&scene, 0, 20.0);
+        assert_eq!(prepared.static_paths.len(), 1);
+        let tone = prepared.static_paths[0].tones[0];
+        let lsb = tone.2.norm() / prepared.filters.response(tone.1 * scene.waveform().sample_rate_hz).norm();
         // 4 dBm + 3.5 + 3.5 dBi, 14 + 33 dB to 50 ohm, 1.31 V over 4096 codes.
         let wavelength = scene.waveform().wavelength_m();
         let received_dbm = 4.0 + 7.0 + 20.0 * wavelength.log10() - 30.0 * (2.0 * TAU).log10() - 40.0 * range.log10();
@@ -145,7 +145,7 @@ fn empty_maps_are_exponential_noise() {
     let simulator = simulator(&scene, 5, Some(0));
     let mut all = Vec::new();
     for index in 0..6 {
-        let map = map_db(&simulator.render(index), 0);
+        let map = map_db(&simulator.frame(index), 0);
         // Zero Doppler has lost its mean, bin 0 is not one-sided.
         all.extend(
             map.chunks(128).enumerate().filter(|(d, _)| d.abs_diff(64) > 1).flat_map(|(_, row)| row[2..].to_vec()),
@@ -224,10 +224,10 @@ fn far_walls_fold_as_the_chip_folds_them() {
             .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
             .replace("if_gain_db = 33.0", "if_gain_db = 60.0"),
     );
-    let stage = Stage::new(&scene, 0, 20.0);
-    let (_, cycles, _) = stage.static_paths[0].tones[0];
+    let prepared = PreparedScene::new(&scene, 0, 20.0);
+    let (_, cycles, _) = prepared.static_paths[0].tones[0];
     assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
-    let frame = simulator(&scene, 0, Some(0)).render(0);
+    let frame = simulator(&scene, 0, Some(0)).frame(0);
     let fft = radome_dsp::spectrum::real_fft(256);
     let mut x: Vec<f64> = frame
         .chirp(0, 0)
@@ -267,7 +267,7 @@ fn a_person_in_front_shades_the_one_behind() {
             "[people]\nactor = [{{ step = [{{ walk_to_m = [4.0, {front_y}] }}] }},\n\
              {{ step = [{{ walk_to_m = [9.0, 10.0] }}, {{ walk_to_m = [7.0, 10.0], speed_m_per_s = 1.0 }}] }}]\n"
         ));
-        let map = map_db(&simulator(&parse(&text), 2, None).render(10), 0);
+        let map = map_db(&simulator(&parse(&text), 2, None).frame(10), 0);
         // Cells about the walker behind: 6.5 to 8.5 m, approaching.
         (10..58)
             .flat_map(|d| (38..50).map(move |r| (d, r)))
@@ -297,17 +297,17 @@ mod hard_cases {
     #[test]
     fn somebody_at_five_centimetres_and_somebody_walking_through_the_radar() {
         let close = hall("[people]\nactor = [{ step = [{ walk_to_m = [1.17, 10.0] }] }]\n");
-        let (frame, report) = simulator(&parse(&close), 4, None).render_with_report(0);
+        let (frame, report) = simulator(&parse(&close), 4, None).frame_with_report(0);
         assert!(report.clamped > 0, "{report:?}");
         assert!(frame.codes.iter().any(|&c| c.abs_diff(2048) > 15), "a strong echo");
         let through = parse(&walker(3.0, -1.5, 1.0));
         let simulator = simulator(&through, 4, None);
         for index in 0..50 {
-            let (frame, report) = simulator.render_with_report(index);
+            let (frame, report) = simulator.frame_with_report(index);
             assert!(report.between_keys.is_finite());
             assert_eq!(frame.codes.len(), frame.shape.codes());
         }
-        assert!((0..50).any(|i| simulator.render_with_report(i).1.clamped > 0));
+        assert!((0..50).any(|i| simulator.frame_with_report(i).1.clamped > 0));
     }
 
     /// Leakage that nearly fills the ADC does not hide a walker 90 dB below it from a map without quantisation trouble.
@@ -318,7 +318,7 @@ mod hard_cases {
             "rx = [{ dc_code = 2048.0, leakage = [{ delay_s = 0.3e-9, amplitude_lsb = 1900.0 }] },",
         );
         let scene = parse(&text);
-        let (frame, report) = simulator(&scene, 6, None).render_with_report(10);
+        let (frame, report) = simulator(&scene, 6, None).frame_with_report(10);
         assert_eq!(report.clipped, 0);
         let map = map_db(&frame, 0);
         assert!(map.iter().all(|v| v.is_finite()));

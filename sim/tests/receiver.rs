@@ -42,7 +42,7 @@ fn series(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
     let simulator = simulator(scene, seed, Some(0));
     let (mut last, mut turned, mut all) = (0.0, 0.0, Vec::new());
     for index in 0..frames {
-        let (amplitude, angle) = echo_at(scene, &simulator.render(index), 2.4);
+        let (amplitude, angle) = echo_at(scene, &simulator.frame(index), 2.4);
         turned += within_half_a_turn(angle - last);
         last = angle;
         all.push((turned, amplitude));
@@ -84,7 +84,7 @@ fn clutter_jitters_and_drifts_as_measured() {
     let left_db = |scene: &Scene| {
         let simulator = simulator(scene, 1, Some(0));
         let mut slow_time = SlowTimeStatistics::new(scene.waveform(), 10.0);
-        (0..100).for_each(|index| slow_time.push(&simulator.render(index)));
+        (0..100).for_each(|index| slow_time.push(&simulator.frame(index)));
         let bin = (2.4 / scene.waveform().range_step_m(256)).round() as usize;
         let power = |of: Option<f64>| 10.0 * of.expect("a window").log10();
         power(slow_time.moving(0, bin)) - power(slow_time.still(0, bin))
@@ -109,7 +109,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
     const BOARDS: u64 = 400;
     for seed in 0..BOARDS {
         let simulator = simulator(&scene, seed, Some(0));
-        let [before, after] = [0, 100].map(|index| simulator.render(index));
+        let [before, after] = [0, 100].map(|index| simulator.frame(index));
         let changes = [3.0, 5.0].map(|range_m| {
             let [before, after] = [&before, &after].map(|frame| echo_at(&scene, frame, range_m).1);
             within_half_a_turn(after - before)
@@ -133,7 +133,7 @@ fn a_receiver_hears_the_same_whoever_else_listens() {
             assert_eq!(some.waveform().shape().rx, last + 1);
             let (of_all, of_some) = (simulator(&all, 5, Some(people)), simulator(&some, 5, Some(people)));
             for index in [0, 60, 90, 120] {
-                let (all, some) = (of_all.render(index), of_some.render(index));
+                let (all, some) = (of_all.frame(index), of_some.frame(index));
                 assert_eq!((all.truth, some.shape), (some.truth, of_some.scene().waveform().shape()));
                 assert!(all.codes[..some.codes.len()] == some.codes, "{name}, {last} of the receivers, frame {index}");
             }
@@ -178,7 +178,7 @@ fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
     let key = format!("[receiver.phase_noise]\nlevel_dbc_per_hz = {}", noise.level_dbc_per_hz);
     let (with, without) = (wall("", &key), wall("", ""));
     assert_eq!(with.receiver().phase_noise, Some(noise));
-    let frames = [&with, &without].map(|scene| simulator(scene, 1, Some(0)).render(0));
+    let frames = [&with, &without].map(|scene| simulator(scene, 1, Some(0)).frame(0));
     let shape = with.waveform().shape();
     let per_rx = shape.chirps * shape.samples;
     let added: Vec<f64> =
@@ -217,8 +217,8 @@ fn phase_noise_of_people_follows_their_delays() {
             Simulator::new(&quiet.clone().with_receiver(receiver.clone()), options).expect("a simulator")
         };
         let with = people(&receiver, 1);
-        let (noisy, plain) = (with.render(frame), people(&noiseless, 1).render(frame));
-        let (empty_noisy, empty) = (people(&receiver, 0).render(frame), people(&noiseless, 0).render(frame));
+        let (noisy, plain) = (with.frame(frame), people(&noiseless, 1).frame(frame));
+        let (empty_noisy, empty) = (people(&receiver, 0).frame(frame), people(&noiseless, 0).frame(frame));
         let echo = with.echo_samples(frame);
         let w = quiet.waveform();
         let (shape, per_cycle) = (w.shape(), std::f64::consts::TAU * w.slope_hz_per_s / w.sample_rate_hz);

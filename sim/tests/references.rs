@@ -4,10 +4,10 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
-use radome_sim::field::fresnel::{half_space, slab};
-use radome_sim::field::highlight::Ellipsoid;
-use radome_sim::field::image::{BoxRoom, Element, Wall, images, order};
-use radome_sim::field::pattern::Pattern;
+use radome_sim::em::fresnel::{half_space, slab};
+use radome_sim::em::image::{BoxRoom, Element, Wall, images, order};
+use radome_sim::em::pattern::Pattern;
+use radome_sim::em::specular::Ellipsoid;
 
 use crate::common::{self, WAVENUMBER};
 
@@ -95,7 +95,7 @@ fn two_ray_ground_has_its_nulls_and_gains() {
         let target = DVec3::new(6.0, 20.0, row["ht"].as_f64().expect("height"));
         let free = room.illuminate(&radar, [0, 0, 0], target);
         let ground = room.illuminate(&radar, [0, 0, -1], target);
-        let at = |i: &radome_sim::field::image::Illumination| {
+        let at = |i: &radome_sim::em::image::Illumination| {
             i.field.along(DVec3::Y) * Complex64::from_polar(1.0 / i.distance_m, -WAVENUMBER * i.distance_m)
         };
         let gain_db = 40.0 * ((at(&free) + at(&ground)).norm() * free.distance_m).log10();
@@ -130,7 +130,7 @@ fn dense_physical_optics(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> Complex64 {
 }
 
 #[test]
-fn highlights_agree_with_dense_physical_optics_in_amplitude_and_phase() {
+fn specular_points_agree_with_dense_physical_optics_in_amplitude_and_phase() {
     let body = |semi_axes_m| Ellipsoid { centre: DVec3::ZERO, axes: DMat3::from_rotation_z(0.3), semi_axes_m };
     let limb = body(DVec3::new(0.05, 0.07, 0.22));
     let head = body(DVec3::new(0.09, 0.09, 0.12));
@@ -142,12 +142,12 @@ fn highlights_agree_with_dense_physical_optics_in_amplitude_and_phase() {
         (head, DVec3::new(0.9, -0.5, 0.3), DVec3::new(0.7, 0.6, 0.2)),
     ];
     for (e, tx, rx) in cases {
-        let h = e.highlight(tx, rx, None).expect("visible");
+        let h = e.specular_point(tx, rx, None).expect("visible");
         let integral = dense_physical_optics(&e, tx, rx);
         let (rt, rr) = h.distances_m;
         let ours = PI / WAVENUMBER * h.cosine / (h.det_j.sqrt() * rt * rr);
         let error_db = 20.0 * (ours / integral.norm()).log10();
-        // Apart, the sum's own border (where one of the two no longer sees the body) adds an edge that no highlight has.
+        // Apart, the sum's own border (where one of the two no longer sees the body) adds an edge that no specular point has.
         let tolerance_db = if tx == rx { 0.05 } else { 0.2 };
         assert!(error_db.abs() < tolerance_db, "{tx} {rx}: {error_db} dB");
         let phase = (integral * Complex64::from_polar(1.0, WAVENUMBER * (rt + rr))).arg();
@@ -168,7 +168,7 @@ fn near_field_cross_section_is_that_of_the_reference_bodies() {
         let b = triple("axes");
         let e = Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m: b };
         let radar = triple("dir").normalize() * (row["R0"].as_f64().expect("range") + b.max_element());
-        let h = e.highlight(radar, radar, None).expect("visible");
+        let h = e.specular_point(radar, radar, None).expect("visible");
         // The closest point: the line of sight is the normal there.
         assert!((h.normal - (radar - h.point).normalize()).length() < 1e-5);
         assert!(((h.point / b).length() - 1.0).abs() < 1e-9);
@@ -213,9 +213,9 @@ mod hard_cases {
         assert!((two / one - 2.0).norm() < 1e-6);
     }
 
-    /// The highlight must be found, once and finite, wherever the pair stands, the body's inside included.
+    /// The specular point must be found, once and finite, wherever the pair stands, the body's inside included.
     #[test]
-    fn highlights_of_touching_and_swallowed_antennas_are_finite() {
+    fn specular_points_of_touching_and_swallowed_antennas_are_finite() {
         let e = Ellipsoid {
             centre: DVec3::new(2.0, 1.0, 1.2),
             axes: DMat3::from_rotation_y(0.4),
@@ -224,7 +224,7 @@ mod hard_cases {
         let mut last: Option<f64> = None;
         for step in 0..4000 {
             let radar = e.centre + DVec3::new(1.0 - f64::from(step) * 5e-4, 0.01, 0.02);
-            let Some(h) = e.highlight(radar, radar + DVec3::Y * 0.003, None) else { continue };
+            let Some(h) = e.specular_point(radar, radar + DVec3::Y * 0.003, None) else { continue };
             let range = h.distances_m.0;
             assert!(h.det_j.is_finite() && range.is_finite() && range < 1.1, "step {step}");
             if let Some(last) = last {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use radome_sim::Scene;
-use radome_sim::field::image::Wall;
+use radome_sim::em::image::Wall;
 use radome_sim::material::Material;
 
 use crate::common;
@@ -83,7 +83,7 @@ fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
     let area_m2 = 2.0 * 0.7 * 1.5 + 0.5;
     assert!((desk.cross_section_dbsm() - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
     let simulator = common::simulator(&scene, 1, None);
-    assert!(simulator.render_with_report(0).1.static_paths > 10);
+    assert!(simulator.frame_with_report(0).1.static_paths > 10);
 }
 
 /// Walls drawn as solids have an outer face as well: the room is what lies within.

@@ -1,8 +1,8 @@
 //! Paths that are traced side by side against paths that are traced one by one.
 
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
-use radome_sim::program::Program;
-use radome_sim::stage::Stage;
+use radome_sim::prepared_scene::PreparedScene;
+use radome_sim::scenario::Scenario;
 
 use crate::common;
 
@@ -46,16 +46,16 @@ fn paths_side_by_side_are_those_one_by_one() {
         let mut sums = [0; 2];
         for seed in seeds {
             let scene = common::scene(name).drawn(seed).expect("a scene");
-            let stage = Stage::new(&scene, seed, 10.0);
-            let program = Program::new(&scene, seed, None);
+            let prepared = PreparedScene::new(&scene, seed, 10.0);
+            let scenario = Scenario::new(&scene, seed, None);
             for i in 0..12 {
                 let time_s = 2.0 + 2.74 * f64::from(i);
-                let everybody = program.between(time_s, time_s + FRAME_S);
+                let everybody = scenario.between(time_s, time_s + FRAME_S);
                 let people: Vec<Snapshot> = everybody.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
                 for (me, (_, motion)) in everybody.iter().enumerate() {
-                    let paths = Paths::new(&stage, motion, me, &stage.body_pairs);
+                    let paths = Paths::new(&prepared, motion, me, &prepared.body_pairs);
                     let at = format!("{name}, seed {seed}, person {me} at {time_s} s");
-                    let counts = compare(&paths, &people, stage.threshold_lsb, &at);
+                    let counts = compare(&paths, &people, prepared.threshold_lsb, &at);
                     sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
                 }
             }

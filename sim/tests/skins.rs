@@ -77,7 +77,7 @@ fn skins_are_dense_physical_optics_in_every_chirp() {
         let simulator = hall(tolerance_db);
         let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
         let error = relative_error(&exact, &spectra(&samples, 256));
-        let estimate_db = simulator.render_with_report(frame).1.estimate_db.expect("a skin has an estimate");
+        let estimate_db = simulator.frame_with_report(frame).1.estimate_db.expect("a skin has an estimate");
         assert!(error < most, "{tolerance_db} dB: {error}");
         assert!(
             error < last && estimate_db < last_estimate_db,
@@ -111,7 +111,7 @@ fn frames_of_skins_are_the_same_on_any_number_of_threads() {
     let frames = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
         let simulator = hall(0.5);
-        pool.install(|| [3u64, 4].map(|i| simulator.render(i).codes))
+        pool.install(|| [3u64, 4].map(|i| simulator.frame(i).codes))
     };
     assert_eq!(frames(1), frames(3));
 }
@@ -130,7 +130,7 @@ mod hard_cases {
         for frame in [0, 4, 8, 12] {
             assert!(simulator.echo_samples(frame).iter().all(|x| x.is_finite()), "frame {frame}");
         }
-        let clamped: usize = [4, 5, 6, 7, 8].map(|i| simulator.render_with_report(i).1.clamped).iter().sum();
+        let clamped: usize = [4, 5, 6, 7, 8].map(|i| simulator.frame_with_report(i).1.clamped).iter().sum();
         assert!(clamped > 0, "who walks through the radar comes nearer than 10 cm");
     }
 

@@ -4,14 +4,14 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 use num_complex::Complex64;
-use radome_sim::field::image::Wall;
-use radome_sim::field::triangle;
+use radome_sim::em::image::Wall;
+use radome_sim::em::triangle;
 use radome_sim::geometry::{Mesh, Surface, shape};
 use radome_sim::material::SKIN_PERMITTIVITY;
-use radome_sim::rcs::facet::{self, Accuracy};
-use radome_sim::rcs::link::Link;
-use radome_sim::rcs::terminal::Terminal;
-use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
+use radome_sim::validation::bistatic_path::BistaticPath;
+use radome_sim::validation::endpoint::Endpoint;
+use radome_sim::validation::facet::{self, Accuracy};
+use radome_sim::validation::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 
 use crate::common;
 
@@ -169,7 +169,7 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
     }
 }
 
-/// Meshes of every body of the reference, at its directions, against the highlight formula that dense integration confirmed.
+/// Meshes of every body of the reference, at its directions, against the specular point formula that dense integration confirmed.
 #[test]
 fn ellipsoids_on_meshes() {
     let reference = common::reference();
@@ -279,7 +279,7 @@ fn meshes_without_normals_are_what_they_look_like() {
 /// A person behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
 #[test]
 fn two_ways_through_plasterboard() {
-    use radome_sim::field::fresnel::{slab, straight_through};
+    use radome_sim::em::fresnel::{slab, straight_through};
     use radome_sim::material::Material;
     let eps = Material::Plasterboard.permittivity(60e9).expect("dielectric");
     let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -337,9 +337,9 @@ mod hard_cases {
             let mut turned = surface.clone();
             turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
             turned.normals.iter_mut().for_each(|n| *n = turn * *n);
-            let link = Link::monostatic(Terminal::Near(turn * radar), turn * DVec3::Z);
+            let path = BistaticPath::monostatic(Endpoint::Near(turn * radar), turn * DVec3::Z);
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.02 };
-            facet::integrate(&turned, accuracy, |p, n| link.sample(p, n, true, &SKIN, k)).value
+            facet::integrate(&turned, accuracy, |p, n| path.sample(p, n, true, &SKIN, k)).value
         };
         let still = integral(glam::DQuat::IDENTITY);
         for (axis, angle) in [(DVec3::X, 0.7), (DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::Y, -1.1)] {
@@ -353,11 +353,11 @@ mod hard_cases {
     fn the_scalar_path_is_the_vectors() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
-        let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
         let of =
-            |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, false, &boundary, k)).value;
+            |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| path.sample(p, n, false, &boundary, k)).value;
         let (scalar, vectors) = (of(Wall::Conductor), of(almost));
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
@@ -370,9 +370,9 @@ mod hard_cases {
         let mut shuffled = surface.clone();
         shuffled.triangles.reverse();
         shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
-        let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, false, &Wall::Conductor, k));
+        let of = |s| facet::integrate(s, accuracy, |p, n| path.sample(p, n, false, &Wall::Conductor, k));
         let (a, b) = (of(&surface), of(&shuffled));
         assert_eq!(a.facets, b.facets);
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
@@ -382,12 +382,12 @@ mod hard_cases {
     #[test]
     fn degenerate_triangles_add_nothing() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
-        let link = Link::monostatic(Terminal::Near(DVec3::new(1.0, 0.02, 0.01)), DVec3::Z);
+        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(1.0, 0.02, 0.01)), DVec3::Z);
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let plain = shape::plate(0.1, 0.1, 0.05);
         let mut worse = plain.clone();
         worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
-        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, true, &Wall::Conductor, k)).value;
+        let of = |s| facet::integrate(s, accuracy, |p, n| path.sample(p, n, true, &Wall::Conductor, k)).value;
         // 0, 1 and 2 lie in a row: no area.
         assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
         assert!(!worse.is_smooth());
@@ -399,10 +399,10 @@ mod hard_cases {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.02, 0.02, 0.02);
         for distance in [0.0, 1e-12, 1e-6, 1e-3] {
-            let link = Link::monostatic(Terminal::Near(DVec3::X * distance), DVec3::Z);
+            let path = BistaticPath::monostatic(Endpoint::Near(DVec3::X * distance), DVec3::Z);
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.2 };
             for boundary in [Wall::Conductor, SKIN] {
-                let value = facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, true, &boundary, k)).value;
+                let value = facet::integrate(&surface, accuracy, |p, n| path.sample(p, n, true, &boundary, k)).value;
                 assert!(value.is_finite(), "{distance} {boundary:?}: {value}");
             }
         }
@@ -449,7 +449,7 @@ mod hard_cases {
         }
         let problem = Problem::new(&plate(0.1), &s, Method::Facets, None).expect("valid");
         assert!(problem.solve(f64::NAN).is_err() && problem.solve(0.0).is_err());
-        assert!(Problem::new(&plate(0.1), &s, Method::Highlight, None).is_err());
+        assert!(Problem::new(&plate(0.1), &s, Method::Specular, None).is_err());
         let inside = Setup { range_m: Some(0.05), ..s };
         let corner = Target::Trihedral { edge_m: 0.1, outline: Outline::Square };
         assert!(Problem::new(&corner, &inside, Method::Images, None).is_err());

@@ -2,8 +2,8 @@
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_sim::actor::motion::{MotionBuilder, Person};
-use radome_sim::slow_time::{Bend, Key, Stretch};
+use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
+use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::{SimulateOptions, Simulator};
 
 use crate::common::{map_db, range_bin, scene, simulator, statistics};
@@ -54,7 +54,7 @@ fn a_stream_ends_after_the_frames_asked_for() {
     assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::End);
 }
 
-/// Three keys against the highlight traced at every chirp, for all segments of a fast walker.
+/// Three keys against the specular point traced at every chirp, for all segments of a fast walker.
 #[test]
 fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
     let person = Person::draw(1, [0, 0], 1.8);
@@ -63,25 +63,25 @@ fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
     let c = 299_792_458.0;
     let active_s = 0.064;
     let h = 2e-4;
-    let range = |segment: usize, t: f64| motion.body(t)[segment].highlight(radar, radar, None).expect("visible");
+    let range = |segment: usize, t: f64| motion.body(t)[segment].specular_point(radar, radar, None).expect("visible");
     for start_s in [1.0, 1.3, 1.62, 2.05] {
         for segment in 0..13 {
             let key = |t: f64| {
-                let highlight = range(segment, t);
-                let point = |t: f64| motion.body(t)[segment].surface(highlight.unit);
+                let specular_point = range(segment, t);
+                let point = |t: f64| motion.body(t)[segment].surface(specular_point.unit);
                 let velocity = (point(t + h) - point(t - h)) / (2.0 * h);
-                Key {
-                    delay_s: 2.0 * highlight.distances_m.0 / c,
-                    delay_rate: -2.0 * highlight.towards.0.dot(velocity) / c,
+                PathSample {
+                    delay_s: 2.0 * specular_point.distances_m.0 / c,
+                    delay_rate: -2.0 * specular_point.towards.0.dot(velocity) / c,
                     amplitude: Complex64::ONE,
                 }
             };
             let (step, apart_s) = (active_s / 2.0, 1e-3);
             let [first, middle, last] = [0.0, step, active_s].map(|t| {
                 let at = |t: f64| key(start_s + t);
-                (at(t), Bend::between(&at(t - apart_s), &at(t), &at(t + apart_s), apart_s))
+                (at(t), PathDerivatives::between(&at(t - apart_s), &at(t), &at(t + apart_s), apart_s))
             });
-            let two = [Stretch::between(&first, &middle, step), Stretch::between(&middle, &last, step)];
+            let two = [PathSegment::between(&first, &middle, step), PathSegment::between(&middle, &last, step)];
             for chirp in 0..128 {
                 let t = f64::from(chirp) * 0.5e-3;
                 let at = usize::from(t >= step);
@@ -127,7 +127,7 @@ fn people_keep_out_of_each_other_and_walk_at_human_speed() {
 fn corridor_maps_are_noise_until_somebody_comes() {
     let scene = scene("corridor");
     let empty = simulator(&scene, 1, Some(0));
-    let noise = map_db(&empty.render(9), 0);
+    let noise = map_db(&empty.frame(9), 0);
     let (_, sigma) = statistics(&noise);
     assert!((5.4..5.9).contains(&sigma), "{sigma}");
     let mean =
@@ -136,7 +136,7 @@ fn corridor_maps_are_noise_until_somebody_comes() {
     let busy = simulator(&scene, 1, None);
     let index =
         (0..300).find(|&i| busy.truth(i).occupancy == Occupancy::Two && busy.people(i).len() == 2).expect("two");
-    let map = map_db(&busy.render(index + 10), 0);
+    let map = map_db(&busy.frame(index + 10), 0);
     let raised = map.iter().enumerate().filter(|(i, v)| **v - floor[i % 128] > 9.0).count();
     let strongest =
         map.iter().enumerate().filter(|(i, _)| i % 128 > 2).map(|(i, v)| v - floor[i % 128]).fold(0.0, f64::max);
@@ -175,7 +175,7 @@ fn breathing_is_seen_over_half_a_minute() {
     let bin =
         (2.0 * simulator.people(0)[0].range_m * w.slope_hz_per_s / 299_792_458.0 / w.sample_rate_hz * 64.0).round();
     let phases: Vec<Complex64> =
-        (0..400).map(|i| range_bin(&simulator.render(i), bin - 3.0).iter().take(8).sum()).collect();
+        (0..400).map(|i| range_bin(&simulator.frame(i), bin - 3.0).iter().take(8).sum()).collect();
     // Centimetres are several turns at 60 GHz: unwrap, then look for the rate.
     let mut unwrapped = vec![0.0];
     for pair in phases.windows(2) {
@@ -206,9 +206,9 @@ mod hard_cases {
         let two = stream(&simulator(&scene, 11, None), 55, 9, 2);
         assert_eq!(one, two);
         let alone = simulator(&scene, 11, None);
-        assert_eq!(alone.render(60), one[5]);
-        assert_eq!(alone.render(57), one[2]);
-        let other = simulator(&scene, 12, None).render(60);
+        assert_eq!(alone.frame(60), one[5]);
+        assert_eq!(alone.frame(57), one[2]);
+        let other = simulator(&scene, 12, None).frame(60);
         assert_ne!(other.codes, one[5].codes);
         assert_eq!(one[5].sequence, 60);
         assert_eq!(one[5].time_ns, 6_000_000_000);

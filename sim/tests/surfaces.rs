@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use radome_sim::Scene;
-use radome_sim::field::image::Wall;
+use radome_sim::em::image::Wall;
 use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Owner, Sides, Surfaces};
 use rooms::{
     Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_files, gltf, is_flat, is_free, is_inner, is_wedge,
@@ -454,7 +454,7 @@ mod hard_cases {
         let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");
         let simulator =
             radome_sim::Simulator::new(&scene, radome_sim::SimulateOptions::default()).expect("a simulator");
-        assert!(simulator.render_with_report(0).1.static_paths > 0);
+        assert!(simulator.frame_with_report(0).1.static_paths > 0);
         let boxed = plan_keys(&L_SHAPE, "").replacen("floor", "solver = \"images\"\nfloor", 1);
         let message = parse(&boxed, "", Path::new("a")).map(|_| ()).expect_err("no box").to_string();
         assert!(message.contains("solver") && message.contains("[room.plan]"), "{message}");

@@ -62,7 +62,7 @@ fn a_swaying_reflector_has_the_doppler_of_its_speed() {
     let w = scene.waveform();
     let speeds: Vec<f64> = (0..40)
         .map(|index| {
-            let frame = simulator.render(index);
+            let frame = simulator.frame(index);
             assert_eq!(frame.truth.map(|truth| truth.occupancy), Some(Occupancy::Empty));
             let bins = slow_time(&scene, &frame, 3.0);
             let turn: Complex64 = bins.windows(2).map(|pair| pair[1] * pair[0].conj()).sum();
@@ -88,7 +88,7 @@ fn weak_sway_turns_a_strong_bin_within_a_frame() {
         (0..60)
             .flat_map(|seed| {
                 let simulator = simulator(scene, seed, None);
-                [0, 7].map(|index| slope_rad(&slow_time(scene, &simulator.render(index), 3.0)))
+                [0, 7].map(|index| slope_rad(&slow_time(scene, &simulator.frame(index), 3.0)))
             })
             .collect()
     };
@@ -112,7 +112,7 @@ fn sway_in_step_with_the_frames_repeats_in_each() {
                 amplitude_m = [0.0001, 0.0001]\nfrequency_hz = [10.0, 10.0]\nbandwidth = 0.0\n";
     let scene = quiet(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)));
     let simulator = simulator(&scene, 2, None);
-    let frames: Vec<Vec<Complex64>> = (0..12).map(|index| slow_time(&scene, &simulator.render(index), 3.0)).collect();
+    let frames: Vec<Vec<Complex64>> = (0..12).map(|index| slow_time(&scene, &simulator.frame(index), 3.0)).collect();
     let slopes: Vec<f64> = frames.iter().map(|bins| slope_rad(bins)).collect();
     let means: Vec<f64> = frames.iter().map(|bins| bins.iter().sum::<Complex64>().arg()).collect();
     let (_, slope_spread) = statistics(&slopes);
@@ -127,7 +127,7 @@ fn slow_over_noise_db(scene: &Scene) -> f64 {
     for seed in 0..6 {
         let simulator = simulator(scene, seed, Some(0));
         for index in [0, 9] {
-            let frame = simulator.render(index);
+            let frame = simulator.frame(index);
             let (chirps, ranges) = (frame.shape.chirps, frame.shape.samples / 2);
             let map = map_db(&frame, 0);
             let power =
@@ -169,7 +169,7 @@ fn vibration_of_the_radar_turns_all_echoes_alike() {
     let simulator = simulator(&scene, 1, None);
     let (mut near, mut far) = (Vec::new(), Vec::new());
     for index in 0..20 {
-        let frame = simulator.render(index);
+        let frame = simulator.frame(index);
         for (range_m, phases) in [(3.0, &mut near), (5.0, &mut far)] {
             let bins = slow_time(&scene, &frame, range_m);
             let mean = bins.iter().sum::<Complex64>();
@@ -198,7 +198,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
     let scene = two_posts("settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n");
     let simulator = simulator(&scene, 1, None);
     for index in [0, 5] {
-        let frame = simulator.render(index);
+        let frame = simulator.frame(index);
         for range_m in [3.0, 6.0] {
             let bins = slow_time(&scene, &frame, range_m);
             // From the first chirp to the last, six time constants later.
@@ -217,13 +217,13 @@ fn gain_drifts_and_chirps_jitter_as_asked() {
         .map(|seed| {
             let simulator = simulator(&drifting, seed, None);
             let [before, after] = [0, 100]
-                .map(|index| slow_time(&drifting, &simulator.render(index), 3.0).iter().sum::<Complex64>().norm());
+                .map(|index| slow_time(&drifting, &simulator.frame(index), 3.0).iter().sum::<Complex64>().norm());
             after / before - 1.0
         })
         .collect();
     assert!((0.05..0.2).contains(&rms(&changes)), "{changes:?}");
     let jittering = two_posts("chirp_jitter_s = 2e-8\n");
-    let frame = simulator(&jittering, 1, None).render(0);
+    let frame = simulator(&jittering, 1, None).frame(0);
     let w = jittering.waveform();
     for range_m in [3.0, 6.0] {
         let beat_hz = w.slope_hz_per_s * 2.0 * range_m / radome_dsp::SPEED_OF_LIGHT_M_PER_S;
@@ -239,7 +239,7 @@ fn a_free_spur_stands_in_one_cell() {
     let text = hall(NOBODY)
         .replace("[receiver.noise]\n", "[receiver.noise]\nspurs = 1\nspur_lsb = 2.0\nspur_phase = \"free\"\n");
     let strongest = |scene: &Scene| {
-        let map = map_db(&simulator(scene, 1, None).render(0), 0);
+        let map = map_db(&simulator(scene, 1, None).frame(0), 0);
         let mean = 10.0 * (map.iter().map(|db| 10f64.powf(0.1 * db)).sum::<f64>() / map.len() as f64).log10();
         let (most, _) = map.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).expect("cells");
         (map[most] - mean, most % 128)
@@ -264,8 +264,8 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
     let [of_edge, of_strip] = [&edge, &strip].map(|scene| simulator(scene, 1, None));
     let open = simulator(&strip, 1, Some(0));
     let level = |bins: &[Complex64]| bins.iter().sum::<Complex64>().norm() / bins.len() as f64;
-    let free = level(&slow_time(&strip, &open.render(0), 5.0));
-    assert_eq!(open.render(3), simulator(&edge, 1, Some(0)).render(3), "nobody throws no shadow");
+    let free = level(&slow_time(&strip, &open.frame(0), 5.0));
+    assert_eq!(open.frame(3), simulator(&edge, 1, Some(0)).frame(3), "nobody throws no shadow");
     let (mut beside, mut darkest) = (Vec::new(), f64::INFINITY);
     for index in 0..60 {
         let Some(person) = of_strip.people(index).first().copied() else { continue };
@@ -274,7 +274,7 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
             continue;
         }
         let bins = [(&edge, &of_edge), (&strip, &of_strip)]
-            .map(|(scene, simulator)| slow_time(scene, &simulator.render(index), 5.0));
+            .map(|(scene, simulator)| slow_time(scene, &simulator.frame(index), 5.0));
         if off_m > 0.3 {
             beside.push(bins.each_ref().map(|bins| variation(bins)));
         }
@@ -304,7 +304,7 @@ fn neutral_keys_leave_frames_as_they_are() {
     for seed in [1, 2] {
         let (plain, neutral) = (simulator(&plain, seed, Some(2)), simulator(&neutral, seed, Some(2)));
         for index in [0, 40, 80] {
-            assert!(plain.render(index) == neutral.render(index), "seed {seed}, frame {index}");
+            assert!(plain.frame(index) == neutral.frame(index), "seed {seed}, frame {index}");
         }
     }
 }
@@ -334,7 +334,7 @@ fn rooms_are_drawn_with_and_without_sway() {
         counts.insert(drawn.file().room.sway[0].reflectors);
         if seed < 4 {
             let simulator = simulator(&all, seed, Some(0));
-            assert_eq!(simulator.render(3), simulator.render(3));
+            assert_eq!(simulator.frame(3), simulator.frame(3));
         }
     }
     assert_eq!(counts.into_iter().collect::<Vec<_>>(), [0, 3, 8]);
@@ -388,7 +388,7 @@ mod hard_cases {
                      amplitude_m = [{amplitude_m}, {amplitude_m}]\nfrequency_hz = [{frequency_hz}, {frequency_hz}]\n"
                 );
                 let scene = quiet(&format!("{sway}{NOBODY}"));
-                let frame = simulator(&scene, 1, None).render(2);
+                let frame = simulator(&scene, 1, None).frame(2);
                 assert!(frame.codes.iter().all(|&code| code <= radome_dsp::MAX_CODE));
             }
         }

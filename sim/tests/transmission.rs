@@ -6,14 +6,14 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_sim::Scene;
-use radome_sim::actor::body::CHEST;
-use radome_sim::actor::motion::{MotionBuilder, Person};
 use radome_sim::echo::{EchoReport, Snapshot, audible_pairs, echoes, reflect_at_skin};
-use radome_sim::field::highlight::Ellipsoid;
-use radome_sim::field::image::{BoxRoom, Element, Wall, images};
-use radome_sim::field::pattern::Pattern;
+use radome_sim::em::image::{BoxRoom, Element, Wall, images};
+use radome_sim::em::pattern::Pattern;
+use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::Material;
-use radome_sim::stage::Stage;
+use radome_sim::people::body::CHEST;
+use radome_sim::people::motion::{MotionBuilder, Person};
+use radome_sim::prepared_scene::PreparedScene;
 
 use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
@@ -50,7 +50,7 @@ fn torso_echo(room: &BoxRoom, radar: DVec3, polarisation: DVec3, centre: DVec3) 
     let body = Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m: DVec3::new(0.115, 0.165, 0.22) };
     let element =
         Element { position: radar, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() };
-    let h = body.highlight(radar, radar, None).expect("visible");
+    let h = body.specular_point(radar, radar, None).expect("visible");
     let field = room.illuminate(&element, [0; 3], h.point).field;
     (reflect_at_skin(field, -h.towards.0, h.normal).received_by(field), h.towards.0.x.abs())
 }
@@ -88,13 +88,13 @@ fn scene(material: &str, transmission: bool) -> Scene {
 
 /// Echoes of somebody who stands at a place, `[pair][segment]`, first receiver.
 fn person(scene: &Scene, place: [f64; 2]) -> Vec<Complex64> {
-    let stage = Stage::new(scene, 0, 20.0);
+    let prepared = PreparedScene::new(scene, 0, 20.0);
     let motion = Arc::new(MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, place, 3.0).stand(9.0).stay());
     let people = [Snapshot::new(&motion, 1.0)];
     let mut keys = Vec::new();
-    let pairs = audible_pairs(&stage, &motion, 1.0);
-    echoes(&stage, &motion, &people, 0, &pairs, &mut keys, &mut EchoReport::default());
-    keys.iter().step_by(stage.rx.len()).map(|k| k.amplitude).collect()
+    let pairs = audible_pairs(&prepared, &motion, 1.0);
+    echoes(&prepared, &motion, &people, 0, &pairs, &mut keys, &mut EchoReport::default());
+    keys.iter().step_by(prepared.rx.len()).map(|k| k.amplitude).collect()
 }
 
 /// A whole person of the simulator, behind the board: the chest's echo to a tenth of a decibel of the closed form at its angle,

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use radome_dsp::Occupancy;
 use radome_sim::Scene;
-use radome_sim::actor::body::CHEST;
-use radome_sim::program::Program;
+use radome_sim::people::body::CHEST;
+use radome_sim::scenario::Scenario;
 
 use crate::common;
 use crate::surfaces::rooms::{Quad, obj};
@@ -44,11 +44,11 @@ fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
 
 /// Middles of the only person's chest every 50 ms, m.
 fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
-    let program = Program::new(&scene.drawn(1).expect("a scene"), 1, None);
+    let scenario = Scenario::new(&scene.drawn(1).expect("a scene"), 1, None);
     let steps = (until_s / 0.05) as usize;
     let at = |step: usize| {
         let time_s = 0.05 * step as f64;
-        let (_, motion) = program.between(time_s, time_s).pop().expect("somebody");
+        let (_, motion) = scenario.between(time_s, time_s).pop().expect("somebody");
         let middle = motion.body(time_s)[CHEST].centre;
         [middle.x, middle.y]
     };

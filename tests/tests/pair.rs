@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
+use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_tests::{failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 

@@ -104,8 +104,8 @@ fn run(
             return Err(Interrupted.into());
         }
         let frames: Vec<Frame> = match parallel {
-            true => chunk.par_iter().map(|index| simulator.render(*index)).collect(),
-            false => chunk.iter().map(|index| simulator.render(*index)).collect(),
+            true => chunk.par_iter().map(|index| simulator.frame(*index)).collect(),
+            false => chunk.iter().map(|index| simulator.frame(*index)).collect(),
         };
         for frame in &frames {
             if processor.process(frame, &mut map)? == MapStatus::Ready {

@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use radome_sim::Scene;
-use radome_sim::actor::body::PELVIS;
-use radome_sim::actor::motion::Motion;
-use radome_sim::actor::skin::EDGE_M;
-use radome_sim::actor::walking_mesh::WalkingMesh;
-use radome_sim::field::highlight::Ellipsoid;
-use radome_sim::program::Program;
+use radome_sim::em::specular::Ellipsoid;
+use radome_sim::people::body::PELVIS;
+use radome_sim::people::motion::Motion;
+use radome_sim::people::skin::EDGE_M;
+use radome_sim::people::walking_mesh::WalkingMesh;
+use radome_sim::scenario::Scenario;
 use radome_sim::scene_file::{BodyFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
@@ -200,7 +200,7 @@ fn draw_view(canvas: &mut Canvas, view: &View, preview: &Preview, ways: &[Way]) 
 
 /// Everybody who is there up to the end.
 fn ways(preview: &Preview) -> Vec<Way> {
-    let program = Program::new(preview.scene, preview.seed, preview.people);
+    let program = Scenario::new(preview.scene, preview.seed, preview.people);
     let mut all = program.between(0.0, preview.until_s);
     all.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.cmp(&b.0)));
     let one = |(number, (_, motion)): (usize, (usize, Arc<Motion>))| {
@@ -617,7 +617,7 @@ mod tests {
     fn outlines_of_ellipsoids_are_their_shadows() {
         let axes = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(1.1);
         let e = Ellipsoid { centre: DVec3::new(2.0, 1.0, 1.2), axes, semi_axes_m: DVec3::new(0.1, 0.2, 0.6) };
-        let half = radome_sim::actor::body::half_extent(&e) * 50.0;
+        let half = radome_sim::people::body::half_extent(&e) * 50.0;
         let (low, high) = bounds(&silhouette(&view(), &e));
         assert!((high[0] - low[0] - 2.0 * half.x).abs() < 0.02 * half.x, "{} {}", high[0] - low[0], half.x);
         assert!((high[1] - low[1] - 2.0 * half.z).abs() < 0.02 * half.z, "{} {}", high[1] - low[1], half.z);

@@ -71,8 +71,8 @@ impl Walls for FacetWalls<'_> {
 mod tests {
     use super::super::points::{Diffuse, WallPoint, points};
     use super::*;
-    use crate::field::image::{BoxRoom, Element, Wall};
-    use crate::field::pattern::Pattern;
+    use crate::em::image::{BoxRoom, Element, Wall};
+    use crate::em::pattern::Pattern;
 
     /// Facets of a box throw what the box does: power by length of the way at a place, over many seeds.
     #[test]

@@ -24,7 +24,7 @@ mod points;
 
 pub use points::{Diffuse, WallPoint};
 
-use crate::field::image::Element;
+use crate::em::image::Element;
 use crate::paths::Surroundings;
 use facets::FacetWalls;
 

@@ -8,8 +8,8 @@ use rand::Rng;
 use rand::seq::SliceRandom;
 
 use super::LEAST_LEG_M;
-use crate::field::fresnel::Reflection;
-use crate::field::image::{BoxRoom, Element, Wall};
+use crate::em::fresnel::Reflection;
+use crate::em::image::{BoxRoom, Element, Wall};
 use crate::random::{Purpose, generator};
 
 /// Diffuse reflection of a room's walls.
@@ -232,7 +232,7 @@ impl Walk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::pattern::Pattern;
+    use crate::em::pattern::Pattern;
 
     /// Power at a place by way of the points is on average that from all pieces of the walls.
     #[test]

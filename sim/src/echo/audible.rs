@@ -1,11 +1,11 @@
 //! Selection of a person's echoes that may be heard, before any of them is traced.
 //!
-//! Highlights of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
-//! images' fields over all of the segment ([`BoxRoom::most_field`]), of the highlight's strength ([`Ellipsoid::bound`]), of skin and
+//! Specular points of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
+//! images' fields over all of the segment ([`BoxRoom::most_field`]), of the specular point's strength ([`Ellipsoid::bound`]), of skin and
 //! clothes, and of the filters. In rooms of plane faces counts, too, what is in the way of a segment. What it leaves out is nowhere
 //! as loud as a path that is followed through a frame.
 //!
-//! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
+//! [`BoxRoom::most_field`]: crate::em::image::BoxRoom::most_field
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -15,14 +15,14 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
-use crate::actor::body::{CHEST, SEGMENTS};
-use crate::actor::motion::Motion;
-use crate::field::fresnel::half_space;
-use crate::field::highlight::Ellipsoid;
-use crate::field::image::ImageIndex;
+use crate::em::fresnel::half_space;
+use crate::em::image::ImageIndex;
+use crate::em::specular::Ellipsoid;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::paths::{PolygonRoom, Surroundings};
-use crate::stage::Stage;
+use crate::people::body::{CHEST, SEGMENTS};
+use crate::people::motion::Motion;
+use crate::prepared_scene::PreparedScene;
 
 /// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
 const BODY_BOUND_M: f64 = 0.25;
@@ -37,7 +37,7 @@ const MOVING: f64 = 2.0;
 /// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
 
-/// A pair of images of the antennas, and the segments of somebody whose highlights it may make heard.
+/// A pair of images of the antennas, and the segments of somebody whose specular points it may make heard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AudiblePair {
     /// Images of the transmitter and of the receivers.
@@ -60,32 +60,32 @@ impl From<(ImageIndex, ImageIndex)> for AudiblePair {
     }
 }
 
-/// Image pairs with the segments of somebody whose highlights they may make heard at some of these instants. The direct pair is the
+/// Image pairs with the segments of somebody whose specular points they may make heard at some of these instants. The direct pair is the
 /// first, whatever it makes heard.
-pub fn audible_paths(stage: &Stage, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
+pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
-    let pairs = pairs_of(stage, &bodies);
-    let images = Images::new(stage, &pairs);
+    let pairs = pairs_of(prepared, &bodies);
+    let images = Images::new(prepared, &pairs);
     let mut all: Vec<AudiblePair> = pairs.iter().map(|&pair| AudiblePair { pair, segments: 0 }).collect();
     for segment in 0..SEGMENTS {
         let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
-        let Some(bound) = SegmentBound::new(stage, motion, &images, segment, at) else { continue };
+        let Some(bound) = SegmentBound::new(prepared, motion, &images, segment, at) else { continue };
         for (pair, &numbers) in all.iter_mut().zip(&images.pairs) {
-            if bound.is_heard(stage, numbers) {
+            if bound.is_heard(prepared, numbers) {
                 pair.segments |= 1 << segment;
             }
         }
     }
-    let is_direct = |p: ImageIndex, q: ImageIndex| stage.room.order(p) + stage.room.order(q) == 0;
+    let is_direct = |p: ImageIndex, q: ImageIndex| prepared.room.order(p) + prepared.room.order(q) == 0;
     all.retain(|AudiblePair { pair: (p, q), segments }| *segments != 0 || is_direct(*p, *q));
     all
 }
 
 /// Image pairs by which somebody with these bodies may be seen, the direct pair first.
-fn pairs_of<'a>(stage: &'a Stage, bodies: &[[Ellipsoid; SEGMENTS]]) -> Cow<'a, [(ImageIndex, ImageIndex)]> {
+fn pairs_of<'a>(prepared: &'a PreparedScene, bodies: &[[Ellipsoid; SEGMENTS]]) -> Cow<'a, [(ImageIndex, ImageIndex)]> {
     let middle = bodies.get(bodies.len() / 2).map_or(DVec3::ZERO, |body| body[CHEST].centre);
     let reach = |e: &Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
-    stage.pairs_near(middle, bodies.iter().flatten().map(reach).fold(0.0, f64::max))
+    prepared.pairs_near(middle, bodies.iter().flatten().map(reach).fold(0.0, f64::max))
 }
 
 /// All images that pairs are made of.
@@ -98,14 +98,14 @@ struct Images {
 }
 
 impl Images {
-    fn new(stage: &Stage, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
+    fn new(prepared: &PreparedScene, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
         let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
         indices.sort_unstable();
         indices.dedup();
         // Every image of a pair is among them.
         let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
         let pairs = pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
-        let apart_m = stage.rx.iter().map(|rx| rx.position.distance(stage.tx.position)).fold(0.0, f64::max);
+        let apart_m = prepared.rx.iter().map(|rx| rx.position.distance(prepared.tx.position)).fold(0.0, f64::max);
         Images { indices, pairs, apart_m }
     }
 }
@@ -136,38 +136,45 @@ struct SegmentBound {
 
 impl SegmentBound {
     /// `None` for no instant.
-    fn new(stage: &Stage, motion: &Motion, images: &Images, segment: usize, at: Vec<Ellipsoid>) -> Option<Self> {
+    fn new(
+        prepared: &PreparedScene,
+        motion: &Motion,
+        images: &Images,
+        segment: usize,
+        at: Vec<Ellipsoid>,
+    ) -> Option<Self> {
         let middle = at.get(at.len() / 2)?.centre;
         let largest = |of: &dyn Fn(&Ellipsoid) -> f64| at.iter().map(of).fold(0.0, f64::max);
         let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
-        let mut lit: Vec<Lit> = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
+        let mut lit: Vec<Lit> =
+            images.indices.iter().map(|&index| Lit::new(prepared, index, middle, reach_m)).collect();
         let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let aperture = stage.aperture_m();
-        let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
-        if let Surroundings::Polygons(room) = &stage.room {
+        let aperture = prepared.aperture_m();
+        let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * aperture * cloth;
+        if let Surroundings::Polygons(room) = &prepared.room {
             let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
             // Weaker images are not heard even beside the strongest, and need not be looked for.
             let by_edges = room.paths().most_by_edges();
-            let least_per_m = HEARD * stage.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
+            let least_per_m = HEARD * prepared.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
             for (lit, &index) in lit.iter_mut().zip(&images.indices) {
                 let may_be_heard = lit.most_per_m > least_per_m;
                 let least = least_per_m / lit.most_per_m;
-                lit.most_per_m *= if may_be_heard { left(stage, room, index, lit.source, &at, least) } else { 0.0 };
+                lit.most_per_m *= if may_be_heard { left(prepared, room, index, lit.source, &at, least) } else { 0.0 };
             }
         }
         Some(SegmentBound { at, flattest_m, lit, lsb_m, reach_m, apart_m: images.apart_m })
     }
 
-    fn is_heard(&self, stage: &Stage, [there, back]: [usize; 2]) -> bool {
+    fn is_heard(&self, prepared: &PreparedScene, [there, back]: [usize; 2]) -> bool {
         let (Some(there), Some(back)) = (self.lit.get(there), self.lit.get(back)) else { return false };
         if there.most_per_m * back.most_per_m == 0.0 {
             return false;
         }
         let length_m = there.distance_m + back.distance_m;
-        let passed = passed(stage, length_m - 2.0 * self.reach_m, length_m + 2.0 * self.reach_m);
+        let passed = passed(prepared, length_m - 2.0 * self.reach_m, length_m + 2.0 * self.reach_m);
         let per_m = self.lsb_m * there.most_per_m * back.most_per_m * passed;
-        let threshold_lsb = HEARD * stage.threshold_lsb;
+        let threshold_lsb = HEARD * prepared.threshold_lsb;
         // Enough for most: no side of the segment is flat enough.
         if per_m * self.flattest_m <= threshold_lsb {
             return false;
@@ -184,17 +191,17 @@ impl SegmentBound {
 
 impl Lit {
     /// All that comes within a distance of a place where nothing is in the way.
-    fn new(stage: &Stage, index: ImageIndex, middle: DVec3, reach_m: f64) -> Self {
-        let source = stage.room.image_position(index, stage.tx.position);
+    fn new(prepared: &PreparedScene, index: ImageIndex, middle: DVec3, reach_m: f64) -> Self {
+        let source = prepared.room.image_position(index, prepared.tx.position);
         let offset = middle - source;
         let distance_m = offset.length();
         let nearest_m = (distance_m - reach_m).max(LEAST_DISTANCE_M);
-        let field = match &stage.room {
+        let field = match &prepared.room {
             _ if distance_m <= reach_m => 1.0,
-            Surroundings::Polygons(room) => room.most_free_field(&stage.tx, index, middle, reach_m),
+            Surroundings::Polygons(room) => room.most_free_field(&prepared.tx, index, middle, reach_m),
             Surroundings::Box(room) => {
                 let spread_rad = (reach_m / distance_m).asin();
-                room.most_field(&stage.tx, index, offset / distance_m, spread_rad)
+                room.most_field(&prepared.tx, index, offset / distance_m, spread_rad)
             }
         };
         Lit { source, distance_m, most_per_m: field / nearest_m }
@@ -202,10 +209,17 @@ impl Lit {
 }
 
 /// Part of an image's field that what is in the way leaves at some of these segments, or at one at some of these instants, at
-/// most. Highlights of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)). Less than a part of the field is
+/// most. Specular points of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)). Less than a part of the field is
 /// not heard.
-fn left(stage: &Stage, room: &PolygonRoom, index: ImageIndex, source: DVec3, at: &[Ellipsoid], least: f64) -> f64 {
-    let antenna = stage.tx.position;
+fn left(
+    prepared: &PreparedScene,
+    room: &PolygonRoom,
+    index: ImageIndex,
+    source: DVec3,
+    at: &[Ellipsoid],
+    least: f64,
+) -> f64 {
+    let antenna = prepared.tx.position;
     // In the middle first: what rays come to there need not be asked for again.
     let middle = at.len() / 2;
     let mut all = at.iter().skip(middle).chain(at.iter().take(middle));
@@ -220,44 +234,44 @@ fn left(stage: &Stage, room: &PolygonRoom, index: ImageIndex, source: DVec3, at:
 }
 
 /// Largest response of the filters to a path of a length in this range, m.
-fn passed(stage: &Stage, low_m: f64, high_m: f64) -> f64 {
-    let hz_per_m = stage.chirp.slope_hz_per_s.abs() / SPEED_OF_LIGHT_M_PER_S;
-    let doppler_hz = 2.0 * MOST_SPEED_M_PER_S / stage.wavelength_m;
+fn passed(prepared: &PreparedScene, low_m: f64, high_m: f64) -> f64 {
+    let hz_per_m = prepared.chirp.slope_hz_per_s.abs() / SPEED_OF_LIGHT_M_PER_S;
+    let doppler_hz = 2.0 * MOST_SPEED_M_PER_S / prepared.wavelength_m;
     let (low_hz, high_hz) = ((hz_per_m * low_m - doppler_hz).max(0.0), hz_per_m * high_m + doppler_hz);
-    (stage.filters.high_pass_power(high_hz) * stage.filters.anti_alias_power(low_hz)).sqrt()
+    (prepared.filters.high_pass_power(high_hz) * prepared.filters.anti_alias_power(low_hz)).sqrt()
 }
 
 /// Image pairs through which somebody may be heard, by a bound at the trunk.
-pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
+pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
     let body = motion.body(time_s);
     let centre = body[CHEST].centre;
-    let aperture = stage.aperture_m();
-    let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
-    let reach = |index: ImageIndex| match &stage.room {
+    let aperture = prepared.aperture_m();
+    let lsb = prepared.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
+    let reach = |index: ImageIndex| match &prepared.room {
         Surroundings::Box(room) => {
-            let i = room.illuminate(&stage.tx, index, centre);
+            let i = room.illuminate(&prepared.tx, index, centre);
             (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
         }
         // The trunk may be hidden where an arm is not.
         Surroundings::Polygons(room) => {
-            let source = stage.room.image_position(index, stage.tx.position);
+            let source = prepared.room.image_position(index, prepared.tx.position);
             let offset = centre - source;
             let distance_m = offset.length();
-            let most = room.most_free_field(&stage.tx, index, centre, BODY_REACH_M);
-            let left = if most > 0.0 { left(stage, room, index, source, &body, 0.0) } else { 0.0 };
+            let most = room.most_free_field(&prepared.tx, index, centre, BODY_REACH_M);
+            let left = if most > 0.0 { left(prepared, room, index, source, &body, 0.0) } else { 0.0 };
             (most * left / (distance_m - BODY_REACH_M).max(0.2), distance_m)
         }
     };
-    let pairs = pairs_of(stage, &[body]);
-    let images = Images::new(stage, &pairs);
+    let pairs = pairs_of(prepared, &[body]);
+    let images = Images::new(prepared, &pairs);
     let reaches: Vec<(f64, f64)> = images.indices.iter().map(|&index| reach(index)).collect();
     let audible = |&(p, q): &(ImageIndex, ImageIndex), numbers: [usize; 2]| {
-        if stage.room.order(p) + stage.room.order(q) == 0 {
+        if prepared.room.order(p) + prepared.room.order(q) == 0 {
             return true;
         }
         let [(a, r), (b, s)] = numbers.map(|number| reaches.get(number).copied().unwrap_or_default());
-        let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
-        lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
+        let beat_hz = prepared.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
+        lsb * a * b * prepared.filters.response(beat_hz).norm() > prepared.threshold_lsb
     };
     let numbered = pairs.iter().zip(&images.pairs);
     numbered.filter(|&(pair, &numbers)| audible(pair, numbers)).map(|(pair, _)| *pair).collect()
@@ -266,7 +280,7 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
 /// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest
 /// first, each with that strength, LSB.
 pub fn loud_pairs(
-    stage: &Stage,
+    prepared: &PreparedScene,
     motion: &Motion,
     people: &[Snapshot],
     me: usize,
@@ -277,11 +291,11 @@ pub fn loud_pairs(
         .iter()
         .map(|&pair| {
             keys.clear();
-            echoes(stage, motion, people, me, &[pair], &mut keys, &mut report);
-            let power: f64 = keys.iter().step_by(stage.rx.len().max(1)).map(|k| k.amplitude.norm_sqr()).sum();
+            echoes(prepared, motion, people, me, &[pair], &mut keys, &mut report);
+            let power: f64 = keys.iter().step_by(prepared.rx.len().max(1)).map(|k| k.amplitude.norm_sqr()).sum();
             (pair, power.sqrt())
         })
-        .filter(|(_, strength)| *strength > stage.threshold_lsb)
+        .filter(|(_, strength)| *strength > prepared.threshold_lsb)
         .collect();
     loud.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     loud

@@ -11,15 +11,15 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::skin::SkinnedPerson;
-use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_shadow};
-use crate::actor::skin::PosedSkin;
-use crate::field::current::{Arrival, heard_by};
-use crate::field::image::{Illumination, ImageIndex, Wall};
-use crate::field::triangle;
+use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_occlusion};
+use crate::em::current::{Arrival, heard_by};
+use crate::em::image::{Illumination, ImageIndex, Wall};
+use crate::em::triangle;
 use crate::geometry::bulge;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
-use crate::stage::Stage;
+use crate::people::skin::PosedSkin;
+use crate::prepared_scene::PreparedScene;
 
 /// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
 const PIECES: usize = 8;
@@ -28,7 +28,7 @@ const TONES_PER_CELL: f64 = 400.0;
 
 /// Samples of one chirp at every receiver, LSB: `[receiver][sample]`.
 pub fn chirp(
-    stage: &Stage,
+    prepared: &PreparedScene,
     person: &SkinnedPerson,
     people: &[Snapshot],
     me: usize,
@@ -41,20 +41,20 @@ pub fn chirp(
     indices.sort_unstable();
     indices.dedup();
     let images: Vec<Image> =
-        indices.into_iter().map(|index| Image::new(stage, person, people, me, index, &posed)).collect();
+        indices.into_iter().map(|index| Image::new(prepared, person, people, me, index, &posed)).collect();
     let number = |index: ImageIndex| images.binary_search_by_key(&index, |image| image.index).ok();
     let pairs: Vec<[usize; 2]> = pairs.iter().filter_map(|&(p, q)| Some([number(p)?, number(q)?])).collect();
     let grid = Grid::new(PIECES);
-    let mut tones = Tones::new(stage, samples);
+    let mut tones = Tones::new(prepared, samples);
     let mut surface = Surface::default();
     let mut views: Vec<ImageView> = images.iter().map(|_| ImageView::default()).collect();
     for triangle in 0..person.mesh().skin().rest().triangles.len() {
         surface.pose(person, &posed, triangle, &grid);
         for (image, view) in images.iter().zip(&mut views) {
-            view.look(stage, image, &surface, &grid);
+            view.look(prepared, image, &surface, &grid);
         }
         for &[p, q] in &pairs {
-            add_triangle(stage, &surface, &grid, &views[p], &views[q], &mut tones);
+            add_triangle(prepared, &surface, &grid, &views[p], &views[q], &mut tones);
         }
     }
     tones.samples()
@@ -71,19 +71,19 @@ struct Image {
 
 impl Image {
     fn new(
-        stage: &Stage,
+        prepared: &PreparedScene,
         person: &SkinnedPerson,
         people: &[Snapshot],
         me: usize,
         index: ImageIndex,
         posed: &PosedSkin,
     ) -> Self {
-        let source = stage.room.image_position(index, stage.tx.position);
-        let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(index, rx.position)).collect();
+        let source = prepared.room.image_position(index, prepared.tx.position);
+        let sinks: Vec<DVec3> = prepared.rx.iter().map(|rx| prepared.room.image_position(index, rx.position)).collect();
         let middle = 0.5 * (source + sinks.iter().sum::<DVec3>() / sinks.len().max(1) as f64);
         let all = vec![true; posed.vertices.len()];
-        let own = self_shadow::weights(person.mesh().skin(), posed, middle, stage.wavelength_m, &all);
-        let past = person.past_people(stage, people, me, index);
+        let own = self_occlusion::weights(person.mesh().skin(), posed, middle, prepared.wavelength_m, &all);
+        let past = person.past_people(prepared, people, me, index);
         Image { index, source, sinks, weights: own.iter().zip(past).map(|(a, b)| a * b).collect() }
     }
 }
@@ -211,8 +211,8 @@ impl Legs {
 }
 
 impl ImageView {
-    fn look(&mut self, stage: &Stage, image: &Image, surface: &Surface, grid: &Grid) {
-        let (Some(first), Some(sink)) = (stage.rx.first(), image.sinks.first()) else { return };
+    fn look(&mut self, prepared: &PreparedScene, image: &Image, surface: &Surface, grid: &Grid) {
+        let (Some(first), Some(sink)) = (prepared.rx.first(), image.sinks.first()) else { return };
         self.weights = surface.corners.map(|v| image.weights.get(v as usize).copied().unwrap_or_default());
         let weighted = self.weights.iter().any(|w| *w > 0.0);
         let faces =
@@ -223,11 +223,11 @@ impl ImageView {
         }
         let see = |element, at: DVec3| {
             let seen = |(point, normal): (&DVec3, &DVec3)| {
-                (normal.dot(at - *point) > 0.0).then(|| stage.room.illuminate(element, image.index, *point))
+                (normal.dot(at - *point) > 0.0).then(|| prepared.room.illuminate(element, image.index, *point))
             };
             surface.points.iter().zip(&surface.normals).map(seen).collect()
         };
-        (self.there, self.home) = (see(&stage.tx, image.source), see(first, *sink));
+        (self.there, self.home) = (see(&prepared.tx, image.source), see(first, *sink));
         self.tx.measure(image.source, surface, grid);
         self.rx.resize_with(image.sinks.len(), Legs::default);
         for (legs, sink) in self.rx.iter_mut().zip(&image.sinks) {
@@ -237,12 +237,19 @@ impl ImageView {
 }
 
 /// Adds what a triangle sends from one image to another.
-fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, back: &ImageView, tones: &mut Tones) {
+fn add_triangle(
+    prepared: &PreparedScene,
+    surface: &Surface,
+    grid: &Grid,
+    out: &ImageView,
+    back: &ImageView,
+    tones: &mut Tones,
+) {
     if !(out.lit && back.lit) {
         return;
     }
-    let k = TAU / stage.wavelength_m;
-    let aperture = stage.aperture_m();
+    let k = TAU / prepared.wavelength_m;
+    let aperture = prepared.aperture_m();
     let factor = Complex64::new(0.0, -k * aperture / TAU);
     let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
     let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);
@@ -252,7 +259,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
         let [a, b, c] = grid.nodes[i];
         let weight = (weights[0] * a + weights[1] * b + weights[2] * c)
             * smooth_step((bent - 0.2) / 0.1)
-            * inside_room(stage, surface.points[i]);
+            * inside_room(prepared, surface.points[i]);
         if weight == 0.0 {
             return Complex64::ZERO;
         }
@@ -284,7 +291,7 @@ fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, 
 
 /// Tones of a chirp, close together.
 struct Tones<'a> {
-    stage: &'a Stage,
+    prepared: &'a PreparedScene,
     samples: usize,
     /// Distance between tones, Hz.
     step_hz: f64,
@@ -295,14 +302,14 @@ struct Tones<'a> {
 }
 
 impl<'a> Tones<'a> {
-    fn new(stage: &'a Stage, samples: usize) -> Self {
-        let step_hz = stage.chirp.sample_rate_hz / (samples as f64 * TONES_PER_CELL);
-        Tones { stage, samples, step_hz, first: 0, amplitudes: vec![Vec::new(); stage.rx.len()] }
+    fn new(prepared: &'a PreparedScene, samples: usize) -> Self {
+        let step_hz = prepared.chirp.sample_rate_hz / (samples as f64 * TONES_PER_CELL);
+        Tones { prepared, samples, step_hz, first: 0, amplitudes: vec![Vec::new(); prepared.rx.len()] }
     }
 
     /// Adds a field, but for the phase of its path.
     fn add(&mut self, rx: usize, field: Complex64, delay_s: f64, delay_rate: f64) {
-        let chirp = &self.stage.chirp;
+        let chirp = &self.prepared.chirp;
         let cycles = chirp.phase_cycles(delay_s);
         let amplitude = field.conj() * Complex64::from_polar(1.0, TAU * (cycles - cycles.round()));
         let place = chirp.beat_hz(delay_s, delay_rate) / self.step_hz;
@@ -340,9 +347,9 @@ impl<'a> Tones<'a> {
             let mut out = vec![0.0; self.samples];
             for (number, amplitude) in (self.first..).zip(all).filter(|(_, a)| **a != Complex64::ZERO) {
                 let beat_hz = number as f64 * self.step_hz;
-                let cycles = beat_hz / self.stage.chirp.sample_rate_hz;
+                let cycles = beat_hz / self.prepared.chirp.sample_rate_hz;
                 let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
-                let amplitude = amplitude * self.stage.at_adc(rx, Complex64::ONE, beat_hz);
+                let amplitude = amplitude * self.prepared.at_adc(rx, Complex64::ONE, beat_hz);
                 // Four samples side by side.
                 let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * turn(i as f64 - middle));
                 let step = turn(4.0);

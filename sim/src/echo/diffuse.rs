@@ -11,12 +11,12 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::{Snapshot, inside_room};
-use crate::actor::body::CHEST;
 use crate::diffuse::{LEAST_LEG_M, WallPoint};
-use crate::field::image::Element;
-use crate::field::{fresnel, highlight::Ellipsoid};
+use crate::em::image::Element;
+use crate::em::{fresnel, specular::Ellipsoid};
 use crate::material::SKIN_PERMITTIVITY;
-use crate::stage::Stage;
+use crate::people::body::CHEST;
+use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::OTHERS;
 
@@ -51,16 +51,16 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
 
 /// Adds somebody's diffuse echoes to those of each stretch of a frame: `own` is that person at the ends of the stretches. Each
 /// segment of the body takes so many of the points, whose echoes are the stronger for it: the mean power does not change.
-pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
+pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
     /// Ways by a point.
     const WAYS: usize = 3;
-    let points = &stage.wall_points;
+    let points = &prepared.wall_points;
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
-        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(stage, own, s, share)).collect();
+        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
     let most = WAYS * segments.len() * points_a_segment.min(points.len());
     stretches.iter_mut().for_each(|stretch| stretch.reserve(most));
-    let audible = audible(stage, own, &segments);
+    let audible = audible(prepared, own, &segments);
     let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
     // One pair of points of as many as there are points.
     let weight = (points.len() as f64).sqrt();
@@ -78,7 +78,7 @@ pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches:
             }
             let own_legs = legs.of(index);
             let mut add = |way: Way, beside: &dyn Fn(usize, usize) -> Beside| {
-                segment.add(stage, &way, beside, &mut keys, stretches);
+                segment.add(prepared, &way, beside, &mut keys, stretches);
             };
             let phase = point.phase;
             if let (true, Some(back)) = (audible[0], segment.rx.first()) {
@@ -103,7 +103,7 @@ pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches:
 
 /// By point, whether its echoes may be heard at all by the ways point and antenna, antenna and point, point and partner: a bound
 /// from the distance of the whole body.
-fn audible(stage: &Stage, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 3]> {
+fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 3]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
     let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
@@ -112,15 +112,15 @@ fn audible(stage: &Stage, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool;
         1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
     };
     let strongest = segments.iter().flat_map(|segment| &segment.strength).copied().fold(0.0, f64::max);
-    let least = HEARD * stage.threshold_lsb / (stage.lsb.first().copied().unwrap_or(0.0) * strongest).max(1e-300);
-    let near_tx = near(stage.tx.position);
-    let near_rx = stage.rx.first().map_or(0.0, |rx| near(rx.position));
-    let points = &stage.wall_points;
+    let least = HEARD * prepared.threshold_lsb / (prepared.lsb.first().copied().unwrap_or(0.0) * strongest).max(1e-300);
+    let near_tx = near(prepared.tx.position);
+    let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
+    let points = &prepared.wall_points;
     // A point that is hidden from the middle of the body stays so for a frame: echoes by it are left out or not, but do not change.
     let middle = own.get(own.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
     let seen = |point: &WallPoint| {
         let before = point.position + point.normal * BEFORE_M;
-        if stage.room.straight(before, middle) > 0.5 { 1.0 } else { 0.0 }
+        if prepared.room.straight(before, middle) > 0.5 { 1.0 } else { 0.0 }
     };
     let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * seen(point)).collect();
     let weight = (points.len() as f64).sqrt();
@@ -156,8 +156,8 @@ impl Leg {
         Leg { length, field: sends(direction) / least_m }
     }
 
-    fn from_antenna(stage: &Stage, lit: &Scatterer, antenna: &Element) -> Self {
-        let straight = stage.room.straight(antenna.position, lit.centre);
+    fn from_antenna(prepared: &PreparedScene, lit: &Scatterer, antenna: &Element) -> Self {
+        let straight = prepared.room.straight(antenna.position, lit.centre);
         let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
         Leg::new(lit, antenna.position, sends)
     }
@@ -249,9 +249,9 @@ struct Way<'a> {
 
 impl Segment {
     /// A segment of somebody whose echoes are this much stronger each, since fewer stand for all.
-    fn new(stage: &Stage, own: &[&Snapshot], segment: usize, share: f64) -> Self {
+    fn new(prepared: &PreparedScene, own: &[&Snapshot], segment: usize, share: f64) -> Self {
         let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
-        let aperture = stage.aperture_m();
+        let aperture = prepared.aperture_m();
         let lit = |now: &&Snapshot| {
             let (centre, velocity, acceleration) = now.centre(segment);
             Scatterer { centre, velocity, acceleration }
@@ -259,16 +259,16 @@ impl Segment {
         let strength = |now: &&Snapshot| {
             let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
             // Of what is thrown in all directions an antenna takes one polarisation.
-            share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(stage, now.centre(segment).0)
+            share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(prepared, now.centre(segment).0)
         };
         let lit: Vec<Scatterer> = own.iter().map(lit).collect();
-        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(stage, lit, antenna)).collect();
-        let first_lsb = stage.lsb.first().copied().unwrap_or(1.0);
+        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(prepared, lit, antenna)).collect();
+        let first_lsb = prepared.lsb.first().copied().unwrap_or(1.0);
         Segment {
             strength: own.iter().map(strength).collect(),
-            tx: legs(&stage.tx),
-            rx: stage.rx.iter().map(legs).collect(),
-            gains: stage.lsb.iter().map(|lsb| lsb / first_lsb).collect(),
+            tx: legs(&prepared.tx),
+            rx: prepared.rx.iter().map(legs).collect(),
+            gains: prepared.lsb.iter().map(|lsb| lsb / first_lsb).collect(),
             lit,
         }
     }
@@ -287,14 +287,14 @@ impl Segment {
     /// Adds what comes back by a way, if it can be heard at any of the times; `beside` is the difference of a receiver at a time.
     fn add(
         &self,
-        stage: &Stage,
+        prepared: &PreparedScene,
         way: &Way,
         beside: &dyn Fn(usize, usize) -> Beside,
         keys: &mut Vec<([f64; 3], Complex64)>,
         stretches: &mut [HeldEchoes],
     ) {
-        let least = HEARD * stage.threshold_lsb;
-        let lsb = stage.lsb.first().copied().unwrap_or(0.0);
+        let least = HEARD * prepared.threshold_lsb;
+        let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
         let legs = || way.legs[0].iter().zip(way.legs[1]);
         let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.thrown;
         // The filters let through no more than what there is.
@@ -306,7 +306,7 @@ impl Segment {
             let length = [0, 1, 2].map(|order| a.length[order] + b.length[order]);
             let delay = [length[0] + way.behind_m, length[1], length[2]].map(|l| l / SPEED_OF_LIGHT_M_PER_S);
             let field = way.phase * strength((by_segment, (a, b)));
-            (delay, stage.at_adc(0, field, stage.chirp.beat_hz(delay[0], delay[1])))
+            (delay, prepared.at_adc(0, field, prepared.chirp.beat_hz(delay[0], delay[1])))
         }));
         if keys.iter().all(|(_, amplitude)| amplitude.norm_sqr() < least * least) {
             return;

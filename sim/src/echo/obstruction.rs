@@ -5,13 +5,13 @@ use std::cell::RefCell;
 use glam::{DVec2, DVec3};
 
 use super::Snapshot;
-use crate::actor::body::SEGMENTS;
-use crate::field::Phasor3;
-use crate::field::highlight::Ellipsoid;
-use crate::field::image::{BoxRoom, Element, ImageIndex, order};
+use crate::diffraction::{self, Column, REACH_M};
+use crate::em::Phasor3;
+use crate::em::image::{BoxRoom, Element, ImageIndex, order};
+use crate::em::specular::Ellipsoid;
 use crate::paths::{EdgesBeside, Obstruction, PolygonRoom, Surroundings};
-use crate::shadow::{self, Column, REACH_M};
-use crate::stage::Stage;
+use crate::people::body::SEGMENTS;
+use crate::prepared_scene::PreparedScene;
 
 /// Segment that may hide a limb: the same limb of the other side.
 pub(super) fn opposite(segment: usize) -> Option<usize> {
@@ -28,7 +28,7 @@ pub(super) fn limb_column(limb: &Ellipsoid) -> Column {
     }
 }
 
-/// One way of a path: between a highlight and an antenna by one of its images.
+/// One way of a path: between a specular point and an antenna by one of its images.
 pub(super) struct Way {
     pub(super) image: ImageIndex,
     /// Position of the image.
@@ -39,7 +39,7 @@ pub(super) struct Way {
 
 /// Field left on the way between a point on somebody's segment and an antenna.
 pub(super) fn visibility(
-    stage: &Stage,
+    prepared: &PreparedScene,
     people: &[Snapshot],
     me: usize,
     segment: usize,
@@ -47,49 +47,54 @@ pub(super) fn visibility(
     point: DVec3,
 ) -> f64 {
     let Some(own) = people.get(me) else { return 0.0 };
-    past_own(stage, own, segment, way.source, point) * past_people(stage, people, me, way.image, way.antenna, point)
+    past_own(prepared, own, segment, way.source, point)
+        * past_people(prepared, people, me, way.image, way.antenna, point)
 }
 
 /// Field that somebody's own trunk and limbs leave on the way between a point of a segment and an image: on the leg that touches
 /// the body, in the unfolded room (long enough: bodies are far smaller than rooms).
-pub(super) fn past_own(stage: &Stage, own: &Snapshot, segment: usize, source: DVec3, point: DVec3) -> f64 {
+pub(super) fn past_own(prepared: &PreparedScene, own: &Snapshot, segment: usize, source: DVec3, point: DVec3) -> f64 {
     if segment < 3 {
         return 1.0;
     }
     let other = opposite(segment).and_then(|i| own.body.get(i)).map(limb_column);
-    [Some(own.trunk), other].iter().flatten().map(|c| shadow::past(point, source, c, stage.wavelength_m)).product()
+    [Some(own.trunk), other]
+        .iter()
+        .flatten()
+        .map(|c| diffraction::past(point, source, c, prepared.wavelength_m))
+        .product()
 }
 
 /// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
 /// own body before the last wall.
 pub(super) fn past_people(
-    stage: &Stage,
+    prepared: &PreparedScene,
     people: &[Snapshot],
     me: usize,
     image: ImageIndex,
     antenna: DVec3,
     point: DVec3,
 ) -> f64 {
-    match &stage.room {
+    match &prepared.room {
         Surroundings::Box(room) => {
             let (last, mut weight) = (order(image) as usize, 1.0);
-            let others = Others { stage, people, me };
+            let others = Others { prepared, people, me };
             room.each_leg(image, antenna, point, |leg, from, to| weight *= others.past(leg == last, from, to));
             weight
         }
-        Surroundings::Polygons(room) => past_along(stage, people, me, &room.way(image, antenna, point)),
+        Surroundings::Polygons(room) => past_along(prepared, people, me, &room.way(image, antenna, point)),
     }
 }
 
 /// The same on a way with these corners, from an antenna to the point.
-fn past_along(stage: &Stage, people: &[Snapshot], me: usize, way: &[DVec3]) -> f64 {
-    let (last, others) = (way.len().saturating_sub(2), Others { stage, people, me });
+fn past_along(prepared: &PreparedScene, people: &[Snapshot], me: usize, way: &[DVec3]) -> f64 {
+    let (last, others) = (way.len().saturating_sub(2), Others { prepared, people, me });
     way.windows(2).enumerate().map(|(leg, ends)| others.past(leg == last, ends[0], ends[1])).product()
 }
 
 /// People who may stand beside a leg.
 struct Others<'a> {
-    stage: &'a Stage,
+    prepared: &'a PreparedScene,
     people: &'a [Snapshot],
     me: usize,
 }
@@ -98,12 +103,12 @@ impl Others<'_> {
     /// Field that they leave on a leg: on the last one, that touches the body, all but the own body.
     fn past(&self, is_last: bool, from: DVec3, to: DVec3) -> f64 {
         let others = self.people.iter().enumerate().filter(|(i, _)| *i != self.me || !is_last);
-        others.map(|(_, other)| shadow::past(from, to, &other.column, self.stage.wavelength_m)).product()
+        others.map(|(_, other)| diffraction::past(from, to, &other.column, self.prepared.wavelength_m)).product()
     }
 }
 
 /// Point of a segment that stands for all of it where it is asked what is in the way to an image: where a plane wave from there
-/// would be mirrored back. Highlights lie within the segment's own radius of it, and first Fresnel zones are as wide.
+/// would be mirrored back. Specular points lie within the segment's own radius of it, and first Fresnel zones are as wide.
 pub(super) fn facing(segment: &Ellipsoid, source: DVec3) -> DVec3 {
     let normal = segment.axes.transpose() * (source - segment.centre);
     segment.surface((normal * segment.semi_axes_m).normalize_or_zero())
@@ -118,10 +123,10 @@ pub(super) struct SharedWay<'a> {
 }
 
 /// Obstructions of the ways between images and somebody's segments at an instant, in a room of plane faces. Where no edge is beside the
-/// way it is asked for once for all highlights of a segment and for all antennas, which are some millimetres apart; beside edges
-/// it changes within a segment, and every highlight has its own.
+/// way it is asked for once for all specular points of a segment and for all antennas, which are some millimetres apart; beside edges
+/// it changes within a segment, and every specular point has its own.
 pub(super) struct SharedWays<'a> {
-    stage: &'a Stage,
+    prepared: &'a PreparedScene,
     room: &'a PolygonRoom,
     people: &'a [Snapshot],
     me: usize,
@@ -134,14 +139,14 @@ pub(super) struct SharedWays<'a> {
 impl<'a> SharedWays<'a> {
     /// None are known yet, of as many images and segments as there are edges for.
     pub(super) fn new(
-        stage: &'a Stage,
+        prepared: &'a PreparedScene,
         room: &'a PolygonRoom,
         people: &'a [Snapshot],
         me: usize,
         beside: &'a RefCell<Vec<EdgesBeside>>,
     ) -> Self {
         let known = beside.borrow().iter().map(|_| None).collect();
-        SharedWays { stage, room, people, me, beside, known }
+        SharedWays { prepared, room, people, me, beside, known }
     }
 
     /// The way between a segment and an image of a number; `None` where nothing arrives by it.
@@ -149,12 +154,12 @@ impl<'a> SharedWays<'a> {
         let body = &self.people.get(self.me)?.body;
         let (ellipsoid, slot) = (body.get(segment)?, self.known.get_mut(number * SEGMENTS + segment)?);
         if slot.is_none() {
-            let (room, antenna) = (self.room, self.stage.tx.position);
-            let point = facing(ellipsoid, self.stage.room.image_position(image, antenna));
+            let (room, antenna) = (self.room, self.prepared.tx.position);
+            let point = facing(ellipsoid, self.prepared.room.image_position(image, antenna));
             let mut beside = self.beside.borrow_mut();
             let obstruction = room.obstruction_past(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
             let way = room.paths().way_past(&obstruction, antenna, point);
-            let past_people = past_along(self.stage, self.people, self.me, &way);
+            let past_people = past_along(self.prepared, self.people, self.me, &way);
             *slot = Some(SharedWay { obstruction, past_people });
         }
         slot.as_ref().filter(|way| way.obstruction.left() > 0.0)
@@ -215,7 +220,7 @@ impl Standing {
 
 /// Columns that may stand in the ways between images and somebody's body at an instant, image by image as they are asked for.
 pub(super) struct Bystanders<'a> {
-    stage: &'a Stage,
+    prepared: &'a PreparedScene,
     room: &'a BoxRoom,
     people: &'a [Snapshot],
     me: usize,
@@ -225,8 +230,14 @@ pub(super) struct Bystanders<'a> {
 
 impl<'a> Bystanders<'a> {
     /// None are known yet of so many images of a box.
-    pub(super) fn new(stage: &'a Stage, room: &'a BoxRoom, people: &'a [Snapshot], me: usize, images: usize) -> Self {
-        Bystanders { stage, room, people, me, of_images: vec![Vec::new(); images] }
+    pub(super) fn new(
+        prepared: &'a PreparedScene,
+        room: &'a BoxRoom,
+        people: &'a [Snapshot],
+        me: usize,
+        images: usize,
+    ) -> Self {
+        Bystanders { prepared, room, people, me, of_images: vec![Vec::new(); images] }
     }
 
     fn standing(&self, [x, y, _]: ImageIndex) -> Vec<Standing> {
@@ -246,8 +257,8 @@ impl<'a> Bystanders<'a> {
 
     /// The same as [`past_people`], which is asked only where somebody stands near the way. `number` is that of the image.
     pub(super) fn past(&mut self, number: usize, way: &Way, point: DVec3) -> f64 {
-        let (stage, people, me) = (self.stage, self.people, self.me);
-        let exact = || past_people(stage, people, me, way.image, way.antenna, point);
+        let (prepared, people, me) = (self.prepared, self.people, self.me);
+        let exact = || past_people(prepared, people, me, way.image, way.antenna, point);
         let size_m = self.room.size_m;
         // Ways to points outside of the room may lead beyond them before they are folded.
         if !(point.cmpge(DVec3::ZERO).all() && point.cmple(size_m).all()) {
@@ -283,8 +294,8 @@ mod tests {
     use rand::Rng;
 
     use super::*;
-    use crate::actor::motion::{MotionBuilder, Person};
-    use crate::field::image::images;
+    use crate::em::image::images;
+    use crate::people::motion::{MotionBuilder, Person};
     use crate::random::{Purpose, generator};
     use crate::scene::Scene;
 
@@ -296,7 +307,7 @@ mod tests {
         for name in ["corridor", "hall"] {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/scenes/{name}.toml"));
             let scene = Scene::load(&path).expect("a fixture").drawn(1).expect("a scene");
-            let stage = Stage::new(&scene, 1, 10.0);
+            let prepared = PreparedScene::new(&scene, 1, 10.0);
             let room = scene.room();
             let size_m = room.size_m;
             for i in 0..40u64 {
@@ -306,14 +317,14 @@ mod tests {
                     MotionBuilder::new(Person::draw(i, [number, 0], 1.75), 0.0, place, heading_rad).stay()
                 };
                 let people = [somebody(0), somebody(1)].map(|motion| Snapshot::new(&motion, 1.0));
-                let mut bystanders = Bystanders::new(&stage, &room, &people, 0, images(2).len());
+                let mut bystanders = Bystanders::new(&prepared, &room, &people, 0, images(2).len());
                 for (number, image) in images(2).into_iter().enumerate() {
-                    let antenna = stage.tx.position;
-                    let way = Way { image, source: stage.room.image_position(image, antenna), antenna };
+                    let antenna = prepared.tx.position;
+                    let way = Way { image, source: prepared.room.image_position(image, antenna), antenna };
                     for segment in people[0].body {
                         let unit = DVec3::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.3);
                         let point = segment.surface(unit.normalize());
-                        let exact = past_people(&stage, &people, 0, image, antenna, point);
+                        let exact = past_people(&prepared, &people, 0, image, antenna, point);
                         assert_eq!(bystanders.past(number, &way, point), exact, "{name} {i} {image:?} {point}");
                         shaded += usize::from(exact < 0.9);
                         all += 1;

@@ -7,11 +7,11 @@ use glam::DVec3;
 use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
-use super::chirp_sum::{ChirpSums, StretchChirps, TrackRows, stretches_of};
-use super::key_rows::KeyRows;
-use crate::field::image::{Element, ImageIndex};
+use super::patch_field::PatchField;
+use super::patch_sum::{PatchSums, StretchChirps, TrackRows, stretches_of};
+use crate::em::image::{Element, ImageIndex};
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
-use crate::stage::Stage;
+use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{EchoWay, phasor};
 
 /// Places of the antennas behind an image.
@@ -77,12 +77,12 @@ impl Patch {
     /// Sums the triangles in every chirp, on their way from one image to another; `None` where there is nothing. Places of
     /// triangles are from `origin`.
     pub(super) fn new(
-        keys: &[KeyRows],
+        keys: &[PatchField],
         origin: DVec3,
         between: [&Place; 2],
         times: &FrameTimes,
         wavelength_m: f64,
-        sums: &mut ChirpSums,
+        sums: &mut PatchSums,
     ) -> Option<Self> {
         // The same weights at all keys, so that the place moves smoothly.
         let mut weights = [0f32; LANES];
@@ -97,7 +97,7 @@ impl Patch {
         weights.iter_mut().for_each(|weight| *weight /= total);
         // They sum to one but for rounding, which lengths would show.
         let whole = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>();
-        let place = |key: &KeyRows| {
+        let place = |key: &PatchField| {
             let mean = |row: &Row| f64::from((0..LANES).map(|l| row[l] * weights[l]).sum::<f32>());
             let length_m = (0..LANES).map(|l| key.length_m[l] * f64::from(weights[l])).sum::<f64>();
             let middle = DVec3::new(mean(&key.middles[0]), mean(&key.middles[1]), mean(&key.middles[2]));
@@ -108,7 +108,7 @@ impl Patch {
         let middle = places.get(places.len() / 2)?.place;
         let gradient_rad_per_m = detour_gradient(between, middle) * (std::f64::consts::TAU / wavelength_m);
         let step_s = times.step_s();
-        let end = |(key, place): (&KeyRows, &PatchPlace)| {
+        let end = |(key, place): (&PatchField, &PatchPlace)| {
             track_rows(key, place, origin, gradient_rad_per_m, step_s, wavelength_m)
         };
         let ends: Vec<TrackRows> = keys.iter().zip(&places).map(end).collect();
@@ -124,7 +124,7 @@ impl Patch {
     /// Ways by which each receiver hears it between two images, and by the reverse if it is both.
     pub(super) fn ways(
         &self,
-        stage: &Stage,
+        prepared: &PreparedScene,
         between: [&Place; 2],
         is_both: bool,
         chirps: usize,
@@ -137,18 +137,18 @@ impl Patch {
         else {
             return;
         };
-        let [begins, ends] = [begin, end].map(|place| place.response(stage));
+        let [begins, ends] = [begin, end].map(|place| place.response(prepared));
         let at_middle = if last > 0 { (last / 2) as f32 / last as f32 } else { 0.0 };
         let responses = [begins, begins + (ends - begins) * at_middle, ends];
         let passes = [between, [between[1], between[0]]];
         let keys = [begin, middle, end].map(|place| (place, passes.map(|pass| place.detour_but_for_receiver_m(pass))));
-        for (rx, lsb) in stage.lsb.iter().enumerate().take(stage.rx.len()) {
+        for (rx, lsb) in prepared.lsb.iter().enumerate().take(prepared.rx.len()) {
             let mut factors = [(Complex::default(), Complex::default()); 3];
             for ((factor, response), (place, detours_m)) in factors.iter_mut().zip(responses).zip(&keys) {
                 let response = response * *lsb as f32;
                 let turn = |pass: usize| {
                     let to_receiver_m = passes[pass][1].rx.get(rx).map_or(0.0, |sink| sink.distance(place.place));
-                    place.turn(stage, detours_m[pass] + to_receiver_m)
+                    place.turn(prepared, detours_m[pass] + to_receiver_m)
                 };
                 let there = response * turn(0);
                 let reverse = if is_both { response * turn(1) } else { Complex::default() };
@@ -168,9 +168,9 @@ impl PatchPlace {
     }
 
     /// Response of the filters to its field, as it multiplies `exp(+j ...)`.
-    fn response(&self, stage: &Stage) -> Complex<f32> {
-        let beat_hz = stage.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
-        let response = stage.filters.response(beat_hz);
+    fn response(&self, prepared: &PreparedScene) -> Complex<f32> {
+        let beat_hz = prepared.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
+        let response = prepared.filters.response(beat_hz);
         Complex::new(response.re as f32, response.im as f32)
     }
 
@@ -182,9 +182,9 @@ impl PatchPlace {
     }
 
     /// The phasor of a path that is so much longer.
-    fn turn(&self, stage: &Stage, longer_m: f64) -> Complex<f32> {
+    fn turn(&self, prepared: &PreparedScene, longer_m: f64) -> Complex<f32> {
         let (delay_s, later_s) = (self.delay_s(), longer_m / SPEED_OF_LIGHT_M_PER_S);
-        phasor(stage.chirp.phase_cycles(delay_s + later_s) - stage.chirp.phase_cycles(delay_s))
+        phasor(prepared.chirp.phase_cycles(delay_s + later_s) - prepared.chirp.phase_cycles(delay_s))
     }
 }
 
@@ -208,7 +208,7 @@ fn parabola([a, b, c]: [Complex<f32>; 3], last: usize, chirps: usize) -> [Comple
 
 /// Triangles at a key as one end of a stretch of so many seconds, with lengths from the patch's.
 fn track_rows(
-    key: &KeyRows,
+    key: &PatchField,
     patch: &PatchPlace,
     origin: DVec3,
     detour_rad_per_m: DVec3,
@@ -239,7 +239,12 @@ fn track_rows(
 }
 
 /// Squares of what cubics between keys miss of triangles' fields when every second key is left out, and of the fields.
-pub(super) fn missed_between_keys(level: KernelLevel, keys: &[KeyRows], step_s: f64, wavelength_m: f64) -> (f64, f64) {
+pub(super) fn missed_between_keys(
+    level: KernelLevel,
+    keys: &[PatchField],
+    step_s: f64,
+    wavelength_m: f64,
+) -> (f64, f64) {
     let (mut missed, mut power) = (0.0, 0.0);
     for triple in keys.windows(3).step_by(2) {
         let [first, middle, last] = triple else { continue };
@@ -250,11 +255,11 @@ pub(super) fn missed_between_keys(level: KernelLevel, keys: &[KeyRows], step_s: 
 }
 
 compiled_for_levels! {
-    fn missed_in_stretch(keys: [&KeyRows; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) = missed_body;
+    fn missed_in_stretch(keys: [&PatchField; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) = missed_body;
 }
 
 #[inline(always)]
-fn missed_body([a, b, c]: [&KeyRows; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) {
+fn missed_body([a, b, c]: [&PatchField; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) {
     let slope = (0.25 * step_s) as f32;
     let mut missed = [0f32; LANES];
     for l in 0..LANES {
@@ -273,16 +278,16 @@ fn missed_body([a, b, c]: [&KeyRows; 3], step_s: f64, wavelength_m: f64) -> (f64
 }
 
 /// An antenna in the middle of transmitter and receivers.
-pub(super) fn middle_antenna(stage: &Stage) -> Element {
-    let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
-    let position = if stage.rx.is_empty() { stage.tx.position } else { 0.5 * (stage.tx.position + rx) };
-    Element { position, ..stage.tx }
+pub(super) fn middle_antenna(prepared: &PreparedScene) -> Element {
+    let rx: DVec3 = prepared.rx.iter().map(|rx| rx.position).sum::<DVec3>() / prepared.rx.len().max(1) as f64;
+    let position = if prepared.rx.is_empty() { prepared.tx.position } else { 0.5 * (prepared.tx.position + rx) };
+    Element { position, ..prepared.tx }
 }
 
 impl Place {
-    pub(super) fn new(stage: &Stage, middle: &Element, index: ImageIndex) -> Self {
-        let place = |position: DVec3| stage.room.image_position(index, position);
-        let rx = stage.rx.iter().map(|rx| place(rx.position)).collect();
-        Place { middle: place(middle.position), tx: place(stage.tx.position), rx }
+    pub(super) fn new(prepared: &PreparedScene, middle: &Element, index: ImageIndex) -> Self {
+        let place = |position: DVec3| prepared.room.image_position(index, position);
+        let rx = prepared.rx.iter().map(|rx| place(rx.position)).collect();
+        Place { middle: place(middle.position), tx: place(prepared.tx.position), rx }
     }
 }

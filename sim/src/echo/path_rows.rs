@@ -8,11 +8,11 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::LEAST_DISTANCE_M;
-use crate::field::highlight_rows::HighlightRows;
-use crate::field::image::Element;
+use crate::em::image::Element;
+use crate::em::specular_rows::SpecularRows;
 use crate::lanes::vector::{Vector, add, choose, cross, dot, normalized, scale, store, subtract, tangent, times};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
-use crate::stage::Stage;
+use crate::prepared_scene::PreparedScene;
 
 /// Fields side by side.
 #[derive(Debug, Clone, Copy, Default)]
@@ -58,11 +58,11 @@ fn launched_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field:
 }
 
 compiled_for_levels! {
-    /// Computes amplitudes of paths but for their phases, real and imaginary part: fields of both antennas at the highlights, skin
+    /// Computes amplitudes of paths but for their phases, real and imaginary part: fields of both antennas at the specular points, skin
     /// between them, spreading, and a factor of each path.
     pub(super) fn reflected(
         permittivity: Complex64,
-        seen: &HighlightRows,
+        seen: &SpecularRows,
         fields: &[WideFields; 2],
         factors: &WideRow,
         amplitude: &mut [WideRow; 2],
@@ -72,7 +72,7 @@ compiled_for_levels! {
 #[inline(always)]
 fn reflected_body(
     permittivity: Complex64,
-    seen: &HighlightRows,
+    seen: &SpecularRows,
     fields: &[WideFields; 2],
     factors: &WideRow,
     amplitude: &mut [WideRow; 2],
@@ -115,7 +115,7 @@ fn divide(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [(a[0] * b[0] + a[1] * b[1]) * per_square, (a[1] * b[0] - a[0] * b[1]) * per_square]
 }
 
-/// Reflection of a lossy half-space, TE and TM ([`crate::field::fresnel::half_space`]): of a permittivity whose real part is more
+/// Reflection of a lossy half-space, TE and TM ([`crate::em::fresnel::half_space`]): of a permittivity whose real part is more
 /// than one.
 #[inline(always)]
 fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
@@ -133,9 +133,9 @@ fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
 compiled_for_levels! {
     /// Computes what a receiver hears whose images are at `sinks`.
     pub(super) fn heard(
-        stage: &Stage,
+        prepared: &PreparedScene,
         lsb: f64,
-        seen: &HighlightRows,
+        seen: &SpecularRows,
         drift: &Drift,
         sinks: &WideRow3,
         amplitude: &[WideRow; 2],
@@ -145,15 +145,15 @@ compiled_for_levels! {
 
 #[inline(always)]
 fn heard_body(
-    stage: &Stage,
+    prepared: &PreparedScene,
     lsb: f64,
-    seen: &HighlightRows,
+    seen: &SpecularRows,
     drift: &Drift,
     sinks: &WideRow3,
     amplitude: &[WideRow; 2],
     out: &mut HeardRows,
 ) {
-    let (chirp, filters) = (stage.chirp, stage.filters);
+    let (chirp, filters) = (prepared.chirp, prepared.filters);
     let [centre, x, y, z] = drift.0;
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
     for l in 0..WIDE {
@@ -177,7 +177,7 @@ fn heard_body(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::fresnel::half_space;
+    use crate::em::fresnel::half_space;
     use crate::material::SKIN_PERMITTIVITY;
 
     #[test]

@@ -1,4 +1,4 @@
-//! Many of somebody's paths at one instant: highlights of a segment by pairs of images, some side by side ([`super::path_rows`]).
+//! Many of somebody's paths at one instant: specular points of a segment by pairs of images, some side by side ([`super::path_rows`]).
 //! What lanes cannot do, as in rooms that are no boxes, is traced path by path; it is also what lanes are held to.
 //!
 //! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
@@ -11,29 +11,29 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::obstruction::{Bystanders, SharedWays, limb_column, opposite};
 use super::path_rows::{Drift, HeardRows, WideFields, heard, launched, reflected};
 use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
-use crate::actor::body::SEGMENTS;
-use crate::field::Phasor3;
-use crate::field::highlight::LEAST_COSINE;
-use crate::field::highlight_rows::{HighlightRows, highlights};
-use crate::field::image::{BoxRoom, order};
+use crate::diffraction::weaken_rows;
+use crate::em::Phasor3;
+use crate::em::image::{BoxRoom, order};
+use crate::em::specular::LEAST_COSINE;
+use crate::em::specular_rows::{SpecularRows, specular_points};
 use crate::lanes::vector::store;
 use crate::lanes::{WIDE, WideRow, WideRow3, wide_lane};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
+use crate::path_segment::PathSample;
 use crate::paths::Surroundings;
-use crate::shadow::weaken_rows;
-use crate::slow_time::Key;
+use crate::people::body::SEGMENTS;
 use crate::tracks::OTHERS;
 
 /// Most receivers.
 const RECEIVERS: usize = 1 + OTHERS;
 /// No path.
-const NOTHING: Key = Key { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::ZERO };
+const NOTHING: PathSample = PathSample { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::ZERO };
 
 /// A path at an instant, to each receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Met {
-    keys: [Key; RECEIVERS],
+    keys: [PathSample; RECEIVERS],
     receivers: usize,
     /// Place at which it is met on its segment, a point of the unit sphere; `None` where there is no such path.
     pub place: Option<DVec3>,
@@ -45,7 +45,7 @@ pub struct Met {
 
 impl Met {
     /// A path with a key for each receiver.
-    pub fn new(keys: &[Key], place: Option<DVec3>) -> Self {
+    pub fn new(keys: &[PathSample], place: Option<DVec3>) -> Self {
         let mut met = Met { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false };
         for (own, key) in met.keys.iter_mut().zip(keys) {
             *own = *key;
@@ -55,7 +55,7 @@ impl Met {
     }
 
     /// A key for each receiver, of amplitude zero where there is no such path.
-    pub fn keys(&self) -> &[Key] {
+    pub fn keys(&self) -> &[PathSample] {
         self.keys.get(..self.receivers).unwrap_or_default()
     }
 }
@@ -81,10 +81,10 @@ impl Paths<'_> {
     /// where on its segment each was met a little earlier or later.
     pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
         let mut met = vec![Met::new(&[], None); asked.len()];
-        if let Surroundings::Box(room) = &self.stage.room {
+        if let Surroundings::Box(room) = &self.prepared.room {
             let mut of_segments: [Vec<usize>; SEGMENTS] = Default::default();
             for (at, &(path, _)) in asked.iter().enumerate() {
-                if let Some(&(_, segment)) = self.highlights.get(path) {
+                if let Some(&(_, segment)) = self.specular_points.get(path) {
                     of_segments[segment].push(at);
                 }
             }
@@ -95,9 +95,9 @@ impl Paths<'_> {
             }
         }
         let Some(own) = people.get(self.me) else { return met };
-        let ways = match &self.stage.room {
+        let ways = match &self.prepared.room {
             Surroundings::Box(_) => None,
-            Surroundings::Polygons(room) => Some(SharedWays::new(self.stage, room, people, self.me, &self.beside)),
+            Surroundings::Polygons(room) => Some(SharedWays::new(self.prepared, room, people, self.me, &self.beside)),
         };
         let mut instant = Instant { people, own, ways };
         // What lanes leave, and what a person at a desk has besides.
@@ -113,11 +113,11 @@ impl Paths<'_> {
     /// Weakens paths at one instant by the people in their ways, once. They come with their numbers.
     pub fn shade<'m>(&self, met: impl IntoIterator<Item = (usize, &'m mut Met)>, people: &[Snapshot]) {
         // Others are traced with everybody in their ways.
-        let Surroundings::Box(room) = &self.stage.room else { return };
-        let mut bystanders = Bystanders::new(self.stage, room, people, self.me, 2 * self.images);
+        let Surroundings::Box(room) = &self.prepared.room else { return };
+        let mut bystanders = Bystanders::new(self.prepared, room, people, self.me, 2 * self.images);
         for (path, met) in met.into_iter().filter(|(_, met)| met.is_bare) {
             met.is_bare = false;
-            let pair = self.highlights.get(path).and_then(|&(number, _)| self.pairs.get(number));
+            let pair = self.specular_points.get(path).and_then(|&(number, _)| self.pairs.get(number));
             let Some(Pair { there, back, images, .. }) = pair else { continue };
             // Images of the transmitter and of the receivers are some millimetres apart.
             let left =
@@ -143,7 +143,7 @@ impl Paths<'_> {
         let (Some(ellipsoid), Some(drift)) = (own.body.get(segment), own.drift(segment)) else { return };
         let pair = |lane: usize| {
             let &(path, _) = asked.get(*lanes.get(lane)?)?;
-            let &(number, _) = self.highlights.get(path)?;
+            let &(number, _) = self.specular_points.get(path)?;
             self.pairs.get(number)
         };
         // Lanes to spare repeat the first.
@@ -154,8 +154,8 @@ impl Paths<'_> {
             store(&mut sources[0], l, pair.there.source.to_array());
             store(&mut sources[1], l, pair.back.source.to_array());
         }
-        let mut seen = HighlightRows::default();
-        highlights(self.level, ellipsoid, &sources, &mut seen);
+        let mut seen = SpecularRows::default();
+        specular_points(self.level, ellipsoid, &sources, &mut seen);
         let factors = self.factors(segment, own, &sources, &seen);
         let fields = self.fields(room, &pairs, &factors, &seen);
         let mut amplitude = [[0.0; WIDE]; 2];
@@ -163,10 +163,10 @@ impl Paths<'_> {
         for (l, &at) in lanes.iter().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
             let Some(met) = met.get_mut(at) else { continue };
             report.paths += 1;
-            met.receivers = self.stage.rx.len().min(RECEIVERS);
+            met.receivers = self.prepared.rx.len().min(RECEIVERS);
             if seen.cosine[l] <= LEAST_COSINE {
                 let delay_s = (pairs[l].there.source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
-                met.keys = [Key { delay_s, ..NOTHING }; RECEIVERS];
+                met.keys = [PathSample { delay_s, ..NOTHING }; RECEIVERS];
                 continue;
             }
             let nearest_m = seen.distances_m[0][l].min(seen.distances_m[1][l]);
@@ -183,60 +183,54 @@ impl Paths<'_> {
         &self,
         lanes: &[usize],
         pairs: &[&Pair; WIDE],
-        seen: &HighlightRows,
+        seen: &SpecularRows,
         drift: &Drift,
         amplitude: &[WideRow; 2],
         met: &mut [Met],
     ) {
         let mut rows = HeardRows::default();
-        for (rx, &lsb) in self.stage.lsb.iter().enumerate().take(RECEIVERS) {
+        for (rx, &lsb) in self.prepared.lsb.iter().enumerate().take(RECEIVERS) {
             let mut sinks = [[0.0; WIDE]; 3];
             for (l, pair) in pairs.iter().enumerate() {
                 store(&mut sinks, l, pair.sinks.get(rx).copied().unwrap_or_default().to_array());
             }
-            heard(self.level, self.stage, lsb, seen, drift, &sinks, amplitude, &mut rows);
+            heard(self.level, self.prepared, lsb, seen, drift, &sinks, amplitude, &mut rows);
             for (l, &at) in lanes.iter().enumerate() {
                 let Some(met) = met.get_mut(at).filter(|met| met.place.is_some()) else { continue };
                 let amplitude = Complex64::new(rows.amplitude[0][l], rows.amplitude[1][l]);
-                met.keys[rx] = Key { delay_s: rows.delay_s[l], delay_rate: rows.delay_rate[l], amplitude };
+                met.keys[rx] = PathSample { delay_s: rows.delay_s[l], delay_rate: rows.delay_rate[l], amplitude };
             }
         }
     }
 
     /// Factors of amplitudes beside fields and spreading: aperture, clothes, walls about the room, grazing incidence, and the own
     /// limbs and trunk. Zero where nothing was found.
-    fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &HighlightRows) -> WideRow {
-        let stage = self.stage;
+    fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &SpecularRows) -> WideRow {
+        let prepared = self.prepared;
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let common = 0.5 * stage.aperture_m() * cloth;
+        let common = 0.5 * prepared.aperture_m() * cloth;
         let mut factors = [0.0; WIDE];
         for (l, factor) in factors.iter_mut().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
-            // Grazing highlights fade: forward scattering is no highlight.
+            // Grazing specular points fade: forward scattering is no specular point.
             let faded = smooth_step((seen.cosine[l] - 0.2) / 0.1);
-            *factor = common * faded * inside_room(stage, vector(&seen.point, l));
+            *factor = common * faded * inside_room(prepared, vector(&seen.point, l));
         }
         if segment >= 3 {
             let other = opposite(segment).and_then(|other| own.body.get(other)).map(limb_column);
             for column in [Some(own.trunk), other].iter().flatten() {
                 for source in sources {
-                    weaken_rows(self.level, &seen.point, source, column, stage.wavelength_m, &mut factors);
+                    weaken_rows(self.level, &seen.point, source, column, prepared.wavelength_m, &mut factors);
                 }
             }
         }
         factors
     }
 
-    /// Fields of both antennas' images at the highlights, but for spreading.
-    fn fields(
-        &self,
-        room: &BoxRoom,
-        pairs: &[&Pair; WIDE],
-        factors: &WideRow,
-        seen: &HighlightRows,
-    ) -> [WideFields; 2] {
-        let stage = self.stage;
+    /// Fields of both antennas' images at the specular points, but for spreading.
+    fn fields(&self, room: &BoxRoom, pairs: &[&Pair; WIDE], factors: &WideRow, seen: &SpecularRows) -> [WideFields; 2] {
+        let prepared = self.prepared;
         let mut fields = [WideFields::default(); 2];
-        let antennas = [&stage.tx, stage.rx.first().unwrap_or(&stage.tx)];
+        let antennas = [&prepared.tx, prepared.rx.first().unwrap_or(&prepared.tx)];
         for (side, (antenna, fields)) in antennas.into_iter().zip(&mut fields).enumerate() {
             let mut signs = [[0.0; WIDE]; 3];
             for (l, pair) in pairs.iter().enumerate() {

@@ -1,10 +1,10 @@
-//! Echoes of somebody whose body is a mesh: physical optics near its highlights, patch by patch.
+//! Echoes of somebody whose body is a mesh: physical optics near its specular points, patch by patch.
 //!
 //! Physical optics over the skin needs only where the path hardly changes: a smooth window over the angle between normal and
-//! bisector keeps highlights with several Fresnel zones around them and lets go of the rest, which cancels. Inside the window
-//! each triangle is integrated ([`crate::field::curved_triangle`]) at the key times, and is between them a point of the body
+//! bisector keeps specular points with several Fresnel zones around them and lets go of the rest, which cancels. Inside the window
+//! each triangle is integrated ([`crate::em::curved_triangle`]) at the key times, and is between them a point of the body
 //! with an exact delay whose strength changes slowly. Triangles of one small patch are summed chirp by chirp
-//! ([`super::chirp_sum`]) into one tone: nothing has to be found, followed or matched between key times, and highlights that
+//! ([`super::patch_sum`]) into one tone: nothing has to be found, followed or matched between key times, and specular points that
 //! are born, merge and die do so in the sum.
 //!
 //! A patch has as many triangles as go side by side in lanes. It is taken through everything, by every way and at every key,
@@ -17,19 +17,19 @@
 
 use glam::DVec3;
 
-use super::demand::{Demand, Missed};
+use super::error_budget::{ErrorBudget, Missed};
 use super::patch::{FrameTimes, Place, middle_antenna};
-use super::posed_patch::vertex_rows;
-use super::strength::{any_shines, light_rows};
-use super::workbench::{Pair, Tally, Work, Workbench};
-use super::{EchoReport, Snapshot, past_people, self_shadow};
-use crate::actor::body::SEGMENTS;
-use crate::actor::skin::PosedSkin;
-use crate::actor::walking_mesh::WalkingMesh;
-use crate::field::curved_triangle::Integrator;
-use crate::field::image::ImageIndex;
+use super::patch_pose::vertex_rows;
+use super::patch_solver::{Pair, PatchSolver, Tally, Work};
+use super::surface_currents::{any_shines, light_rows};
+use super::{EchoReport, Snapshot, past_people, self_occlusion};
+use crate::em::curved_triangle::Integrator;
+use crate::em::image::ImageIndex;
 use crate::lanes::Row;
-use crate::stage::Stage;
+use crate::people::body::SEGMENTS;
+use crate::people::skin::PosedSkin;
+use crate::people::walking_mesh::WalkingMesh;
+use crate::prepared_scene::PreparedScene;
 use crate::synthesis::ChirpGrids;
 
 /// Somebody with a skin.
@@ -54,10 +54,10 @@ impl SkinnedPerson {
 
     /// Factors of other people, and of the body itself before the last wall, on an image antenna's field at each vertex: by
     /// segment, as vertices follow those.
-    pub fn past_people(&self, stage: &Stage, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
+    pub fn past_people(&self, prepared: &PreparedScene, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
         let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
         let of_segment: [f64; SEGMENTS] =
-            std::array::from_fn(|s| past_people(stage, people, me, index, stage.tx.position, own.body[s].centre));
+            std::array::from_fn(|s| past_people(prepared, people, me, index, prepared.tx.position, own.body[s].centre));
         if of_segment.iter().all(|&w| w == 1.0) {
             return vec![1.0; self.cloth.len()];
         }
@@ -75,9 +75,9 @@ impl SkinnedPerson {
     #[allow(clippy::too_many_arguments)]
     pub fn add_echoes(
         &self,
-        stage: &Stage,
+        prepared: &PreparedScene,
         integrator: &Integrator,
-        demand: &Demand,
+        budget: &ErrorBudget,
         times: &FrameTimes,
         people: &[Vec<Snapshot>],
         me: usize,
@@ -91,7 +91,7 @@ impl SkinnedPerson {
         let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
         let mut left_out_lsb2 = 0.0;
         for &((p, q), loudness) in pairs {
-            if loudness < demand.least_pair_lsb() {
+            if loudness < budget.least_pair_lsb() {
                 left_out_lsb2 += loudness * loudness;
                 continue;
             }
@@ -104,56 +104,56 @@ impl SkinnedPerson {
         indices.sort_unstable();
         indices.dedup();
         let Some(middle) = posed.get(posed.len() / 2) else { return Missed::default() };
-        let antenna = middle_antenna(stage);
+        let antenna = middle_antenna(prepared);
         let pair = |&(way, loudness): &([ImageIndex; 2], f64)| Pair {
             images: way.map(|index| indices.binary_search(&index).unwrap_or(0)),
             loudness_lsb: loudness,
-            fineness: demand.fineness(loudness),
+            settings: budget.settings(loudness),
         };
         let mut work = Work {
-            stage,
+            prepared,
             integrator,
             skin: self.mesh.skin(),
             cloth: &self.cloth,
             times: [times, &fine],
             origin: middle.vertices.iter().sum::<DVec3>() / middle.vertices.len().max(1) as f64,
-            places: indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect(),
+            places: indices.iter().map(|&index| Place::new(prepared, &antenna, index)).collect(),
             pairs: ways.iter().map(pair).collect(),
             antenna,
             indices,
             posed,
             weights: Vec::new(),
-            missed_between_keys: demand.missed_between_keys(),
+            missed_between_keys: budget.missed_between_keys(),
         };
         let shining = self.shining(&work);
-        work.weights = self.weights(&work, people, me, &shining, demand);
+        work.weights = self.weights(&work, people, me, &shining, budget);
 
-        let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
+        let loudest = prepared.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up: one alone this far below what can be seen is not missed.
-        let least = (demand.least_patch_lsb() / loudest.max(1e-300)) as f32;
-        let mut bench = Workbench::new(&work, least);
+        let least = (budget.least_patch_lsb() / loudest.max(1e-300)) as f32;
+        let mut solver = PatchSolver::new(&work, least);
         let mut missed = Tally::default();
         for (patch, shining) in work.skin.patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
-            report.clamped += bench.pose(&work, patch, shining);
+            report.clamped += solver.pose(&work, patch, shining);
             for &number in shining {
                 let Some(pair) = work.pairs.get(number) else { continue };
-                if !bench.integrate(&work, patch, pair) {
+                if !solver.integrate(&work, patch, pair) {
                     continue;
                 }
                 report.paths += patch.triangles.len() * times.keys_s.len();
                 if number == 0 {
-                    bench.add_missed(&work, patch, pair, &mut missed);
+                    solver.add_missed(&work, patch, pair, &mut missed);
                 }
-                report.synthesised += usize::from(bench.add_tone(&work, pair, grids));
+                report.synthesised += usize::from(solver.add_tone(&work, pair, grids));
             }
         }
-        left_out_lsb2 += bench.left_out() * loudest * loudest;
+        left_out_lsb2 += solver.left_out() * loudest * loudest;
         let Missed { between_keys, by_integration, .. } = missed.missed();
-        let by_integration = by_integration * work.pairs.first().map_or(1.0, |pair| pair.fineness.beyond());
-        Missed { between_keys, by_integration, left_out: left_out_lsb2 / (demand.noise_lsb * demand.noise_lsb) }
+        let by_integration = by_integration * work.pairs.first().map_or(1.0, |pair| pair.settings.beyond());
+        Missed { between_keys, by_integration, left_out: left_out_lsb2 / (budget.noise_lsb * budget.noise_lsb) }
     }
 
-    /// By patch, the pairs of images between which it is near a highlight at the beginning or at the end.
+    /// By patch, the pairs of images between which it is near a specular point at the beginning or at the end.
     fn shining(&self, work: &Work) -> Vec<Vec<usize>> {
         let level = work.integrator.level;
         let patches = self.mesh.skin().patches();
@@ -172,7 +172,7 @@ impl SkinnedPerson {
             let narrowing = patch.vertices.map(|v| self.mesh.skin().narrowing()[v as usize]);
             let shines = |pair: &Pair| {
                 let [a, b] = pair.images;
-                let outer = pair.fineness.window[1] as f32;
+                let outer = pair.settings.window[1] as f32;
                 let lit = |(normals, lights): &([Row; 3], Vec<_>)| {
                     any_shines(level, normals, &narrowing, [&lights[a], &lights[b]], outer)
                 };
@@ -191,7 +191,7 @@ impl SkinnedPerson {
         people: &[Vec<Snapshot>],
         me: usize,
         shining: &[Vec<usize>],
-        demand: &Demand,
+        budget: &ErrorBudget,
     ) -> Vec<Vec<(f64, Vec<f64>)>> {
         let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
         for (patch, pairs) in work.skin.patches().iter().zip(shining) {
@@ -203,12 +203,13 @@ impl SkinnedPerson {
         let of_image = |image: usize| {
             let (index, place) = (work.indices[image], &work.places[image]);
             let of = work.pairs.iter().filter(|pair| pair.images.contains(&image));
-            let keys = demand.shade_keys(of.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
+            let keys = budget.shade_keys(of.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
             let at = |key: usize| {
                 // Poses are twice as close as people's keys.
                 let posed = work.posed.get(2 * key)?;
-                let own = self_shadow::weights(work.skin, posed, place.middle, work.stage.wavelength_m, &wanted[image]);
-                let others = self.past_people(work.stage, people.get(key)?, me, index);
+                let own =
+                    self_occlusion::weights(work.skin, posed, place.middle, work.prepared.wavelength_m, &wanted[image]);
+                let others = self.past_people(work.prepared, people.get(key)?, me, index);
                 Some((2.0 * key as f64, own.iter().zip(others).map(|(a, b)| a * b).collect()))
             };
             keys.into_iter().filter_map(at).collect()

@@ -8,18 +8,18 @@ use std::f64::consts::TAU;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::demand::Fineness;
-use super::posed_patch::{at_corners, vectors_at_corners, vertex_rows};
-use super::self_shadow;
-use super::strength::{Between, FieldAround, VertexRows, field_rows, light_rows, strengths};
-use super::workbench::rules_for;
-use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
-use crate::field::Phasor3;
-use crate::field::curved_triangle::{
+use super::error_budget::IntegrationSettings;
+use super::patch_pose::{at_corners, vectors_at_corners, vertex_rows};
+use super::patch_solver::rules_for;
+use super::self_occlusion;
+use super::surface_currents::{Between, FieldAround, VertexRows, field_rows, light_rows, strengths};
+use crate::em::Phasor3;
+use crate::em::curved_triangle::{
     HALVES, Integrator, Nodes, bulge_rows, moments, place_nodes, spans_rad, triangle_rows, view_rows,
 };
 use crate::geometry::Surface;
 use crate::lanes::{LANES, Row};
+use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 
 /// From farther away than this shadows are cast as from here, m: they are found in single precision.
 const FARTHEST_SHADING_M: f64 = 1e3;
@@ -44,7 +44,7 @@ pub struct StillView<'a> {
     /// Complex relative permittivity of the body, whose real part is no less than 1.
     pub permittivity: Complex64,
     /// Settings of the integration.
-    pub fineness: Fineness,
+    pub settings: IntegrationSettings,
 }
 
 impl StillSkin {
@@ -60,12 +60,12 @@ impl StillSkin {
         self.skin.rest().triangles.len()
     }
 
-    /// Physical optics over what is near a highlight and in the light: the integral of [`crate::field::current::heard_by`] over
+    /// Physical optics over what is near a specular point and in the light: the integral of [`crate::em::current::heard_by`] over
     /// the square of the distance, with the phase of the path relative to that by the middle of the surface.
     pub fn integral(&self, integrator: &Integrator, view: &StillView) -> Complex64 {
         let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);
         let wanted = vec![true; self.posed.vertices.len()];
-        let weights = self_shadow::weights(&self.skin, &self.posed, shading, view.wavelength_m, &wanted);
+        let weights = self_occlusion::weights(&self.skin, &self.posed, shading, view.wavelength_m, &wanted);
         self.skin.patches().iter().map(|patch| self.of_patch(integrator, view, patch, &weights)).sum()
     }
 
@@ -90,7 +90,7 @@ impl StillSkin {
                 fields: [&field, &field],
                 weights: [&weights, &weights],
                 permittivity: view.permittivity,
-                fineness: &view.fineness,
+                settings: &view.settings,
                 factor: 1.0,
             },
         );
@@ -98,7 +98,7 @@ impl StillSkin {
             return Complex64::ZERO;
         }
         let spans = spans_rad(level, [&seen, &seen]);
-        let rules = rules_for(&spans, 0..patch.triangles.len(), view.fineness.ease);
+        let rules = rules_for(&spans, 0..patch.triangles.len(), view.settings.ease);
         let mut nodes: [Nodes; HALVES] = Default::default();
         for (half, (rule, nodes)) in rules.into_iter().zip(&mut nodes).enumerate() {
             if let Some(rule) = rule.and_then(|number| integrator.rules.get(number)) {
@@ -142,7 +142,7 @@ mod tests {
             field: &field,
             wavelength_m: 0.005,
             permittivity: SKIN_PERMITTIVITY,
-            fineness: Fineness::for_tolerance(0.5),
+            settings: IntegrationSettings::for_tolerance(0.5),
         };
         let front = shape::icosphere(DVec3::splat(0.2), 24);
         let mut both = front.clone();

@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 
 use num_complex::Complex64;
 
-use crate::shadow::half_plane;
+use crate::diffraction::half_plane;
 
 /// Abscissae and weights of the Gauss-Legendre rules with 4, 8 and 16 places on -1..1, those of the positive half.
 const GAUSS_4: [(f64, f64); 2] =

@@ -119,7 +119,7 @@ mod tests {
 
     use super::super::environment::{Environment, Facet};
     use super::*;
-    use crate::field::image::Wall;
+    use crate::em::image::Wall;
 
     /// Every edge that comes near a way is found, and few others.
     #[test]

@@ -7,7 +7,7 @@ use super::edges::{SoftEdge, soft_edges};
 pub use super::flat::{EnvironmentError, Facet, FacetId};
 use super::flat::{Flat, PLANAR_M, WallTables};
 use crate::geometry::Mesh;
-use crate::trace::{Ray, World};
+use crate::rays::{Ray, World};
 
 /// Facets whose planes are nearer to each other than this lie in one plane, m.
 const COPLANAR_M: f64 = 1e-7;
@@ -319,7 +319,7 @@ fn number_planes(flats: &mut [Flat]) -> Vec<Vec<FacetId>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::image::Wall;
+    use crate::em::image::Wall;
 
     const METAL: Wall = Wall::Conductor;
 

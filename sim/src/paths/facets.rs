@@ -107,7 +107,7 @@ fn turned(facet: &Facet) -> Facet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::image::Wall;
+    use crate::em::image::Wall;
     use crate::geometry::polygon;
 
     /// The back of a facet has the same sides.

@@ -6,10 +6,10 @@ use glam::{DMat3, DVec2, DVec3};
 use thiserror::Error;
 
 use super::triangulate::triangulate;
-use crate::field::image::{BoxRoom, Wall};
-use crate::field::wall::WallTable;
+use crate::em::image::{BoxRoom, Wall};
+use crate::em::wall::WallTable;
 use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
-use crate::trace::WorldError;
+use crate::rays::WorldError;
 
 /// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;

@@ -1,6 +1,6 @@
 //! Fields by way of images: the path is unfolded, checked against polygons and obstacles, and its reflections multiplied.
 //!
-//! As in [`crate::field::image`] the field is followed in the image's frame, where the direction never changes: each reflection
+//! As in [`crate::em::image`] the field is followed in the image's frame, where the direction never changes: each reflection
 //! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it. Where walls let waves
 //! through, each one between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 
@@ -14,9 +14,9 @@ use super::edge_field::side_between;
 use super::edges::SoftEdge;
 use super::environment::{Environment, Passing};
 use super::flat::{FacetId, Flat, SEAM_M};
-use crate::field::fresnel::Reflection;
-use crate::field::image::{Element, Illumination};
-use crate::field::{Phasor3, incidence_frame};
+use crate::em::fresnel::Reflection;
+use crate::em::image::{Element, Illumination};
+use crate::em::{Phasor3, incidence_frame};
 
 /// Distances from an edge to the ends of a path count as at least this, m.
 const LEAST_DISTANCE_M: f64 = 1e-3;
@@ -229,7 +229,7 @@ fn fade(x: f64) -> f64 {
 }
 
 impl ImagePaths {
-    /// Field of an element's image at a point, as [`crate::field::image::BoxRoom::illuminate`] gives it: zero where no path leads
+    /// Field of an element's image at a point, as [`crate::em::image::BoxRoom::illuminate`] gives it: zero where no path leads
     /// from the one to the other.
     pub fn illuminate(&self, element: &Element, image: usize, point: DVec3) -> Illumination {
         self.illuminate_past(element, &self.obstruction(image, element.position, point), point)

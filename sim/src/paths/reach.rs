@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::environment::FacetId;
-use crate::field::image::Element;
+use crate::em::image::Element;
 
 /// Way from an antenna to a ball.
 struct Cone {
@@ -116,7 +116,7 @@ mod tests {
     use super::super::environment::Environment;
     use super::super::rooms::{extruded, l_shape, sheet, slab};
     use super::*;
-    use crate::field::pattern::Pattern;
+    use crate::em::pattern::Pattern;
 
     /// Nothing arrives anywhere in the ball from images that are left out, and no image is louder than its bound.
     #[test]

@@ -5,7 +5,7 @@ use num_complex::Complex64;
 use rand::Rng;
 
 use super::environment::Facet;
-use crate::field::image::Wall;
+use crate::em::image::Wall;
 use crate::geometry::polygon::sides;
 
 /// A slab of plasterboard, brick or concrete, by number.

@@ -8,7 +8,7 @@ use num_complex::Complex64;
 use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
 use super::environment::{Environment, EnvironmentError, FacetId};
 use super::illuminate::{EdgesBeside, Obstruction};
-use crate::field::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
+use crate::em::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
 use crate::scene::Scene;
 use crate::scene::surfaces::Surfaces;
 use crate::scene_file::SolverFile;

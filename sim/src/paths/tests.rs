@@ -10,10 +10,10 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::exhaustive::all_sequences;
 use super::rooms::{extruded, l_shape, sheet, slab, star};
 use super::{Environment, Facet, ImagePaths, LaunchOptions};
-use crate::field::image::{BoxRoom, Element, Wall, images};
-use crate::field::pattern::Pattern;
+use crate::diffraction::half_plane;
+use crate::em::image::{BoxRoom, Element, Wall, images};
+use crate::em::pattern::Pattern;
 use crate::geometry::polygon::encloses;
-use crate::shadow::half_plane;
 
 /// Wavenumber at 60 GHz, 1/m.
 const K: f64 = 1_257.507_013_171_009;

@@ -4,12 +4,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{SceneError, file_error};
-use crate::actor::clip::BodyClip;
-use crate::actor::imported::{Actor, ActorOptions};
-use crate::actor::motion::Steps;
 use crate::bounded_file::{MESH_LIMIT_BYTES, named_by_spec, read};
-use crate::fault::{FileFault, utf8};
+use crate::file_error::{FileError, utf8};
 use crate::geometry::import::UpAxis;
+use crate::people::clip::BodyClip;
+use crate::people::imported::{Actor, ActorOptions};
+use crate::people::motion::Steps;
 use crate::scene_file::{ActorFile, SceneFile};
 
 /// At this speed sliding is told, m/s.
@@ -24,10 +24,10 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
     let Some(name) = &actor.file else { return Ok(Steps::Gait) };
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(name);
-    let fault = |source: FileFault| file_error(path, text, name, source);
+    let fault = |source: FileError| file_error(path, text, name, source);
     let bytes = named_by_spec(folder, Path::new(name))
         .and_then(|file| read(&file, MESH_LIMIT_BYTES))
-        .map_err(|e| fault(FileFault::unreadable(&e)))?;
+        .map_err(|e| fault(FileError::unreadable(&e)))?;
     if name.to_lowercase().ends_with(".bvh") {
         let text = utf8(&bytes, "BVH files are plain text: export the clip again").map_err(fault)?;
         let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(fault)?;

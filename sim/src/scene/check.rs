@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::{SceneError, line_of_key};
-use crate::actor::low::DEEPEST_SQUAT;
 use crate::material::{Material, OPEN, OwnMaterial};
+use crate::people::postures::DEEPEST_SQUAT;
 use crate::scene_file::{
     ActorFile, BodyFile, DeskFile, DoorFile, FurnitureFile, RadarFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile,
     StepFile, SurfaceFile, SwayFile, VibrationFile, VisitsFile, WanderFile,

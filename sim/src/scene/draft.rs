@@ -1,7 +1,7 @@
 //! Faces before it is known where there is air.
 
 use super::room::slab;
-use crate::field::image::Wall;
+use crate::em::image::Wall;
 use crate::geometry::PlanarPolygon;
 use crate::scene_file::{SceneFile, SurfaceFile};
 

@@ -19,11 +19,11 @@ use glam::{DMat3, DVec3};
 use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
 use thiserror::Error;
 
-use crate::actor::motion::Steps;
 use crate::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
-use crate::fault::FileFault;
-use crate::field::image::{BoxRoom, Element, Wall};
-use crate::field::pattern::Pattern;
+use crate::em::image::{BoxRoom, Element, Wall};
+use crate::em::pattern::Pattern;
+use crate::file_error::FileError;
+use crate::people::motion::Steps;
 use crate::receiver::Receiver;
 use crate::scene_file::draw::{Draw, drawn};
 use crate::scene_file::{BodyFile, SceneFile};
@@ -99,7 +99,7 @@ pub enum SceneError {
         /// The file.
         file: PathBuf,
         /// Place in it, what is wrong, and what to do.
-        source: Box<FileFault>,
+        source: Box<FileError>,
     },
     /// The chip cannot produce the waveform.
     #[error("{path}:{line}: {source}")]
@@ -458,7 +458,7 @@ fn read(path: &Path) -> Result<String, SceneError> {
 }
 
 /// Error in a file that a scene file names.
-fn file_error(scene: &Path, text: &str, name: &str, source: FileFault) -> SceneError {
+fn file_error(scene: &Path, text: &str, name: &str, source: FileError) -> SceneError {
     let file = scene.parent().unwrap_or(Path::new("")).join(name);
     SceneError::File { path: scene.to_owned(), line: line_of_key(text, name), file, source: Box::new(source) }
 }

@@ -17,8 +17,8 @@ use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 use super::check::{Fault, fault, surfaces};
 use super::{SceneError, file_error};
 use crate::bounded_file::named_by_spec;
-use crate::fault::FileFault;
-use crate::field::image::Wall;
+use crate::em::image::Wall;
+use crate::file_error::FileError;
 use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
@@ -197,7 +197,7 @@ pub(super) fn read_meshes(
     let Some(first) = file.room.mesh.first() else {
         return Ok((Vec::new(), RoomMeshes { own_furniture, ..RoomMeshes::default() }));
     };
-    let of_room = |source: FileFault| file_error(path, text, &first.file, source);
+    let of_room = |source: FileError| file_error(path, text, &first.file, source);
     let [low, high] = bounds(pieces.iter().flat_map(|p| &p.mesh.vertices));
     if !(0..3).all(|i| (SIZES_M[0]..=2.0 * SIZES_M[1]).contains(&(high - low)[i])) {
         let size = high - low;
@@ -205,7 +205,7 @@ pub(super) fn read_meshes(
             format!("all meshes together are {:.4} x {:.4} x {:.4} m, expected {SIZES_M:?} m", size.x, size.y, size.z);
         let hint =
             "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"; of glTF, which is in metres, remove it";
-        return Err(of_room(FileFault::new("size", problem, hint)));
+        return Err(of_room(FileError::new("size", problem, hint)));
     }
     let (found, made) = six_walls(file, &pieces, [low, high]).map_err(of_room)?;
     let [corner, end] = [0, 1].map(|e| DVec3::new(found[e], found[2 + e], found[4 + e]));
@@ -224,7 +224,7 @@ fn six_walls(
     file: &SceneFile,
     pieces: &[Piece],
     [low, high]: [DVec3; 2],
-) -> Result<([f64; 6], [SurfaceFile; 6]), FileFault> {
+) -> Result<([f64; 6], [SurfaceFile; 6]), FileError> {
     let faces = faces(pieces);
     let mut found: [f64; 6] = [0.0; 6];
     let mut made: [SurfaceFile; 6] = Default::default();
@@ -244,7 +244,7 @@ fn six_walls(
             );
             let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say \
                         that there is none: ceiling = { material = \"open\" } in [room]";
-            FileFault::new("walls", problem, hint)
+            FileError::new("walls", problem, hint)
         })?;
         found[i] = face.offset_m2 / face.area_m2;
         let most = face.of.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
@@ -262,7 +262,7 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
         if triangles > MOST_TRIANGLES {
             let problem = format!("it has {triangles} triangles, expected {MOST_TRIANGLES} at most");
             let hint = "reduce the mesh: walls and furniture are looked at as planes and boxes";
-            return Err(FileFault::new("mesh", problem, hint));
+            return Err(FileError::new("mesh", problem, hint));
         }
         check_names(mesh, &parts)?;
         parts.into_iter().map(|part| piece(mesh, &file, part)).collect()
@@ -271,7 +271,7 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
 }
 
 /// Checks that the file has the names to which the scene gives materials.
-fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileFault> {
+fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileError> {
     let mut names: Vec<&str> =
         parts.iter().flat_map(|p| [p.material.as_deref().unwrap_or_default(), p.name.as_str()]).collect();
     names.retain(|name| !name.is_empty());
@@ -280,7 +280,7 @@ fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileFault> {
     match mesh.materials.keys().find(|key| !names.contains(&key.as_str())) {
         Some(key) => {
             let problem = format!("materials names {key:?}, and the file has only {names:?}");
-            Err(FileFault::new(
+            Err(FileError::new(
                 "material",
                 problem,
                 "write a name of the file, of a material or of a part, or remove it",
@@ -291,7 +291,7 @@ fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileFault> {
 }
 
 /// The parts of a mesh file in metres, z up.
-fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<Part>, FileFault> {
+fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<Part>, FileError> {
     let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let says = ["gltf", "glb"].contains(&extension.as_str());
     let (unit, up) = match (mesh.unit, mesh.up) {
@@ -301,38 +301,38 @@ fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<P
             let what = if unit.is_none() { "unit" } else { "up" };
             let problem = format!("{what} is not said, and the format does not say it either");
             let hint = "add unit = \"m\" (or \"cm\", \"mm\", \"in\") and up = \"z\" (or \"y\") to this [[room.mesh]]";
-            return Err(FileFault::new(what, problem, hint));
+            return Err(FileError::new(what, problem, hint));
         }
     };
     // Others are refused by their names.
     if says || ["stl", "obj"].contains(&extension.as_str()) {
-        named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileFault::unreadable(&e))?;
+        named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileError::unreadable(&e))?;
     }
     import(file, unit, up).map_err(|e| {
         let (place, problem) = match &e {
-            ImportError::Read { source, .. } => return FileFault::unreadable(source),
+            ImportError::Read { source, .. } => return FileError::unreadable(source),
             ImportError::Content { source, .. } => ("content", source.to_string()),
             ImportError::Format { extension, .. } => {
                 ("name", format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
             }
         };
-        FileFault::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF")
+        FileError::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF")
     })
 }
 
 /// A part of a mesh file with the material that the scene gives it.
-fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileFault> {
+fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileError> {
     let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];
     let material = names.iter().find_map(|n| mesh.materials.get(*n)).or(mesh.material.as_ref());
     let material = material.ok_or_else(|| {
         let problem = format!("the part {:?} with the material {:?} has none in the scene", part.name, names[0]);
-        FileFault::new("material", problem, "add material = \"...\", or its name to materials = { ... }")
+        FileError::new("material", problem, "add material = \"...\", or its name to materials = { ... }")
     })?;
     let welded = weld(&part.mesh, WELD_M)
-        .map_err(|e| FileFault::new("mesh", e.to_string(), "export the mesh again; check its unit"))?;
+        .map_err(|e| FileError::new("mesh", e.to_string(), "export the mesh again; check its unit"))?;
     if welded.mesh.triangles.is_empty() {
         let problem = format!("no triangle of the part {:?} has an area in this unit", part.name);
-        return Err(FileFault::new("mesh", problem, "check unit: the numbers may be in metres"));
+        return Err(FileError::new("mesh", problem, "check unit: the numbers may be in metres"));
     }
     let findings = lint(&welded.mesh);
     if findings.tangled_edges > 0 || !findings.overlaps.is_empty() {

@@ -14,7 +14,7 @@ use std::f64::consts::{PI, TAU};
 use glam::DVec3;
 
 use super::draft::Draft;
-use crate::field::image::Wall;
+use crate::em::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
 use crate::scene_file::FurnitureFile;
 use touch::{Index, TOUCH_M, Touch, touches};

@@ -9,7 +9,7 @@ use crate::geometry::import::{LengthUnit, UpAxis};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyFile {
-    /// Thirteen ellipsoids, each with one highlight: the fastest.
+    /// Thirteen ellipsoids, each with one specular point: the fastest.
     #[default]
     Ellipsoids,
     /// One skin of about 14000 triangles over the same bones, integrated to the tolerance asked for.
@@ -20,11 +20,11 @@ pub enum BodyFile {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShadowFile {
-    /// One edge weakens them, without phase, at a few times of a frame: [`crate::shadow::past`].
+    /// One edge weakens them, without phase, at a few times of a frame: [`crate::diffraction::past`].
     #[default]
     Edge,
     /// Both sides and the top of the body diffract them, in amplitude and phase, at every chirp:
-    /// [`crate::shadow::past_strip`]. Static echoes flicker at their own ranges, with the Doppler of the diffracted wave.
+    /// [`crate::diffraction::past_strip`]. Static echoes flicker at their own ranges, with the Doppler of the diffracted wave.
     Strip,
 }
 
@@ -320,7 +320,7 @@ pub struct DeskFile {
     /// The double bounce comes so much later than at twice the delay, as a length of one way, m: where the board or desk stands
     /// that reflects. Drawn for each seed. Default [0, 0].
     pub double_bounce_offset_m: [f64; 2],
-    /// Points of shoulders, arms and lap that scatter beside the highlights of the body's ellipsoids. Default 0, at most 32.
+    /// Points of shoulders, arms and lap that scatter beside the specular points of the body's ellipsoids. Default 0, at most 32.
     pub body_points: usize,
     /// Radar cross-section of each such point level with the chest, dBsm. Drawn for each point. Default [-28, -14].
     pub body_point_dbsm: [f64; 2],

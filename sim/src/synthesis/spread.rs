@@ -15,7 +15,7 @@ use num_complex::Complex;
 use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, on_circle, phasor};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
-use crate::slow_time::Stretch;
+use crate::path_segment::PathSegment;
 use crate::tracks::{Aside, Track};
 
 /// Chirps side by side.
@@ -127,7 +127,7 @@ impl Synthesiser {
     }
 
     /// Lays paths on the grids of chirps, which are at `places` (0..1) of the stretch between two keys.
-    pub fn spread(&self, chirp: &Chirp, paths: &[Stretch], places: &[f64; CHIRPS], grids: &mut Grids) {
+    pub fn spread(&self, chirp: &Chirp, paths: &[PathSegment], places: &[f64; CHIRPS], grids: &mut Grids) {
         let places = Places { at: *places, within: [1.0; CHIRPS], lanes: 0..CHIRPS };
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places: &places };
         spread_paths(self.level, &kernel, paths, &mut grids.cells);
@@ -141,7 +141,7 @@ impl Synthesiser {
 }
 
 compiled_for_levels! {
-    fn spread_paths(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) = paths_body;
+    fn spread_paths(kernel: &Kernel, paths: &[PathSegment], cells: &mut [Cell]) = paths_body;
 }
 
 compiled_for_levels! {
@@ -149,7 +149,7 @@ compiled_for_levels! {
 }
 
 #[inline(always)]
-fn paths_body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
+fn paths_body(kernel: &Kernel, paths: &[PathSegment], cells: &mut [Cell]) {
     for path in paths {
         let tones = tones(kernel, path);
         lay_weighted(&weights(kernel.taps, &tones.u), cells, &tones.re, &tones.im, &tones.first);
@@ -225,7 +225,7 @@ struct Tones {
 }
 
 #[inline(always)]
-fn tones(kernel: &Kernel, path: &Stretch) -> Tones {
+fn tones(kernel: &Kernel, path: &PathSegment) -> Tones {
     let Chirp { start_hz, slope_hz_per_s, middle_s, .. } = *kernel.chirp;
     let (mut re, mut im, mut u, mut carrier_hz) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
     let (mut position, mut first) = ([0f64; CHIRPS], [0u32; CHIRPS]);

@@ -9,7 +9,7 @@
 //! | files in millimetres, two million triangles | `rooms.rs`, `geometry/import/hard_cases.rs` |
 //! | materials outside their bands | `material_bands.rs` |
 
-use radome_sim::field::image::{images, order};
+use radome_sim::em::image::{images, order};
 
 use super::*;
 use crate::surfaces::rooms::Quad;
@@ -28,7 +28,7 @@ fn assert_sound(scene: &Scene, what: &str) {
     for index in [0, 9] {
         let power: f64 = simulator.echo_samples(index).iter().map(|&x| f64::from(x).powi(2)).sum();
         assert!(power.is_finite() && power > 0.0, "{what}, frame {index}: {power}");
-        let frame = simulator.render(index);
+        let frame = simulator.frame(index);
         assert_eq!(frame.codes.len(), frame.shape.codes(), "{what}");
     }
 }
@@ -68,12 +68,12 @@ fn a_room_may_have_no_ceiling() {
 /// Points in all of a room and around it: nothing that is not a number, and nothing louder than two mirrors can make it.
 #[test]
 fn fields_are_numbers_everywhere() {
-    let stage = polygons(&made(&plan(""), WALKER, Path::new("")));
-    for index in stage.room.images(2) {
+    let prepared = polygons(&made(&plan(""), WALKER, Path::new("")));
+    for index in prepared.room.images(2) {
         for i in 0..300 {
             let part = |by: f64| (f64::from(i) * by).fract();
             let point = DVec3::new(6.0 * part(0.618) - 0.5, 5.0 * part(0.755) - 0.5, 3.0 * part(0.57) - 0.2);
-            let field = stage.room.illuminate(&stage.tx, index, point).field.magnitude();
+            let field = prepared.room.illuminate(&prepared.tx, index, point).field.magnitude();
             assert!(field.is_finite() && field < 3.0, "{index:?} {point}: {field}");
         }
     }
@@ -85,7 +85,7 @@ fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
     let scene = made(&plan(""), WALKER, Path::new(""));
     let frames = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| common::simulator(&scene, 7, None).render(6).codes)
+        pool.install(|| common::simulator(&scene, 7, None).frame(6).codes)
     };
     assert_eq!(frames(1), frames(3));
 }

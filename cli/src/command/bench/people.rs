@@ -37,7 +37,7 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
         }
         let ms = least_ms(rounds, || {
             for index in FRAMES {
-                let frame: Frame = simulator.render(index);
+                let frame: Frame = simulator.frame(index);
                 std::hint::black_box(frame);
             }
             Ok(())

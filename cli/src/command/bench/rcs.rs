@@ -4,11 +4,11 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use glam::DVec3;
-use radome_sim::field::image::Wall;
+use radome_sim::em::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
+use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
 use super::point::least_ms;
@@ -99,7 +99,8 @@ enum How {
     /// Method that suits the target
     Auto,
     /// Stationary phase on the exact shape
-    Highlight,
+    #[value(alias = "highlight")]
+    Specular,
     /// Patches of curved triangles, as people with skins are made of: closed smooth meshes
     Skin,
     /// Physical optics over adaptive facets
@@ -142,7 +143,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let setup = setup(arguments, &target)?;
     let method = match arguments.method {
         How::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
-        How::Highlight => Method::Highlight,
+        How::Specular => Method::Specular,
         How::Skin => Method::Skin,
         How::Facets => Method::Facets,
         How::Images => Method::Images,

@@ -107,7 +107,7 @@ fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
             let (error_db, cells, beyond_1_db) = error(&exact, &map(&samples, shape), &floor, shape);
             let milliseconds = one_thread.install(|| {
                 least_ms(5, || {
-                    simulator.render(frame);
+                    simulator.frame(frame);
                     Ok(())
                 })
             })?;
@@ -117,7 +117,7 @@ fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
                 milliseconds,
                 dense_over_this: dense.milliseconds / milliseconds,
                 error_db,
-                estimate_db: simulator.render_with_report(frame).1.estimate_db,
+                estimate_db: simulator.frame_with_report(frame).1.estimate_db,
                 cells,
                 beyond_1_db,
             });

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use glam::DVec3;
-use radome_sim::field::image::Wall;
-use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
+use radome_sim::em::image::Wall;
+use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
 use super::point::least_ms;

@@ -4,8 +4,8 @@ use std::time::Instant;
 
 use radome_dsp::{Waveform, WaveformRequest};
 use radome_sim::chirp::Chirp;
+use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
 use radome_sim::random::{Purpose, generator};
-use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::synthesis::{CHIRPS, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use rand::Rng;
 use rustfft::num_complex::Complex64;
@@ -141,7 +141,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn tone(path: &Stretch, chirp: &Chirp, place: f64) -> Tone {
+fn tone(path: &PathSegment, chirp: &Chirp, place: f64) -> Tone {
     let (delay_s, rate) = path.delay(place);
     Tone {
         phase_cycles: chirp.phase_cycles(delay_s),
@@ -151,7 +151,7 @@ fn tone(path: &Stretch, chirp: &Chirp, place: f64) -> Tone {
 }
 
 /// From half a metre to fifteen, at up to three metres a second either way, over 64 ms.
-fn walkers(count: usize) -> Vec<Stretch> {
+fn walkers(count: usize) -> Vec<PathSegment> {
     const STRETCH_S: f64 = 0.064;
     let mut rng = generator(1, Purpose::Noise, [0, 0]);
     let mut paths = Vec::with_capacity(count);
@@ -160,10 +160,10 @@ fn walkers(count: usize) -> Vec<Stretch> {
         let delay_rate = rng.random_range(-2e-8..2e-8);
         let mut key = |delay_s| {
             let amplitude = Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
-            (Key { delay_s, delay_rate, amplitude }, Bend::default())
+            (PathSample { delay_s, delay_rate, amplitude }, PathDerivatives::default())
         };
         let (first, last) = (key(delay_s), key(delay_s + delay_rate * STRETCH_S));
-        paths.push(Stretch::between(&first, &last, STRETCH_S));
+        paths.push(PathSegment::between(&first, &last, STRETCH_S));
     }
     paths
 }

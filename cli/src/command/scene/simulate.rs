@@ -233,7 +233,7 @@ fn foretell(simulator: &Simulator, frames: u64) {
     /// Shorter runs need no warning, s.
     const LONG_S: f64 = 15.0;
     let started = Instant::now();
-    let frame = simulator.render(0);
+    let frame = simulator.frame(0);
     let threads = rayon::current_num_threads().max(1);
     let seconds = started.elapsed().as_secs_f64() * frames as f64 / threads as f64;
     if seconds < LONG_S {

@@ -361,7 +361,7 @@ impl Followed {
                 return Err(Interrupted.into());
             }
             let both = chunk.par_iter().zip(times_s.par_iter());
-            let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.render_at(of.sequence, *time_s)).collect();
+            let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.frame_at(of.sequence, *time_s)).collect();
             chunk.iter().zip(&frames).try_for_each(|(of, frame)| each(of, frame))?;
             bar.inc(chunk.len() as u64);
         }

@@ -11,14 +11,14 @@ use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
 use radome_dsp::detect::Baseline;
 use radome_sim::Scene;
-use radome_sim::field::image::{BoxRoom, Wall};
-use radome_sim::field::pattern::Pattern;
+use radome_sim::em::image::{BoxRoom, Wall};
+use radome_sim::em::pattern::Pattern;
 use radome_sim::scene::ANTENNA_OFFSETS_M;
 
 use super::detections::{Detections, Place};
 
 /// From the middle of the chest to its surface before or behind it, and beside it, m: its semi-axes in a body of average girth
-/// (sim/src/actor/body.rs).
+/// (sim/src/people/body.rs).
 const REACH_M: [f64; 2] = [0.115, 0.165];
 /// Those who walk lean forward: their chest is so far before their hips, m.
 const LEAN_M: f64 = 0.024;

@@ -84,7 +84,7 @@ impl Partner {
     /// The simulated frame of the same moment; `None` where the pair ends before it.
     pub fn frame(&self, frame: &Frame) -> Option<Frame> {
         let start_s = (frame.time_s() - self.first_s).max(0.0);
-        (frame.sequence <= self.last_sequence).then(|| self.simulator.render_at(frame.sequence, start_s))
+        (frame.sequence <= self.last_sequence).then(|| self.simulator.frame_at(frame.sequence, start_s))
     }
 }
 

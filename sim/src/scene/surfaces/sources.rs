@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::{LEAST_FACE_M2, SmallPart, Surfaces};
-use crate::field::image::Wall;
+use crate::em::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon, oriented, planes};
 use crate::scene::draft::{Draft, ROOM, solid};
 use crate::scene::plan;

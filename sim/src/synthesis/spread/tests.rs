@@ -1,8 +1,8 @@
 //! Chirps side by side against one tone after another.
 
 use super::*;
+use crate::path_segment::{PathDerivatives, PathSample};
 use crate::random::{Purpose, generator};
-use crate::slow_time::{Bend, Key};
 use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
@@ -14,7 +14,7 @@ const CHIRP: Chirp =
 const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
 
 /// Paths that rest, that cross into the next cell, that cross many, and that lie around frequency zero.
-fn paths() -> Vec<Stretch> {
+fn paths() -> Vec<PathSegment> {
     let mut rng = generator(3, Purpose::Noise, [0, 0]);
     let mut paths = Vec::new();
     for i in 0..300 {
@@ -28,22 +28,22 @@ fn paths() -> Vec<Stretch> {
         let mut key = || {
             let delay_s = delay_s + number(speed);
             let delay_rate = number(speed) / 4e-3;
-            let bend = Bend {
+            let bend = PathDerivatives {
                 delay: [number(speed) / 4e-3f64.powi(2), number(speed) / 4e-3f64.powi(3)],
                 amplitude: [
                     Complex64::new(number(1.0), number(1.0)) / 4e-3,
                     Complex64::new(number(1.0), number(1.0)) / 4e-3f64.powi(2),
                 ],
             };
-            (Key { delay_s, delay_rate, amplitude: Complex64::new(number(1.0), number(1.0)) }, bend)
+            (PathSample { delay_s, delay_rate, amplitude: Complex64::new(number(1.0), number(1.0)) }, bend)
         };
-        paths.push(Stretch::between(&key(), &key(), 4e-3));
+        paths.push(PathSegment::between(&key(), &key(), 4e-3));
     }
     paths
 }
 
-fn tones(paths: &[Stretch], place: f64) -> Vec<Tone> {
-    let tone = |path: &Stretch| {
+fn tones(paths: &[PathSegment], place: f64) -> Vec<Tone> {
+    let tone = |path: &PathSegment| {
         let (delay_s, rate) = path.delay(place);
         Tone {
             phase_cycles: CHIRP.phase_cycles(delay_s),
@@ -55,7 +55,7 @@ fn tones(paths: &[Stretch], place: f64) -> Vec<Tone> {
 }
 
 /// Every chirp's grid, as spread at a level of instructions.
-fn spread_at(level: KernelLevel, paths: &[Stretch]) -> Vec<Grid> {
+fn spread_at(level: KernelLevel, paths: &[PathSegment]) -> Vec<Grid> {
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut grids = synthesiser.grids();
     synthesiser.spread(&CHIRP, paths, &PLACES, &mut grids);
@@ -138,7 +138,7 @@ fn bits(grids: &Grids) -> Vec<[[u32; CHIRPS]; 2]> {
 #[test]
 fn receivers_do_not_depend_on_those_behind_them() {
     let tracks = tracks();
-    let paths: Vec<Stretch> = tracks.iter().map(|track| track.first).collect();
+    let paths: Vec<PathSegment> = tracks.iter().map(|track| track.first).collect();
     let synthesiser = Synthesiser::new(SAMPLES);
     let mut alone = synthesiser.grids();
     synthesiser.spread(&CHIRP, &paths, &PLACES, &mut alone);

@@ -1,0 +1,122 @@
+//! A patch's triangles at a key: from moments and strengths at their corners to fields, paths and the rates of both.
+
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
+use super::patch_pose::{PatchPose, at_corners};
+use crate::em::curved_triangle::MomentRows;
+use crate::lanes::{LANES, Row, Row3, compiled_for_levels, dot};
+
+/// Strengths at a patch's vertices, and their rates.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct StrengthRows {
+    pub(super) now: (Row, Row),
+    pub(super) rates: (Row, Row),
+}
+
+/// A patch's triangles at a key. In lanes without a triangle fields are zero.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PatchField {
+    /// Middles from the patch's origin, m.
+    pub(super) middles: Row3,
+    /// Path by the antennas' middles, m, and its rate, m/s.
+    pub(super) length_m: [f64; LANES],
+    pub(super) rate_m_per_s: Row,
+    /// Integral of the field relative to the path by the middle, real and imaginary part, and its rate.
+    pub(super) field: [Row; 2],
+    pub(super) field_rate: [Row; 2],
+    /// Moment of the field about that path: integral of the field times how much longer its own path is, m.
+    pub(super) moment: [Row; 2],
+}
+
+impl Default for PatchField {
+    fn default() -> Self {
+        let (zero, both) = ([0.0; LANES], [[0.0; LANES]; 2]);
+        PatchField {
+            middles: [zero; 3],
+            length_m: [0.0; LANES],
+            rate_m_per_s: zero,
+            field: both,
+            field_rate: both,
+            moment: both,
+        }
+    }
+}
+
+impl PatchField {
+    /// Squares of the fields.
+    #[inline(always)]
+    pub(super) fn powers(&self) -> Row {
+        let mut powers = [0.0; LANES];
+        for l in 0..LANES {
+            powers[l] = self.field[0][l] * self.field[0][l] + self.field[1][l] * self.field[1][l];
+        }
+        powers
+    }
+}
+
+/// Inputs of the integral.
+pub(super) struct Parts<'a> {
+    pub(super) posed: &'a PatchPose,
+    /// Places in the list of images.
+    pub(super) images: [usize; 2],
+    pub(super) moments: &'a MomentRows,
+    pub(super) corners: &'a [[usize; 3]; LANES],
+    pub(super) strengths: &'a StrengthRows,
+    pub(super) wavelength_m: f64,
+}
+
+compiled_for_levels! {
+    /// Every triangle of a patch at a key.
+    pub(super) fn patch_field(parts: &Parts) -> PatchField = body;
+}
+
+#[inline(always)]
+fn body(parts: &Parts) -> PatchField {
+    let Parts { posed, images: [first, second], moments, corners, strengths, wavelength_m } = parts;
+    let PatchPose { triangles, velocity, against, .. } = posed;
+    let (views, wavenumber_per_m) =
+        ([&posed.views[*first], &posed.views[*second]], (std::f64::consts::TAU / wavelength_m) as f32);
+    let (mut away_t, mut away_r, mut both): (Row3, Row3, Row3) = Default::default();
+    for axis in 0..3 {
+        for l in 0..LANES {
+            away_t[axis][l] = views[0].offsets[axis][l] * views[0].inverse_m[l];
+            away_r[axis][l] = views[1].offsets[axis][l] * views[1].inverse_m[l];
+            both[axis][l] = away_t[axis][l] + away_r[axis][l];
+        }
+    }
+    let speeds = [dot(&away_t, velocity), dot(&away_r, velocity)];
+    let mut keys = PatchField { middles: triangles.middles, ..PatchField::default() };
+    for l in 0..LANES {
+        keys.rate_m_per_s[l] = speeds[0][l] + speeds[1][l];
+        keys.length_m[l] = views[0].distances_m[l] + views[1].distances_m[l];
+    }
+    let (re, im) = (at_corners(&strengths.now.0, corners), at_corners(&strengths.now.1, corners));
+    let (rate_re, rate_im) = (at_corners(&strengths.rates.0, corners), at_corners(&strengths.rates.1, corners));
+    for corner in 0..3 {
+        let d = &triangles.corners[corner];
+        let (sideways, turning) = (dot(&both, &against[corner]), dot(d, velocity));
+        let (along_t, along_r) = (dot(&away_t, d), dot(&away_r, d));
+        for l in 0..LANES {
+            // How fast the path by the corner grows against that by the middle.
+            let rate = sideways[l]
+                + (turning[l] - along_t[l] * speeds[0][l]) * views[0].inverse_m[l]
+                + (turning[l] - along_r[l] * speeds[1][l]) * views[1].inverse_m[l];
+            let turn = wavenumber_per_m * rate;
+            let (x, y) = (re[corner][l], im[corner][l]);
+            // The strength's own rate, and minus j k times the path's.
+            let (u, v) = (rate_re[corner][l] + turn * y, rate_im[corner][l] - turn * x);
+            let (a, b) = (moments.re[corner][l], moments.im[corner][l]);
+            let (field_re, field_im) = (x * a - y * b, x * b + y * a);
+            // About the path by the middle, which the corner's is longer than by this.
+            let longer = along_t[l] + along_r[l];
+            keys.field[0][l] += field_re;
+            keys.field[1][l] += field_im;
+            keys.moment[0][l] += longer * field_re;
+            keys.moment[1][l] += longer * field_im;
+            keys.field_rate[0][l] += u * a - v * b;
+            keys.field_rate[1][l] += u * b + v * a;
+        }
+    }
+    keys
+}

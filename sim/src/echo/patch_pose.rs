@@ -1,0 +1,148 @@
+//! A patch of a skin in a pose, side by side in lanes: what is known of it whichever antennas look at it.
+
+use glam::DVec3;
+use radome_dsp::KernelLevel;
+
+use super::inside_room;
+use super::surface_currents::{LightRows, VertexRows, light_rows};
+use crate::em::curved_triangle::{
+    HALVES, Integrator, Nodes, TriangleRows, ViewRows, bulge_rows, place_nodes, triangle_rows, view_rows,
+};
+use crate::lanes::{LANES, Row, Row3};
+use crate::people::skin::{PosedSkin, Skin, SkinPatch};
+use crate::prepared_scene::PreparedScene;
+
+/// The rule of quadrature of each half of the lanes; none where nothing is to be integrated.
+pub(super) type Rules = [Option<usize>; HALVES];
+
+/// A patch in a pose.
+pub(super) struct PatchPose {
+    pub(super) vertices: VertexRows,
+    pub(super) triangles: TriangleRows,
+    /// Velocities of the triangles' middles, m/s, and of their corners against those.
+    pub(super) velocity: Row3,
+    pub(super) against: [Row3; 3],
+    /// By image antenna; those that were asked for.
+    pub(super) lights: Vec<LightRows>,
+    pub(super) views: Vec<ViewRows>,
+    /// Places of each rule in each half of the lanes, and whether they have been found.
+    nodes: Vec<[(bool, Nodes); HALVES]>,
+    /// No places.
+    none: Nodes,
+}
+
+/// Places of vertices from `origin`, and normals.
+pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -> [Row3; 2] {
+    let mut rows = [[[0.0; LANES]; 3]; 2];
+    for (l, &v) in patch.vertices.iter().enumerate() {
+        let (place, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
+        for axis in 0..3 {
+            (rows[0][axis][l], rows[1][axis][l]) = (place[axis] as f32, normal[axis] as f32);
+        }
+    }
+    rows
+}
+
+/// A vector of vertices at every corner of triangles: `[corner]`.
+pub(super) fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
+    let mut rows: [Row3; 3] = Default::default();
+    for axis in 0..3 {
+        let at = at_corners(&of[axis], corners);
+        (rows[0][axis], rows[1][axis], rows[2][axis]) = (at[0], at[1], at[2]);
+    }
+    rows
+}
+
+impl PatchPose {
+    /// With places for what is seen by so many images.
+    pub(super) fn new(images: usize, integrator: &Integrator) -> Self {
+        let zero: Row3 = Default::default();
+        let vertices = VertexRows { places: zero, normals: zero, left: [0.0; LANES], narrowing: [1.0; LANES] };
+        let level = integrator.level;
+        let triangles = triangle_rows(level, &[zero; 3], &[zero; 3], &[zero; 3]);
+        PatchPose {
+            vertices,
+            triangles,
+            velocity: zero,
+            against: [zero; 3],
+            lights: vec![light_rows(level, [0.0; 3], &zero); images],
+            views: vec![view_rows(level, DVec3::ZERO, DVec3::ZERO, &triangles, 1.0); images],
+            nodes: integrator.rules.iter().map(|_| Default::default()).collect(),
+            none: Nodes::default(),
+        }
+    }
+
+    /// Takes a patch's pose. `cloth` is what clothes leave of the strength at every vertex of the skin.
+    #[allow(clippy::too_many_arguments)]
+    pub(super) fn pose(
+        &mut self,
+        prepared: &PreparedScene,
+        level: KernelLevel,
+        skin: &Skin,
+        patch: &SkinPatch,
+        posed: &PosedSkin,
+        cloth: &[f64],
+        origin: DVec3,
+    ) {
+        let [places, normals] = vertex_rows(posed, patch, origin);
+        let left =
+            patch.vertices.map(|v| (cloth[v as usize] * inside_room(prepared, posed.vertices[v as usize])) as f32);
+        let narrowing = patch.vertices.map(|v| skin.narrowing()[v as usize]);
+        self.vertices = VertexRows { places, normals, left, narrowing };
+        let mut velocities: Row3 = Default::default();
+        for (l, &v) in patch.vertices.iter().enumerate() {
+            let velocity = posed.velocities_m_per_s[v as usize];
+            (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
+        }
+        let corners = vectors_at_corners(&places, &patch.corners);
+        let corner_normals = vectors_at_corners(&normals, &patch.corners);
+        let bulges = bulge_rows(level, &corners, &corner_normals);
+        self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
+        let all = vectors_at_corners(&velocities, &patch.corners);
+        self.velocity = std::array::from_fn(|axis| {
+            std::array::from_fn(|l| (all[0][axis][l] + all[1][axis][l] + all[2][axis][l]) * (1.0 / 3.0))
+        });
+        self.against = all.map(|corner| {
+            std::array::from_fn(|axis| std::array::from_fn(|l| corner[axis][l] - self.velocity[axis][l]))
+        });
+        self.nodes.iter_mut().flatten().for_each(|(found, _)| *found = false);
+    }
+
+    /// Computes how an image antenna sees it.
+    pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
+        let from_origin = (antenna - origin).as_vec3().to_array();
+        self.lights[image] = light_rows(level, from_origin, &self.vertices.places);
+        self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
+    }
+
+    /// Finds the places of each half's rule.
+    pub(super) fn find_nodes(&mut self, rules: Rules, integrator: &Integrator) {
+        for (half, rule) in rules.into_iter().enumerate() {
+            let Some((rule, nodes)) = rule.and_then(|rule| Some((rule, self.nodes.get_mut(rule)?))) else { continue };
+            if let Some((found, nodes)) = nodes.get_mut(half)
+                && !*found
+            {
+                place_nodes(integrator.level, &self.triangles, half, &integrator.rules[rule], nodes);
+                *found = true;
+            }
+        }
+    }
+
+    /// Places that have been found.
+    pub(super) fn nodes(&self, rules: Rules) -> [&Nodes; HALVES] {
+        let of_half = |half: usize| rules[half].map_or(&self.none, |rule| &self.nodes[rule][half].1);
+        std::array::from_fn(of_half)
+    }
+}
+
+/// A quantity of vertices at every corner of triangles.
+#[inline(always)]
+pub(super) fn at_corners(of: &Row, corners: &[[usize; 3]; LANES]) -> [Row; 3] {
+    let mut rows: [Row; 3] = Default::default();
+    for l in 0..LANES {
+        rows[0][l] = of[corners[l][0] % LANES];
+        rows[1][l] = of[corners[l][1] % LANES];
+        rows[2][l] = of[corners[l][2] % LANES];
+    }
+    rows
+}

@@ -1,0 +1,422 @@
+//! Solver of a skin's patches, one after the other: posed at the keys, integrated between pairs of images, and laid down
+//! as tones.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::error_budget::{IntegrationSettings, Missed};
+use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
+use super::patch_field::{Parts, PatchField, StrengthRows, patch_field};
+use super::patch_pose::{PatchPose, Rules};
+use super::patch_sum::PatchSums;
+use super::surface_currents::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
+use crate::em::curved_triangle::{HALVES, Integrator, MomentRows, moments, spans_rad};
+use crate::em::image::{Element, ImageIndex};
+use crate::em::quadrature::rule_for;
+use crate::lanes::{LANES, Row};
+use crate::material::SKIN_PERMITTIVITY;
+use crate::people::skin::{PosedSkin, Skin, SkinPatch};
+use crate::prepared_scene::PreparedScene;
+use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
+
+/// A patch whose triangles the wave runs across by more than this is quieter than one in phase, in proportion, rad: measured, by
+/// leaving out what this says is not heard.
+const RUN_RAD: f32 = 0.8;
+
+/// Two images between which somebody is heard, whichever of them sends.
+pub(super) struct Pair {
+    /// Places in the list of images.
+    pub(super) images: [usize; 2],
+    pub(super) loudness_lsb: f64,
+    pub(super) settings: IntegrationSettings,
+}
+
+/// Inputs that are the same for all patches.
+pub(super) struct Work<'a> {
+    pub(super) prepared: &'a PreparedScene,
+    pub(super) integrator: &'a Integrator,
+    pub(super) skin: &'a Skin,
+    /// Factor of clothes on amplitude at each vertex.
+    pub(super) cloth: &'a [f64],
+    /// Keys, and keys half-way between as well.
+    pub(super) times: [&'a FrameTimes; 2],
+    /// Middle of the body: single precision counts from here.
+    pub(super) origin: DVec3,
+    pub(super) antenna: Element,
+    pub(super) indices: Vec<ImageIndex>,
+    pub(super) places: Vec<Place>,
+    pub(super) pairs: Vec<Pair>,
+    /// At the finer keys.
+    pub(super) posed: Vec<PosedSkin>,
+    /// Factors of people and limbs on light, `[image][key][vertex]`, at some of the finer keys by their numbers.
+    pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
+    /// Part of a patch's own field that may be missed between keys.
+    pub(super) missed_between_keys: f64,
+}
+
+/// A patch at one of the finer keys.
+struct Pose {
+    patch: PatchPose,
+    /// By image.
+    fields: Vec<FieldRows>,
+    weights: Vec<Row>,
+    /// Whether it has been looked at.
+    is_seen: Vec<bool>,
+    /// Between the images that are being worked on.
+    strengths: (Row, Row),
+    moments: MomentRows,
+}
+
+/// A patch on the solver.
+pub(super) struct PatchSolver {
+    poses: Vec<Pose>,
+    /// Whether it has been posed half-way between keys.
+    between: bool,
+    images: Vec<usize>,
+    /// Fields of those around it.
+    around: Vec<FieldAround>,
+    /// Triangles at the keys that they were found to need, and which those are.
+    keys: Vec<PatchField>,
+    level: usize,
+    sums: PatchSums,
+    /// Ways by which each receiver hears a patch.
+    ways: Vec<EchoWay>,
+    /// Area of the patch in the middle pose.
+    area_m2: f32,
+    /// Field below which a patch is left out.
+    least: f32,
+    /// Sum of the squares of those that were.
+    left_out: f64,
+}
+
+impl PatchSolver {
+    /// An empty one, for patches of which fields below `least` are left out.
+    pub(super) fn new(work: &Work, least: f32) -> Self {
+        let images = work.indices.len();
+        let pose = |_: &PosedSkin| Pose {
+            patch: PatchPose::new(images, work.integrator),
+            fields: vec![FieldRows::default(); images],
+            weights: vec![[1.0; LANES]; images],
+            is_seen: vec![false; images],
+            strengths: ([0.0; LANES], [0.0; LANES]),
+            moments: MomentRows::default(),
+        };
+        PatchSolver {
+            poses: work.posed.iter().map(pose).collect(),
+            between: false,
+            images: Vec::new(),
+            around: Vec::new(),
+            keys: Vec::new(),
+            level: 0,
+            sums: PatchSums::new(work.integrator.level),
+            ways: Vec::new(),
+            area_m2: 0.0,
+            least,
+            left_out: 0.0,
+        }
+    }
+
+    /// Sum of the squares of the fields that were left out.
+    pub(super) fn left_out(&self) -> f64 {
+        self.left_out
+    }
+
+    /// Poses a patch at the keys, as the images of the pairs by which it shines see it. Returns how many of their distances are
+    /// less than amplitudes are made for.
+    pub(super) fn pose(&mut self, work: &Work, patch: &SkinPatch, shining: &[usize]) -> usize {
+        self.images.clear();
+        self.images.extend(shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images));
+        self.images.sort_unstable();
+        self.images.dedup();
+        self.between = false;
+        self.around = self.fields_around(work, patch);
+        let mut clamped = 0;
+        for key in (0..self.poses.len()).step_by(2) {
+            self.pose_at(work, patch, key);
+            for number in 0..self.images.len() {
+                clamped += self.look(work, patch, key, self.images[number]);
+            }
+        }
+        self.area_m2 = self.poses.get(work.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
+        clamped
+    }
+
+    /// Fields of its images around a patch in the middle of the frame: patterns and walls change little over a patch and a frame,
+    /// and that by a slope.
+    fn fields_around(&self, work: &Work, patch: &SkinPatch) -> Vec<FieldAround> {
+        let Some(middle) = work.posed.get(work.posed.len() / 2) else { return Vec::new() };
+        let centre = patch.vertices.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / LANES as f64;
+        let field =
+            |image: usize, at: DVec3| work.prepared.room.illuminate(&work.antenna, work.indices[image], at).field;
+        self.images.iter().map(|&image| FieldAround::new(centre, work.origin, |at| field(image, at))).collect()
+    }
+
+    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
+        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return };
+        pose.patch.pose(work.prepared, work.integrator.level, work.skin, patch, posed, work.cloth, work.origin);
+        pose.is_seen.fill(false);
+    }
+
+    /// Looks at a patch that is posed at a key from one of the images around it, if that has not been done. Returns how many of the
+    /// distances are less than amplitudes are made for.
+    fn look(&mut self, work: &Work, patch: &SkinPatch, key: usize, image: usize) -> usize {
+        let level = work.integrator.level;
+        let around = self.images.binary_search(&image).ok().and_then(|number| self.around.get(number));
+        let (Some(pose), Some(around)) = (self.poses.get_mut(key), around) else { return 0 };
+        if std::mem::replace(&mut pose.is_seen[image], true) {
+            return 0;
+        }
+        pose.patch.look(image, work.places[image].middle, work.origin, work.prepared.wavelength_m, level);
+        pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
+        pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
+        pose.patch.lights[image].clamped()
+    }
+
+    /// Finds the patch's triangles between two images at as many keys as they need. Whether there is anything.
+    pub(super) fn integrate(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair) -> bool {
+        let [out, back] = pair.images;
+        let mut strongest = 0f32;
+        let mut live = [false; LANES];
+        for pose in self.poses.iter_mut().step_by(2) {
+            pose.strengths = pose.strengths(work, pair, &pair.settings);
+            let (re, im) = &pose.strengths;
+            for (l, live) in live.iter_mut().enumerate() {
+                let square = re[l] * re[l] + im[l] * im[l];
+                *live |= square > 0.0;
+                strongest = strongest.max(square);
+            }
+        }
+        let Some(middle) = self.poses.get(self.poses.len() / 4 * 2) else { return false };
+        let spans = spans_rad(work.integrator.level, [&middle.patch.views[out], &middle.patch.views[back]]);
+        let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
+        let lanes_live = (0..patch.triangles.len()).filter(|&l| corners_live(l));
+        let least = lanes_live.clone().map(|l| spans[l]).fold(f32::INFINITY, f32::min);
+        // A wave that runs across a triangle leaves less than two over its span, and of a patch still less: what is not heard
+        // even so needs no integral.
+        if strongest == 0.0 || strongest.sqrt() * self.area_m2 * (RUN_RAD / least).min(1.0) < self.least {
+            return false;
+        }
+        let rules = rules_for(&spans, lanes_live, pair.settings.ease);
+        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rules));
+        self.find_keys(work, patch, pair, 0);
+        let (missed, power) = self.missed_between_keys(work);
+        // Cubics err with the fourth power of the step.
+        if missed.sqrt() / 16.0 > f64::from(self.least).max(work.missed_between_keys * power.sqrt()) {
+            if !self.between {
+                for key in (1..self.poses.len()).step_by(2) {
+                    self.pose_at(work, patch, key);
+                }
+                self.between = true;
+            }
+            for key in (1..self.poses.len()).step_by(2) {
+                for image in pair.images {
+                    self.look(work, patch, key, image);
+                }
+            }
+            for pose in self.poses.iter_mut().skip(1).step_by(2) {
+                pose.strengths = pose.strengths(work, pair, &pair.settings);
+                pose.find_moments(work, pair, rules);
+            }
+            self.find_keys(work, patch, pair, 1);
+        }
+        true
+    }
+
+    /// Every triangle at the keys of a level.
+    fn find_keys(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, level: usize) {
+        self.level = level;
+        let of_keys: Vec<&Pose> = self.poses.iter().step_by(2 - level).collect();
+        self.keys.clear();
+        self.keys.extend(of_keys.iter().enumerate().map(|(key, pose)| {
+            let rates = rates(&of_keys, key, &work.times[level].keys_s);
+            pose.keys(work, patch, pair, &StrengthRows { now: pose.strengths, rates })
+        }));
+    }
+
+    /// Squares of what is missed between the keys of the patch's level and of the fields.
+    fn missed_between_keys(&self, work: &Work) -> (f64, f64) {
+        let step_s = work.times[self.level].step_s();
+        missed_between_keys(work.integrator.level, &self.keys, step_s, work.prepared.wavelength_m)
+    }
+
+    /// Adds what is missed of a pair that has been integrated: between keys, and in the middle of the frame against a coarser field.
+    pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
+        let coarse = &pair.settings.coarser();
+        let [out, back] = pair.images;
+        missed.add_between_keys(self.missed_between_keys(work));
+        let middle = self.poses.len() / 4;
+        let found = self.keys.get(middle * (1 + self.level));
+        let (Some(pose), Some(fine)) = (self.poses.get_mut(2 * middle), found) else { return };
+        let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
+        let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
+        pose.find_moments(work, pair, rules_for(&spans, 0..patch.triangles.len(), coarse.ease));
+        missed.add_integration(fine, &pose.keys(work, patch, pair, &strengths), work.prepared.wavelength_m);
+    }
+
+    /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
+    pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
+        let (prepared, times) = (work.prepared, work.times[self.level]);
+        let in_phase = |keys: &PatchField| keys.powers().into_iter().map(f32::sqrt).sum::<f32>();
+        let is_both = pair.images[0] != pair.images[1];
+        let ways = if is_both { 2.0 } else { 1.0 };
+        if self.keys.iter().map(in_phase).fold(0.0, f32::max) < self.least {
+            // As if its triangles had nothing to do with each other.
+            let power = |keys: &PatchField| keys.powers().into_iter().sum::<f32>();
+            self.left_out += ways * f64::from(self.keys.iter().map(power).fold(0.0, f32::max));
+            return false;
+        }
+        let between = pair.images.map(|i| &work.places[i]);
+        let (keys, sums) = (&self.keys, &mut self.sums);
+        let Some(patch) = Patch::new(keys, work.origin, between, times, prepared.wavelength_m, sums) else {
+            return false;
+        };
+        let loudest = sums.loudest();
+        if loudest < self.least {
+            self.left_out += ways * f64::from(loudest * loudest);
+            return false;
+        }
+        patch.ways(prepared, between, is_both, times.chirps_s.len(), &mut self.ways);
+        let (ways, chirps) = (self.ways.as_slice(), sums.chirps());
+        grids.add(&Echo { chirp: &prepared.chirp, wavelength_m: prepared.wavelength_m, ways, chirps });
+        true
+    }
+}
+
+impl Pose {
+    fn strengths(&self, work: &Work, pair: &Pair, settings: &IntegrationSettings) -> (Row, Row) {
+        let [out, back] = pair.images;
+        let between = Between {
+            vertices: &self.patch.vertices,
+            lights: [&self.patch.lights[out], &self.patch.lights[back]],
+            fields: [&self.fields[out], &self.fields[back]],
+            weights: [&self.weights[out], &self.weights[back]],
+            permittivity: SKIN_PERMITTIVITY,
+            settings,
+            factor: common_factor(work.prepared.wavelength_m),
+        };
+        strengths(work.integrator.level, &between)
+    }
+
+    fn keys(&self, work: &Work, patch: &SkinPatch, pair: &Pair, strengths: &StrengthRows) -> PatchField {
+        let parts = Parts {
+            posed: &self.patch,
+            images: pair.images,
+            moments: &self.moments,
+            corners: &patch.corners,
+            strengths,
+            wavelength_m: work.prepared.wavelength_m,
+        };
+        patch_field(work.integrator.level, &parts)
+    }
+
+    fn find_moments(&mut self, work: &Work, pair: &Pair, rules: Rules) {
+        let [out, back] = pair.images;
+        self.patch.find_nodes(rules, work.integrator);
+        let views = [&self.patch.views[out], &self.patch.views[back]];
+        self.moments = moments(work.integrator.level, self.patch.nodes(rules), views);
+    }
+}
+
+/// The rule for the widest span of phase among these lanes, rad, in each half of all.
+pub(super) fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
+    let mut widest: [Option<f32>; HALVES] = [None; HALVES];
+    for l in lanes {
+        if let Some(widest) = widest.get_mut(l * HALVES / LANES) {
+            *widest = Some(widest.map_or(spans[l], |most| most.max(spans[l])));
+        }
+    }
+    widest.map(|span| span.map(|span| rule_for(span, ease)))
+}
+
+/// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.
+fn weights_at(known: &[(f64, Vec<f64>)], key: f64, patch: &SkinPatch) -> Row {
+    let next = known.iter().position(|(at, _)| *at >= key).unwrap_or(known.len().saturating_sub(1));
+    let Some((end, after)) = known.get(next) else { return [1.0; LANES] };
+    let (start, before) = known.get(next.saturating_sub(1)).map_or((*end, after), |(at, of)| (*at, of));
+    let part = if end > &start { (key - start) / (end - start) } else { 0.0 };
+    let mut weights = [1.0; LANES];
+    for (weight, &v) in weights.iter_mut().zip(&patch.vertices) {
+        if let Some((before, after)) = before.get(v as usize).zip(after.get(v as usize)) {
+            *weight = (before * (1.0 - part) + after * part) as f32;
+        }
+    }
+    weights
+}
+
+/// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
+fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
+    let last = poses.len().saturating_sub(1);
+    let step_s = match times_s {
+        [first, second, ..] => second - first,
+        _ => 1.0,
+    };
+    let weights: &[(usize, f64)] = match (key, last) {
+        (_, 0) => &[],
+        (_, 1) => &[(0, -1.0), (1, 1.0)],
+        (0, _) => &[(0, -1.5), (1, 2.0), (2, -0.5)],
+        (key, last) if key == last => &[(last, 1.5), (last - 1, -2.0), (last - 2, 0.5)],
+        (key, _) => &[(key + 1, 0.5), (key - 1, -0.5)],
+    };
+    let mut rates = ([0.0; LANES], [0.0; LANES]);
+    for &(key, weight) in weights {
+        let (weight, (re, im)) = ((weight / step_s) as f32, &poses[key].strengths);
+        for l in 0..LANES {
+            rates.0[l] += weight * re[l];
+            rates.1[l] += weight * im[l];
+        }
+    }
+    rates
+}
+
+/// Path lengths that are told apart where a field is compared to a coarser one, m: about a cell of the range axis.
+const APART_M: f64 = 0.15;
+
+/// Farthest path lengths in that, as their number: what is longer is not told apart.
+const MOST_APART: usize = 4096;
+
+/// Difference to a coarser field, and the field itself.
+type Difference = [Complex64; 2];
+
+/// Sum of the errors of a pair's field.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
+    /// Squares of what is missed and of the fields.
+    between_keys: [f64; 2],
+    /// By path length: far from specular points neighbours cancel, and what is left of each must not be counted by itself.
+    by_integration: Vec<Difference>,
+}
+
+impl Tally {
+    fn add_between_keys(&mut self, (missed, power): (f64, f64)) {
+        self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
+    }
+
+    fn add_integration(&mut self, fine: &PatchField, coarse: &PatchField, wavelength_m: f64) {
+        let field = |of: &PatchField, l: usize| Complex64::new(of.field[0][l].into(), of.field[1][l].into());
+        let by_length = &mut self.by_integration;
+        for l in 0..LANES {
+            let (fine_field, coarse_field) = (field(fine, l), field(coarse, l));
+            if fine_field == Complex64::ZERO && coarse_field == Complex64::ZERO {
+                continue;
+            }
+            let number = ((fine.length_m[l] / APART_M) as usize).min(MOST_APART);
+            if by_length.len() <= number {
+                by_length.resize(number + 1, Difference::default());
+            }
+            let Some([apart, sum]) = by_length.get_mut(number) else { continue };
+            let turn = phasor(-fine.length_m[l] / wavelength_m);
+            let turn = Complex64::new(turn.re.into(), turn.im.into());
+            *apart += (fine_field - coarse_field) * turn;
+            *sum += fine_field * turn;
+        }
+    }
+
+    /// Relative to the field.
+    pub(super) fn missed(&self) -> Missed {
+        let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
+        let add = |[a, b]: [f64; 2], [apart, sum]: &Difference| [a + apart.norm_sqr(), b + sum.norm_sqr()];
+        let by_integration = self.by_integration.iter().fold([0.0; 2], add);
+        // Cubics err with the fourth power of the step.
+        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
+    }
+}

@@ -1,0 +1,472 @@
+//! Obstruction by a body's own parts of the field that one of the (image) antennas throws on its skin.
+//!
+//! Whether a place is in the light is yes or no, what arrives there is not: a knife edge's field is a continuous function of the
+//! distance across to the shadow's edge, half on it, falling behind ([`crate::diffraction::knife_edge`]). The shadow's edges are the
+//! outlines of limbs as the antenna sees them: edges of the mesh at which triangles turn away, each of which divides light from
+//! shadow only on what lies behind it and before the next thing that is seen just beside it. Seen from the antenna all are laid
+//! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near: what
+//! a ray for each vertex and each outline would find, to which a test holds it. Most of a body has nothing of itself behind it:
+//! only what lies before something that is asked about is entered in the grids.
+
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
+use glam::{DVec3, Vec2};
+use radome_dsp::KernelLevel;
+
+use crate::diffraction::knife_edge;
+use crate::lanes::{LANES, compiled_for_levels};
+use crate::people::skin::{PosedSkin, Skin};
+
+/// Farther across from an outline than this there is all light or none, m.
+const REACH_M: f32 = 0.06;
+/// Width of the cells of outlines, and of triangles, m.
+const CELL_M: f32 = 0.04;
+const TRIANGLE_CELL_M: f32 = 0.02;
+/// Beside an outline, where a ray looks for what lies behind, m.
+const BESIDE_M: f32 = 1e-4;
+/// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
+const BEHIND_M: f32 = 0.02;
+
+/// A vertex on the plane, and how far away it is, m.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    at: Vec2,
+    depth_m: f32,
+}
+
+/// An outline's piece on the plane.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    from: Vec2,
+    to: Vec2,
+    /// Distance, m, and distance of what a ray just beside it meets.
+    depth_m: f32,
+    behind_m: f32,
+}
+
+/// A triangle on the plane, in the form in which a place is put into it: its weights of the second and third corner are
+/// `to_second . (at - first)` and `to_third . (at - first)`.
+#[derive(Debug, Clone, Copy)]
+struct Facet {
+    first: Vec2,
+    to_second: Vec2,
+    to_third: Vec2,
+    /// Depth of the first corner, of the others beyond it, and of the nearest, m.
+    depth_m: f32,
+    deeper_m: [f32; 2],
+    nearest_m: f32,
+}
+
+/// Lists of things by the cells of a grid that they touch, of those in front of something that is asked about.
+struct Cells<T> {
+    low: Vec2,
+    per_m: f32,
+    /// Number of cells along both axes.
+    count: [u32; 2],
+    cells: Vec<Cell>,
+    things: Vec<T>,
+    /// Things and where their cells' lists go on.
+    links: Vec<(u32, u32)>,
+}
+
+/// A cell's list.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    /// Index of the first link.
+    head: u32,
+    /// Least depth of its members, m: most cells have nothing in front of what is looked at.
+    nearest_m: f32,
+    /// Only what is nearer than this is asked about here, m.
+    asked_m: f32,
+}
+
+/// The end of a list.
+const END: u32 = u32::MAX;
+
+/// View of an antenna on a body, as far as it is in front of something that is asked about.
+struct View {
+    triangles: Cells<Facet>,
+    outlines: Cells<Piece>,
+}
+
+/// The plane on which a body is seen: perspective from the antenna, in metres at the body's distance.
+struct Plane {
+    /// Middle of the body.
+    middle: DVec3,
+    forward: DVec3,
+    u: DVec3,
+    v: DVec3,
+    distance_m: f64,
+}
+
+impl Plane {
+    /// `None` where the antenna is so near that parts of the body are beside it.
+    fn new(antenna: DVec3, vertices: &[DVec3]) -> Option<Self> {
+        let first = *vertices.first()?;
+        let (low, high) = vertices.iter().fold((first, first), |(l, h), &v| (l.min(v), h.max(v)));
+        let middle = 0.5 * (low + high);
+        let distance_m = middle.distance(antenna);
+        if distance_m < 0.6 * (high - low).length() {
+            return None;
+        }
+        let forward = (middle - antenna) / distance_m;
+        let (u, v) = forward.any_orthonormal_pair();
+        Some(Plane { middle, forward, u, v, distance_m })
+    }
+}
+
+compiled_for_levels! {
+    /// Adds vertices as they are seen.
+    fn look(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) = look_body;
+}
+
+#[inline(always)]
+fn look_body(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) {
+    let (f, u, v) = (plane.forward.as_vec3(), plane.u.as_vec3(), plane.v.as_vec3());
+    let distance_m = plane.distance_m as f32;
+    for vertices in vertices.chunks(LANES) {
+        // From the middle of the body: single precision is a tenth of a micrometre there.
+        let (mut x, mut y, mut z) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+        for (l, &vertex) in vertices.iter().enumerate() {
+            let offset = vertex - plane.middle;
+            (x[l], y[l], z[l]) = (offset.x as f32, offset.y as f32, offset.z as f32);
+        }
+        let (mut right, mut up, mut depth_m) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+        for l in 0..LANES {
+            let ahead = distance_m + (x[l] * f.x + y[l] * f.y + z[l] * f.z);
+            let across = x[l] * u.x + y[l] * u.y + z[l] * u.z;
+            let above = x[l] * v.x + y[l] * v.y + z[l] * v.z;
+            let scale = distance_m / ahead;
+            (right[l], up[l]) = (across * scale, above * scale);
+            depth_m[l] = (ahead * ahead + (across * across + above * above)).sqrt();
+        }
+        for l in 0..vertices.len() {
+            seen.push(Seen { at: Vec2::new(right[l], up[l]), depth_m: depth_m[l] });
+        }
+    }
+}
+
+/// Factor on the field of an (image) antenna at each vertex that is wanted; 1 at the others.
+pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, wanted: &[bool]) -> Vec<f64> {
+    let mut all = vec![1.0; posed.vertices.len()];
+    let Some(plane) = Plane::new(antenna, &posed.vertices) else { return all };
+    let mut seen = Vec::with_capacity(posed.vertices.len());
+    look(KernelLevel::detect(), &plane, &posed.vertices, &mut seen);
+    let is_asked = |&v: &usize| wanted[v] && posed.normals[v].dot(antenna - posed.vertices[v]) > 0.0;
+    let asked: Vec<usize> = (0..seen.len()).filter(is_asked).collect();
+    let view = View::new(skin, &plane, &seen, &asked);
+    for v in asked {
+        all[v] = view.weight(&seen[v], wavelength_m);
+    }
+    all
+}
+
+impl<T> Cells<T> {
+    /// An empty grid over a box.
+    fn new(low: Vec2, high: Vec2, width_m: f32) -> Self {
+        // A body is at most a few metres; what perspective makes larger shares the last cells.
+        let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
+        let count = [across(high.x - low.x), across(high.y - low.y)];
+        let empty = Cell { head: END, nearest_m: f32::INFINITY, asked_m: f32::NEG_INFINITY };
+        let cells = vec![empty; (count[0] * count[1]) as usize];
+        Cells { low, per_m: 1.0 / width_m, count, cells, things: Vec::new(), links: Vec::new() }
+    }
+
+    #[inline]
+    fn cell(&self, at: Vec2) -> [u32; 2] {
+        // What lies outside shares the cells of the rim.
+        let place = (at - self.low) * self.per_m;
+        let number = |place: f32, count: u32| (place as i32).clamp(0, count as i32 - 1) as u32;
+        [number(place.x, self.count[0]), number(place.y, self.count[1])]
+    }
+
+    fn number(&self, at: Vec2) -> usize {
+        let [x, y] = self.cell(at);
+        (y * self.count[0] + x) as usize
+    }
+
+    /// Marks that a place will ask about all that is nearer than this, m.
+    fn will_ask(&mut self, at: Vec2, than_m: f32) {
+        let number = self.number(at);
+        if let Some(cell) = self.cells.get_mut(number) {
+            cell.asked_m = cell.asked_m.max(than_m);
+        }
+    }
+
+    /// The first and the last cell along both axes that a box touches.
+    fn around(&self, (low, high): (Vec2, Vec2)) -> [[u32; 2]; 2] {
+        let ([x0, y0], [x1, y1]) = (self.cell(low), self.cell(high));
+        [[x0, x1], [y0, y1]]
+    }
+
+    /// Whether anything at this depth, m, in these cells will be asked about.
+    #[inline]
+    fn is_asked(&self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32) -> bool {
+        let asked_m = |x: u32, y: u32| {
+            let cell = self.cells.get((y * self.count[0] + x) as usize);
+            cell.map_or(f32::NEG_INFINITY, |cell| cell.asked_m)
+        };
+        // Mostly those at the corners are all.
+        if x1 - x0 < 2 && y1 - y0 < 2 {
+            let below = (depth_m < asked_m(x0, y0)) | (depth_m < asked_m(x1, y0));
+            return below | (depth_m < asked_m(x0, y1)) | (depth_m < asked_m(x1, y1));
+        }
+        (y0..=y1).any(|y| (x0..=x1).any(|x| depth_m < asked_m(x, y)))
+    }
+
+    /// Another thing in these cells, as far as it is asked about there.
+    #[inline]
+    fn push(&mut self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32, thing: T) {
+        let number = self.things.len() as u32;
+        for y in y0..y1 + 1 {
+            let row = (y * self.count[0] + x0) as usize..(y * self.count[0] + x1 + 1) as usize;
+            for cell in self.cells.get_mut(row).unwrap_or_default().iter_mut().filter(|cell| depth_m < cell.asked_m) {
+                self.links.push((number, cell.head));
+                cell.head = self.links.len() as u32 - 1;
+                cell.nearest_m = cell.nearest_m.min(depth_m);
+            }
+        }
+        self.things.push(thing);
+    }
+
+    /// Entries that may be at a place and nearer than this, m.
+    #[inline]
+    fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = &T> {
+        let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < than_m);
+        let mut next = cell.map_or(END, |cell| cell.head);
+        std::iter::from_fn(move || {
+            let &(thing, after) = self.links.get(next as usize)?;
+            next = after;
+            self.things.get(thing as usize)
+        })
+    }
+}
+
+impl View {
+    fn new(skin: &Skin, plane: &Plane, seen: &[Seen], asked: &[usize]) -> Self {
+        let (low, high) =
+            seen.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(l, h), s| (l.min(s.at), h.max(s.at)));
+        let (mut triangles, mut outlines) = (Cells::new(low, high, TRIANGLE_CELL_M), Cells::new(low, high, CELL_M));
+        for Seen { at, depth_m } in asked.iter().map(|&v| seen[v]) {
+            triangles.will_ask(at, depth_m - BEHIND_M);
+            outlines.will_ask(at, depth_m - BEHIND_M);
+        }
+        let corners = |t: usize| {
+            let [a, b, c] = skin.rest().triangles[t];
+            [seen[a as usize], seen[b as usize], seen[c as usize]]
+        };
+        // Counter-clockwise on the plane, whose third axis points away, is turned away.
+        let handed = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
+        let faces = |[a, b, c]: [Seen; 3]| (b.at - a.at).perp_dot(c.at - a.at) * handed > 0.0;
+        let facing: Vec<bool> = (0..skin.rest().triangles.len()).map(|t| faces(corners(t))).collect();
+        let pieces = pieces(skin, seen, &facing, &outlines);
+        for (_, beside) in &pieces {
+            triangles.will_ask(*beside, f32::INFINITY);
+        }
+        let cells: Vec<[u32; 2]> = seen.iter().map(|s| triangles.cell(s.at)).collect();
+        for t in (0..facing.len()).filter(|&t| facing[t]) {
+            let [p, q, r] = skin.rest().triangles[t];
+            let (p, q, r) = (cells[p as usize], cells[q as usize], cells[r as usize]);
+            let along = |axis: usize| [p[axis].min(q[axis]).min(r[axis]), p[axis].max(q[axis]).max(r[axis])];
+            let around = [along(0), along(1)];
+            let [a, b, c] = corners(t);
+            let nearest_m = a.depth_m.min(b.depth_m).min(c.depth_m);
+            if triangles.is_asked(around, nearest_m) {
+                triangles.push(around, nearest_m, Facet::new([a, b, c]));
+            }
+        }
+        let mut view = View { triangles, outlines };
+        for (mut piece, beside) in pieces {
+            piece.behind_m = view.nearest_m(beside, f32::INFINITY);
+            // What is itself hidden hides nothing more.
+            if piece.behind_m > piece.depth_m - 1e-3 {
+                view.outlines.push(view.outlines.around(piece.reach()), piece.depth_m, piece);
+            }
+        }
+        view
+    }
+
+    /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
+    fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
+        let mut nearest = than_m;
+        for facet in self.triangles.at(at, than_m) {
+            if facet.nearest_m >= nearest {
+                continue;
+            }
+            let offset = at - facet.first;
+            let (p, q) = (facet.to_second.dot(offset), facet.to_third.dot(offset));
+            if p >= 0.0 && q >= 0.0 && p + q <= 1.0 {
+                nearest = nearest.min(facet.depth_m + p * facet.deeper_m[0] + q * facet.deeper_m[1]);
+            }
+        }
+        nearest
+    }
+
+    /// Field at a vertex.
+    fn weight(&self, &Seen { at, depth_m }: &Seen, wavelength_m: f64) -> f64 {
+        let least_m = depth_m - BEHIND_M;
+        // Squared distance across in units of the first Fresnel zone, and in metres.
+        let (mut nearest, mut across_m2) = (f32::INFINITY, f32::INFINITY);
+        for piece in self.outlines.at(at, least_m) {
+            let behind_m = depth_m - piece.depth_m;
+            if behind_m < BEHIND_M || piece.behind_m < least_m {
+                continue;
+            }
+            let along = piece.to - piece.from;
+            let part = ((at - piece.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
+            // On the plane of the body's distance: what is a little nearer is seen a little larger, which is left alone.
+            let distance2 = (piece.from + along * part).distance_squared(at);
+            let zones = distance2 * depth_m / (piece.depth_m * behind_m);
+            if zones < nearest {
+                (nearest, across_m2) = (zones, distance2);
+            }
+        }
+        let shaded = self.nearest_m(at, least_m) < least_m;
+        if across_m2 > REACH_M * REACH_M {
+            return if shaded { 0.0 } else { 1.0 };
+        }
+        let nu = (2.0 * f64::from(nearest) / wavelength_m).sqrt();
+        if shaded {
+            // To nothing at the end of the reach.
+            let part = f64::from(across_m2 / (REACH_M * REACH_M));
+            knife_edge(nu) * (1.0 - part) * (1.0 - part)
+        } else {
+            knife_edge(-nu)
+        }
+    }
+}
+
+/// Pieces of outlines near which something behind them is asked about, what they hide not yet found, and where that is to be
+/// looked for: just beside them.
+fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) -> Vec<(Piece, Vec2)> {
+    let mut pieces = Vec::new();
+    for edge in skin.edges() {
+        let [left, right] = edge.triangles;
+        // Where the surface ends, what faces the antenna ends.
+        let ends = left == right && facing[left as usize];
+        if facing[left as usize] == facing[right as usize] && !ends {
+            continue;
+        }
+        let [p, q] = edge.vertices;
+        let (from, to) = (seen[p as usize], seen[q as usize]);
+        let depth_m = 0.5 * (from.depth_m + to.depth_m);
+        let piece = Piece { from: from.at, to: to.at, depth_m, behind_m: f32::INFINITY };
+        if !outlines.is_asked(outlines.around(piece.reach()), depth_m) {
+            continue;
+        }
+        // Both triangles lie on the same side of it; the third corner of either says which.
+        let corners = skin.rest().triangles.get(left as usize);
+        let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
+        let Some(&third) = third else { continue };
+        let along = to.at - from.at;
+        let side = along.perp_dot(seen[third as usize].at - from.at);
+        let outward = (if side > 0.0 { -along.perp() } else { along.perp() }).normalize_or_zero();
+        pieces.push((piece, 0.5 * (from.at + to.at) + outward * BESIDE_M));
+    }
+    pieces
+}
+
+impl Piece {
+    /// The box within which it matters.
+    fn reach(&self) -> (Vec2, Vec2) {
+        (self.from.min(self.to) - REACH_M, self.from.max(self.to) + REACH_M)
+    }
+}
+
+impl Facet {
+    fn new([a, b, c]: [Seen; 3]) -> Self {
+        let (u, v) = (b.at - a.at, c.at - a.at);
+        let over = 1.0 / u.perp_dot(v);
+        Facet {
+            first: a.at,
+            to_second: Vec2::new(v.y, -v.x) * over,
+            to_third: Vec2::new(-u.y, u.x) * over,
+            depth_m: a.depth_m,
+            deeper_m: [b.depth_m - a.depth_m, c.depth_m - a.depth_m],
+            nearest_m: a.depth_m.min(b.depth_m).min(c.depth_m),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::people::motion::{MotionBuilder, Person};
+    use crate::people::skin::EDGE_M;
+    use crate::people::walking_mesh::WalkingMesh;
+    use crate::rays::{Ray, World};
+
+    const WAVELENGTH_M: f64 = 0.005;
+
+    fn walker() -> WalkingMesh {
+        let person = Person::draw(1, [0, 0], 1.75);
+        let motion = MotionBuilder::new(person, 0.0, [1.0, 0.0], 0.4).walk_to([7.0, 2.0], 1.2).stay();
+        WalkingMesh::new(Arc::new(motion), EDGE_M)
+    }
+
+    /// More than half of the field arrives where a ray does, and less where none does.
+    #[test]
+    fn light_is_where_rays_are() {
+        let walker = walker();
+        let all = vec![true; walker.skin().rest().vertices.len()];
+        for (time_s, antenna) in [(2.0, DVec3::new(0.0, 0.0, 1.5)), (2.4, DVec3::new(8.0, -1.0, 0.9))] {
+            let posed = walker.posed(time_s);
+            let mesh = walker.mesh_at(time_s);
+            let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+            let world = World::new(mesh, &groups).expect("world");
+            let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+            let (mut shaded, mut wrong, mut facing) = (0, 0, 0);
+            for ((weight, v), normal) in weights.iter().zip(&posed.vertices).zip(&posed.normals) {
+                let depth_m = v.distance(antenna);
+                if normal.dot(antenna - *v) <= 0.3 * depth_m {
+                    continue;
+                }
+                let hit = world.closest(&Ray::between(antenna, *v));
+                let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - f64::from(BEHIND_M));
+                facing += 1;
+                shaded += i32::from(is_shaded);
+                wrong += i32::from(is_shaded != (*weight < 0.5));
+            }
+            assert!(shaded >= 30 && facing > 1000, "{shaded} of {facing}: a walker shades himself");
+            // A knife edge leaves 0.496 at grazing incidence, and outlines end in pieces of an edge's length.
+            assert!(wrong <= facing / 100, "{wrong} of {facing}");
+        }
+    }
+
+    /// No vertex jumps between light and shadow while the body moves by a millimetre.
+    #[test]
+    fn shadows_move_smoothly() {
+        let walker = walker();
+        let all = vec![true; walker.skin().rest().vertices.len()];
+        let antenna = DVec3::new(0.0, 0.0, 1.5);
+        let at = |time_s: f64| weights(walker.skin(), &walker.posed(time_s), antenna, WAVELENGTH_M, &all);
+        let (mut jumps, mut before) = (0, at(2.0));
+        for i in 1..20 {
+            let now = at(2.0 + 0.0005 * f64::from(i));
+            jumps += before.iter().zip(&now).filter(|(a, b)| (*a - *b).abs() > 0.35).count();
+            before = now;
+        }
+        // Of six thousand vertices in twenty steps.
+        assert!(jumps < 60, "{jumps} jumps");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Beside a foot, inside the chest, and very far away.
+        #[test]
+        fn antennas_anywhere_leave_finite_weights() {
+            let walker = walker();
+            let posed = walker.posed(2.0);
+            let all = vec![true; posed.vertices.len()];
+            let inside = posed.vertices.iter().sum::<DVec3>() / posed.vertices.len() as f64;
+            for antenna in [posed.vertices[0] + DVec3::Z * 1e-3, inside, DVec3::new(1e3, -2e3, 5.0)] {
+                let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+                assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
+            }
+        }
+    }
+}

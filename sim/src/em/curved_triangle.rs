@@ -1,0 +1,545 @@
+//! Curved triangles of a skin between two antennas, side by side: physical optics over each of them as the strength of one path.
+//!
+//! A triangle bulges between its corners as their normals say (a quadratic patch: edges are common with the neighbours', so that
+//! the surface has no gaps). The path over it is the parabola through its corners and the middles of its edges: what that leaves
+//! out is of the third order in the triangle's size over its distance, micrometres. Its integral is a sum over the places of a
+//! rule ([`super::quadrature`]) that is chosen by how far the phase runs across it: a wave that spans a few radians takes a few
+//! places, whatever curvature it has.
+//!
+//! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
+//! precision does: a test holds [`moments`] to an integral in double precision.
+
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
+use glam::DVec3;
+use radome_dsp::KernelLevel;
+
+use super::quadrature::{Rule, rules};
+use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane};
+
+/// Quadratic patches, a triangle in every lane.
+#[derive(Debug, Clone, Copy)]
+pub struct TriangleRows {
+    /// Mean of the corners, from a place that all are near to, m.
+    pub middles: Row3,
+    /// Corners from there, m.
+    pub corners: [Row3; 3],
+    /// Distance of the surface from the middles of the edges (first to second corner, second to third, third to first), m.
+    pub bulges: [Row3; 3],
+    /// Half of the squared differences of unit normals along the edges: by these, times both weights, the strength between
+    /// corners is above the linear one, since normals in between are as long as they.
+    pub turns: [Row; 3],
+}
+
+/// An antenna as the middles of triangles see it.
+#[derive(Debug, Clone, Copy)]
+pub struct ViewRows {
+    /// From the antenna to the middles, m.
+    pub offsets: Row3,
+    /// Length of that, m.
+    pub distances_m: [f64; LANES],
+    /// One over it.
+    pub inverse_m: Row,
+    /// Excess length of the way to each of the [`SIX`], wavelengths.
+    longer: [Row; 6],
+}
+
+/// Corners, then middles of the edges as those of the bulges, by their weights of the corners.
+const SIX: [[f32; 3]; 6] =
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
+
+/// Halves of the lanes are integrated each by a rule of its own.
+pub const HALVES: usize = 2;
+const HALF: usize = LANES / HALVES;
+
+/// Places of a rule on the triangles of half of the lanes; none where these need no integral.
+#[derive(Debug, Clone, Default)]
+pub struct Nodes {
+    all: Vec<Node>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    /// Weights of the second and third corner.
+    corners: [f32; 2],
+    /// Area that the place stands for, m^2.
+    area: [f32; HALF],
+}
+
+/// One half of the lanes.
+#[inline(always)]
+fn half_of(row: &Row, half: usize) -> [f32; HALF] {
+    let (halves, _) = row.as_chunks::<HALF>();
+    if half == 0 { halves[0] } else { halves[1] }
+}
+
+/// Rules of quadrature, and the instructions to use.
+#[derive(Debug)]
+pub struct Integrator {
+    pub(crate) rules: [Rule; 7],
+    pub(crate) level: KernelLevel,
+}
+
+impl Default for Integrator {
+    fn default() -> Self {
+        Integrator { rules: rules(), level: KernelLevel::detect() }
+    }
+}
+
+/// `int l_i exp(-j k (L - L_middle)) dS` over triangles for the weights `l_i` of their three corners, m^2: what a strength
+/// linear between the corners integrates to is their sum weighted by it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct MomentRows {
+    /// Real parts, by corner.
+    pub re: [Row; 3],
+    /// Imaginary parts.
+    pub im: [Row; 3],
+}
+
+impl TriangleRows {
+    /// From corners, unit normals there and bulges.
+    #[inline(always)]
+    pub fn new(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> Self {
+        let mut rows =
+            TriangleRows { middles: Default::default(), corners: *corners, bulges: *bulges, turns: Default::default() };
+        for axis in 0..3 {
+            for l in 0..LANES {
+                let middle = (corners[0][axis][l] + corners[1][axis][l] + corners[2][axis][l]) * (1.0 / 3.0);
+                rows.middles[axis][l] = middle;
+                rows.corners[0][axis][l] -= middle;
+                rows.corners[1][axis][l] -= middle;
+                rows.corners[2][axis][l] -= middle;
+            }
+        }
+        for (turn, (a, b)) in rows.turns.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
+            let (a, b) = (&normals[a], &normals[b]);
+            for l in 0..LANES {
+                let (x, y, z) = (a[0][l] - b[0][l], a[1][l] - b[1][l], a[2][l] - b[2][l]);
+                turn[l] = 0.5 * (x * x + y * y + z * z);
+            }
+        }
+        rows
+    }
+
+    /// Area of all of them, m^2.
+    pub fn area_m2(&self) -> f32 {
+        (0..LANES).map(|l| 0.5 * self.twice_area([1.0 / 3.0; 3], l)).sum()
+    }
+
+    /// A place by the weights of the corners, from the middle, m.
+    #[inline(always)]
+    fn place(&self, [a, b, c]: [f32; 3], l: usize) -> [f32; 3] {
+        let (corners, bulges) = (&self.corners, &self.bulges);
+        let mut place = [0.0; 3];
+        for axis in 0..3 {
+            let flat = a * corners[0][axis][l] + b * corners[1][axis][l] + c * corners[2][axis][l];
+            let bulge = (a * b) * bulges[0][axis][l] + (b * c) * bulges[1][axis][l] + (c * a) * bulges[2][axis][l];
+            place[axis] = flat + 4.0 * bulge;
+        }
+        place
+    }
+
+    /// Derivative of a place as weight goes from the first corner to the second, and to the third: in the first corner, and its
+    /// changes by what the second and the third weigh.
+    #[inline(always)]
+    fn tangents(&self) -> [[Row3; 3]; 2] {
+        let (corners, bulges) = (&self.corners, &self.bulges);
+        let mut tangents: [[Row3; 3]; 2] = Default::default();
+        for axis in 0..3 {
+            for l in 0..LANES {
+                let (p, q, r) = (corners[0][axis][l], corners[1][axis][l], corners[2][axis][l]);
+                let (pq, qr, rp) = (4.0 * bulges[0][axis][l], 4.0 * bulges[1][axis][l], 4.0 * bulges[2][axis][l]);
+                let across = qr - rp - pq;
+                tangents[0][0][axis][l] = (q - p) + pq;
+                tangents[0][1][axis][l] = -2.0 * pq;
+                tangents[0][2][axis][l] = across;
+                tangents[1][0][axis][l] = (r - p) + rp;
+                tangents[1][1][axis][l] = across;
+                tangents[1][2][axis][l] = -2.0 * rp;
+            }
+        }
+        tangents
+    }
+
+    /// Twice the area that a place stands for, relative to that of the triangle of weights, m^2.
+    #[inline(always)]
+    fn twice_area(&self, [a, b, c]: [f32; 3], l: usize) -> f32 {
+        // How the place moves as weight goes from the first corner to the second, and to the third.
+        let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
+        for axis in 0..3 {
+            let (corners, bulges) = (&self.corners, &self.bulges);
+            let (p, q, r) = (corners[0][axis][l], corners[1][axis][l], corners[2][axis][l]);
+            let (pq, qr, rp) = (4.0 * bulges[0][axis][l], 4.0 * bulges[1][axis][l], 4.0 * bulges[2][axis][l]);
+            u[axis] = (q - p) + (a - b) * pq + c * qr - c * rp;
+            v[axis] = (r - p) - b * pq + b * qr + (a - c) * rp;
+        }
+        let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+        (x * x + y * y + z * z).sqrt()
+    }
+}
+
+impl ViewRows {
+    /// Rows of triangles that are given from `origin`.
+    #[inline(always)]
+    pub fn new(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> Self {
+        let zero = [0.0; LANES];
+        let start = (origin - antenna).to_array();
+        let mut view = ViewRows { offsets: [zero; 3], distances_m: [0.0; LANES], inverse_m: zero, longer: [zero; 6] };
+        let per_wavelength = 1.0 / wavelength_m;
+        let mut wavelengths = zero;
+        for l in 0..LANES {
+            let [x, y, z] = lane(&triangles.middles, l);
+            let (x, y, z) = (start[0] + f64::from(x), start[1] + f64::from(y), start[2] + f64::from(z));
+            let distance = (x * x + y * y + z * z).sqrt().max(1e-6);
+            (view.offsets[0][l], view.offsets[1][l], view.offsets[2][l]) = (x as f32, y as f32, z as f32);
+            view.distances_m[l] = distance;
+            view.inverse_m[l] = (1.0 / distance) as f32;
+            wavelengths[l] = (distance * per_wavelength) as f32;
+        }
+        for (weights, longer) in SIX.into_iter().zip(&mut view.longer) {
+            for l in 0..LANES {
+                let [x, y, z] = triangles.place(weights, l);
+                let along = x * view.offsets[0][l] + y * view.offsets[1][l] + z * view.offsets[2][l];
+                // `D (sqrt(1 + e) - 1)` with `e = (|d|^2 + 2 d.offset) / D^2`, whatever its size.
+                let inverse2 = view.inverse_m[l] * view.inverse_m[l];
+                let e = ((x * x + y * y + z * z) + 2.0 * along) * inverse2;
+                longer[l] = wavelengths[l] * e / (1.0 + (1.0 + e).max(0.0).sqrt());
+            }
+        }
+        view
+    }
+}
+
+compiled_for_levels! {
+    /// Distance of the surface from the middles of the edges, m, from corners and unit normals there: the cubic over an edge
+    /// that is tangential to the surface at both ends.
+    pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
+}
+
+#[inline(always)]
+fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
+    let mut bulges: [Row3; 3] = Default::default();
+    for (bulge, (a, b)) in bulges.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
+        let (p, q, m, n) = (&corners[a], &corners[b], &normals[a], &normals[b]);
+        for l in 0..LANES {
+            let (x, y, z) = (q[0][l] - p[0][l], q[1][l] - p[1][l], q[2][l] - p[2][l]);
+            let along_m = 0.125 * (x * m[0][l] + y * m[1][l] + z * m[2][l]);
+            let along_n = 0.125 * (x * n[0][l] + y * n[1][l] + z * n[2][l]);
+            bulge[0][l] = n[0][l] * along_n - m[0][l] * along_m;
+            bulge[1][l] = n[1][l] * along_n - m[1][l] * along_m;
+            bulge[2][l] = n[2][l] * along_n - m[2][l] * along_m;
+        }
+    }
+    bulges
+}
+
+compiled_for_levels! {
+    /// Triangles from their corners.
+    pub fn triangle_rows(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> TriangleRows = TriangleRows::new;
+}
+
+compiled_for_levels! {
+    /// Rows of the triangles as antennas see them.
+    pub fn view_rows(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> ViewRows = ViewRows::new;
+}
+
+compiled_for_levels! {
+    /// Puts the places of a rule on the triangles of one half of the lanes.
+    pub fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
+}
+
+#[inline(always)]
+fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) {
+    out.all.clear();
+    let mut tangents = [[[[0f32; HALF]; 3]; 3]; 2];
+    for (tangents, rows) in tangents.iter_mut().zip(&triangles.tangents()) {
+        for (tangents, rows) in tangents.iter_mut().zip(rows) {
+            for (tangents, row) in tangents.iter_mut().zip(rows) {
+                *tangents = half_of(row, half);
+            }
+        }
+    }
+    let [second, third] = &tangents;
+    let turns =
+        [half_of(&triangles.turns[0], half), half_of(&triangles.turns[1], half), half_of(&triangles.turns[2], half)];
+    for &([a, b, c], part) in &rule.places {
+        let mut node = Node { corners: [b, c], area: [0.0; HALF] };
+        for l in 0..HALF {
+            let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
+            for axis in 0..3 {
+                u[axis] = second[0][axis][l] + b * second[1][axis][l] + c * second[2][axis][l];
+                v[axis] = third[0][axis][l] + b * third[1][axis][l] + c * third[2][axis][l];
+            }
+            let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+            let above = 1.0 + turns[0][l] * (a * b) + turns[1][l] * (b * c) + turns[2][l] * (c * a);
+            node.area[l] = (0.5 * part) * (x * x + y * y + z * z).sqrt() * above;
+        }
+        out.all.push(node);
+    }
+}
+
+compiled_for_levels! {
+    /// Span of the phase across each triangle between two antennas, rad.
+    pub fn spans_rad(views: [&ViewRows; 2]) -> Row = spans_body;
+}
+
+#[inline(always)]
+fn spans_body(views: [&ViewRows; 2]) -> Row {
+    let mut spans = [0.0; LANES];
+    for (l, span) in spans.iter_mut().enumerate() {
+        let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
+        for i in 0..6 {
+            let longer = views[0].longer[i][l] + views[1].longer[i][l];
+            (least, most) = (least.min(longer), most.max(longer));
+        }
+        *span = std::f32::consts::TAU * (most - least);
+    }
+    spans
+}
+
+compiled_for_levels! {
+    /// Moments of triangles between two antennas, by the places of both halves of the lanes.
+    pub fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
+}
+
+#[inline(always)]
+fn moments_body(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows {
+    let mut rows = MomentRows::default();
+    for (half, nodes) in nodes.into_iter().enumerate() {
+        if nodes.all.is_empty() {
+            continue;
+        }
+        let [a, b, c, d, e, f] = half_moments(nodes, half, views);
+        for (row, found) in rows.re.iter_mut().chain(&mut rows.im).zip([a, b, c, d, e, f]) {
+            let (halves, _) = row.as_chunks_mut::<HALF>();
+            halves[half] = found;
+        }
+    }
+    rows
+}
+
+/// Real parts of the moments of one half of the lanes, then imaginary ones.
+#[inline(always)]
+fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HALF]; 6] {
+    // The parabola of paths by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
+    let mut turns = [[0f32; HALF]; 6];
+    let [p, q, r, pq, qr, rp] = &views[0].longer;
+    let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
+    let (p, q, r) = (half_of(p, half), half_of(q, half), half_of(r, half));
+    let (p2, q2, r2) = (half_of(p2, half), half_of(q2, half), half_of(r2, half));
+    let (pq, qr, rp) = (half_of(pq, half), half_of(qr, half), half_of(rp, half));
+    let (pq2, qr2, rp2) = (half_of(pq2, half), half_of(qr2, half), half_of(rp2, half));
+    for l in 0..HALF {
+        let (p, q, r) = (p[l] + p2[l], q[l] + q2[l], r[l] + r2[l]);
+        let (pq, qr, rp) = (pq[l] + pq2[l], qr[l] + qr2[l], rp[l] + rp2[l]);
+        turns[0][l] = -p;
+        turns[1][l] = 3.0 * p + q - 4.0 * pq;
+        turns[2][l] = 3.0 * p + r - 4.0 * rp;
+        turns[3][l] = 4.0 * pq - 2.0 * (p + q);
+        turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
+        turns[5][l] = 4.0 * rp - 2.0 * (p + r);
+    }
+    // Of the field, and of it times the weights of the second and third corner: the first has the rest.
+    let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
+    for node in &nodes.all {
+        let [b, c] = node.corners;
+        for l in 0..HALF {
+            let along = turns[1][l] + (b * turns[3][l] + c * turns[4][l]);
+            let turn = turns[0][l] + (b * along + c * (turns[2][l] + c * turns[5][l]));
+            let (cosine, sine) = cos_sin_of_turns(turn);
+            let (x, y) = (cosine * node.area[l], sine * node.area[l]);
+            re[0][l] += x;
+            re[1][l] += b * x;
+            re[2][l] += c * x;
+            im[0][l] += y;
+            im[1][l] += b * y;
+            im[2][l] += c * y;
+        }
+    }
+    for l in 0..HALF {
+        re[0][l] -= re[1][l] + re[2][l];
+        im[0][l] -= im[1][l] + im[2][l];
+    }
+    [re[0], re[1], re[2], im[0], im[1], im[2]]
+}
+
+#[cfg(test)]
+mod tests {
+    use num_complex::{Complex, Complex64};
+    use rand::Rng;
+
+    use super::*;
+    use crate::em::quadrature::rule_for;
+    use crate::em::triangle;
+    use crate::random::{Purpose, generator};
+
+    const WAVELENGTH_M: f64 = 0.005;
+    const K: f64 = std::f64::consts::TAU / WAVELENGTH_M;
+    const ORIGIN: DVec3 = DVec3::new(3.0, 0.5, 1.0);
+
+    /// A quadratic patch.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    struct CurvedTriangle {
+        /// Corners, m.
+        corners: [DVec3; 3],
+        /// Unit normals there.
+        normals: [DVec3; 3],
+        /// Distance of the surface from the middles of the edges, m.
+        bulges: [DVec3; 3],
+    }
+
+    /// [`moments`] the slow and obvious way: double precision, linear strength in each of `4 cuts^2` flat triangles, paths as plain
+    /// distances.
+    fn exact_moments(
+        triangle: &CurvedTriangle,
+        antennas: [DVec3; 2],
+        wavenumber_per_m: f64,
+        cuts: usize,
+    ) -> [Complex64; 3] {
+        let n = 2 * cuts;
+        let CurvedTriangle { corners, normals, bulges } = triangle;
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
+        let start = length(middle);
+        let turns = [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]));
+        let node = |i: usize, j: usize| {
+            let [a, b, c] = [n - i - j, j, i].map(|w| w as f64 / n as f64);
+            let place = corners[0] * a
+                + corners[1] * b
+                + corners[2] * c
+                + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a));
+            let above = 1.0 + turns[0] * (a * b) + turns[1] * (b * c) + turns[2] * (c * a);
+            (place, [a, b, c], above)
+        };
+        let mut sums = [Complex64::ZERO; 3];
+        let mut add = |nodes: [(DVec3, [f64; 3], f64); 3]| {
+            let [p, q, r] = nodes.map(|(place, ..)| place);
+            let twice_area = (q - p).cross(r - p).length();
+            let phases = nodes.map(|(place, ..)| -wavenumber_per_m * (length(place) - start));
+            let moments = triangle::moments(phases[0], phases[1], phases[2]);
+            for ((_, weights, above), moment) in nodes.into_iter().zip(moments) {
+                for (sum, w) in sums.iter_mut().zip(weights) {
+                    *sum += moment * (twice_area * above * w);
+                }
+            }
+        };
+        for i in 0..n {
+            for j in 0..n - i {
+                add([node(i, j), node(i, j + 1), node(i + 1, j)]);
+                if i + j + 2 <= n {
+                    add([node(i + 1, j + 1), node(i + 1, j), node(i, j + 1)]);
+                }
+            }
+        }
+        sums
+    }
+
+    /// Triangles of a limb or a trunk a few metres away, at any angle.
+    fn triangles() -> Vec<(CurvedTriangle, [DVec3; 2])> {
+        let mut rng = generator(11, Purpose::Noise, [0, 0]);
+        let mut vector = |size: f64| {
+            DVec3::new(rng.random_range(-size..size), rng.random_range(-size..size), rng.random_range(-size..size))
+        };
+        // Normals that turn by some degrees.
+        let turn = |i: u32| DVec3::new(1.0, 0.1 * f64::from(i), 0.15 - 0.1 * f64::from(i)).normalize();
+        (0..400)
+            .map(|_| {
+                let middle = ORIGIN + vector(0.5);
+                let corners = [0; 3].map(|_| middle + vector(0.012));
+                let bulges = [0; 3].map(|_| vector(6e-4));
+                let antenna = vector(0.5);
+                (CurvedTriangle { corners, normals: [0, 1, 2].map(turn), bulges }, [antenna, antenna + vector(0.003)])
+            })
+            .collect()
+    }
+
+    fn row3(v: DVec3) -> Row3 {
+        v.as_vec3().to_array().map(|x| [x; LANES])
+    }
+
+    fn rows(triangle: &CurvedTriangle, level: KernelLevel) -> TriangleRows {
+        let corners = triangle.corners.map(|c| row3(c - ORIGIN));
+        triangle_rows(level, &corners, &triangle.normals.map(row3), &triangle.bulges.map(row3))
+    }
+
+    /// Moments, and the span by which their rule was chosen.
+    fn of(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel) -> ([Complex<f32>; 3], f32) {
+        let rows = rows(triangle, level);
+        let [t, r] = antennas.map(|a| view_rows(level, a, ORIGIN, &rows, WAVELENGTH_M));
+        let span = spans_rad(level, [&t, &r])[0];
+        let mut nodes = [Nodes::default(), Nodes::default()];
+        for (half, nodes) in nodes.iter_mut().enumerate() {
+            place_nodes(level, &rows, half, &rules()[rule_for(span, 1.0)], nodes);
+        }
+        let found = moments(level, nodes.each_ref(), [&t, &r]);
+        let at = |lane: usize| -> [Complex<f32>; 3] {
+            std::array::from_fn(|i| Complex::new(found.re[i][lane], found.im[i][lane]))
+        };
+        assert_eq!(at(3), at(LANES - 1), "the same in both halves");
+        (at(3), span)
+    }
+
+    #[test]
+    fn every_rule_is_the_integral_to_a_few_thousandths_of_the_area() {
+        let (mut seen, mut squares) = ([0; 7], 0.0);
+        for (triangle, antennas) in triangles() {
+            let exact = exact_moments(&triangle, antennas, K, 24);
+            let [a, b, c] = triangle.corners;
+            let area = 0.5 * (b - a).cross(c - a).length();
+            let (found, span) = of(&triangle, antennas, KernelLevel::detect());
+            seen[rule_for(span, 1.0)] += 1;
+            for (exact, found) in exact.iter().zip(found) {
+                let miss = (exact - Complex64::new(found.re.into(), found.im.into())).norm();
+                // In the worst direction.
+                assert!(miss < 3e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
+                squares += (miss / area).powi(2) / 1200.0;
+            }
+        }
+        assert!(squares.sqrt() < 3e-3, "{}", squares.sqrt());
+        assert!(seen.iter().all(|&n| n > 0), "{seen:?}");
+    }
+
+    #[test]
+    fn every_level_of_instructions_computes_the_same() {
+        for (triangle, antennas) in triangles() {
+            let portable = of(&triangle, antennas, KernelLevel::Portable);
+            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+                assert_eq!(of(&triangle, antennas, level), portable, "{level}");
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn a_point_and_a_needle_are_no_surface() {
+            let antennas = [DVec3::ZERO, DVec3::Y * 0.003];
+            let corner = DVec3::new(2.0, 0.0, 0.0);
+            for corners in [[corner; 3], [corner, corner + DVec3::Z * 0.02, corner + DVec3::Z * 0.01]] {
+                let triangle = CurvedTriangle { corners, normals: [DVec3::X; 3], bulges: [DVec3::ZERO; 3] };
+                for moment in of(&triangle, antennas, KernelLevel::detect()).0 {
+                    assert!(moment.norm() < 1e-9, "{moment}");
+                }
+            }
+        }
+
+        /// An antenna a quarter of a metre away, where the path's series has the most to do.
+        #[test]
+        fn near_antennas_are_as_exact() {
+            for (triangle, _) in triangles().into_iter().take(50) {
+                let near = triangle.corners[0] + DVec3::new(-0.25, 0.02, 0.03);
+                let antennas = [near, near + DVec3::Y * 0.003];
+                let exact = exact_moments(&triangle, antennas, K, 24);
+                let [a, b, c] = triangle.corners;
+                let area = 0.5 * (b - a).cross(c - a).length();
+                let (found, span) = of(&triangle, antennas, KernelLevel::detect());
+                for (exact, found) in exact.iter().zip(found) {
+                    let miss = (exact - Complex64::new(found.re.into(), found.im.into())).norm();
+                    assert!(miss < 1e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Frequency grids of all chirps of a frame, block by block: what stands still, paths, diffuse echoes, and skins.
+
+use std::ops::Range;
+
+use num_complex::Complex;
+
+use super::FrameSimulator;
+use super::chirp_turn::ChirpTurn;
+use super::clutter::{NO_STATIC, StaticGrids};
+use super::paths::Traced;
+use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
+
+impl FrameSimulator {
+    /// The frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with the errors that all
+    /// echoes of the chirp share, if there are any. Chirps of a receiver come in their order.
+    pub(super) fn each_chirp(
+        &self,
+        traced: &Traced,
+        static_grids: &StaticGrids,
+        turns: &[ChirpTurn],
+        mut visit: impl FnMut(usize, usize, &Grid),
+    ) {
+        let shape = self.waveform().shape();
+        let mut grids = vec![self.synthesiser.grids(); shape.rx];
+        let mut grid = self.synthesiser.grid();
+        let mut run = (!traced.diffuse.is_empty()).then(|| self.diffuse_run());
+        for begin in (0..shape.chirps).step_by(CHIRPS) {
+            let end = (begin + CHIRPS).min(shape.chirps);
+            self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
+            for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
+                for (stretch, places) in self.stretches_of(begin..end, halvings) {
+                    let tracks = traced.tracks.at(halvings, stretch);
+                    self.synthesiser.spread_tracks(&self.prepared.chirp, tracks, &places, &mut grids);
+                }
+            }
+            if let Some(run) = &mut run {
+                self.lay_diffuse(begin..end, &traced.diffuse, run, &mut grids);
+            }
+            for (rx, grids) in grids.iter_mut().enumerate() {
+                if let Some(skins) = &traced.skins {
+                    skins.add_block(rx, begin / CHIRPS, grids);
+                }
+                for (lane, chirp) in (begin..end).enumerate() {
+                    grids.extract(lane, &mut grid);
+                    if static_grids.by_chirp
+                        && let Some(own) = static_grids.grids.get(rx).and_then(|grids| grids.get(chirp))
+                    {
+                        grid.add(own);
+                    }
+                    if let Some(turn) = turns.get(chirp) {
+                        let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
+                        self.synthesiser.turn(factor, turn.late_s * self.prepared.chirp.sample_rate_hz, &mut grid);
+                    }
+                    visit(rx, chirp, &grid);
+                }
+            }
+        }
+    }
+
+    /// Replaces what is on the grids of a block of chirps by static paths between the ends of stretches.
+    fn lay_static(&self, block: Range<usize>, halvings: u32, static_grids: &StaticGrids, grids: &mut [Grids]) {
+        for (rx, grids) in grids.iter_mut().enumerate() {
+            grids.clear();
+            let at_ends = static_grids.grids.get(rx).filter(|_| !static_grids.by_chirp);
+            let Some(at_ends) = at_ends else { continue };
+            for (stretch, places) in self.stretches_of(block.clone(), halvings) {
+                if let Some([a, b]) = at_ends.get(stretch..stretch + 2) {
+                    grids.blend(a, b, &places);
+                }
+            }
+        }
+    }
+
+    /// The stretch of a frame, halved this often, in which a chirp lies, and its place there, 0..1.
+    pub(super) fn place_of(&self, chirp: usize, halvings: u32) -> (usize, f64) {
+        let stretches = 1usize << halvings;
+        let at = self.middle_s(chirp) / self.active_s() * stretches as f64;
+        let stretch = (at as usize).min(stretches - 1);
+        (stretch, at - stretch as f64)
+    }
+
+    /// The stretches of a frame that is halved this often in which chirps of a block lie, each with the places of those chirps.
+    pub(super) fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
+        let mut of_block = Vec::new();
+        let mut begin = block.start;
+        while begin < block.end {
+            let (stretch, _) = self.place_of(begin, halvings);
+            let end =
+                (begin..block.end).find(|&chirp| self.place_of(chirp, halvings).0 != stretch).unwrap_or(block.end);
+            let lanes = begin - block.start..end - block.start;
+            of_block.push((stretch, Places::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
+            begin = end;
+        }
+        of_block
+    }
+
+    /// Echoes of people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
+    pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
+        let shape = self.waveform().shape();
+        let start_s = self.start_s(index);
+        let motions = self.motions(start_s);
+        let traced = self.traced(&self.instants(&motions, start_s, halvings), halvings);
+        let mut scratch = SynthesisScratch::default();
+        let mut all = vec![0f32; shape.codes()];
+        self.each_chirp(&traced, &NO_STATIC, &[], |rx, chirp, grid| {
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let Some(samples) = all.get_mut(first..first + shape.samples) {
+                self.synthesiser.transform(grid, samples, &mut scratch);
+            }
+        });
+        all
+    }
+}

@@ -1,0 +1,201 @@
+//! Static echoes: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
+
+use glam::DVec3;
+use num_complex::{Complex, Complex64};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::FrameSimulator;
+use super::paths::Traced;
+use crate::diffraction::{self, Column};
+use crate::echo::Snapshot;
+use crate::prepared_scene::{StaticPath, drift};
+use crate::random::{Purpose, generator};
+use crate::scene_file::ShadowFile;
+use crate::synthesis::{Grid, Tone};
+
+/// Weights of static paths in a frame.
+pub(super) struct Clutter {
+    /// Numbers and weights of paths that nobody comes near: the same at all times.
+    steady: Vec<(usize, Complex64)>,
+    /// Numbers of the other paths.
+    changing: Vec<usize>,
+    /// Their weights: `[time][changing path]`.
+    weights: Vec<Vec<Complex64>>,
+    /// Whether the times are the middles of all chirps; the ends of the frame's stretches if not.
+    pub(super) by_chirp: bool,
+}
+
+/// Grids of static paths at the same times.
+pub(super) struct StaticGrids {
+    /// `[rx][time]`.
+    pub(super) grids: Vec<Vec<Grid>>,
+    pub(super) by_chirp: bool,
+}
+
+/// Nothing static.
+pub(super) const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
+
+impl FrameSimulator {
+    /// Weights of all static paths in a frame: in every chirp where people diffract them, at the ends of stretches if not.
+    pub(super) fn clutter(&self, index: u64, start_s: f64, traced: &Traced) -> Clutter {
+        let is_strip = self.scene.file().people.shadow == ShadowFile::Strip;
+        let has_people = traced.snapshots.iter().any(|people| !people.is_empty());
+        if !(is_strip && has_people) {
+            let weights = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
+            let changing = (0..self.prepared.static_paths.len()).collect();
+            return Clutter { steady: Vec::new(), changing, weights, by_chirp: false };
+        }
+        let without_people = self.clutter_weights(index, &[start_s], &[Vec::new()]);
+        let without_people = without_people.first().map(Vec::as_slice).unwrap_or_default();
+        let (at_ends, active_s) = (traced.columns(), self.active_s());
+        let paths = self.prepared.static_paths.iter().zip(without_people).enumerate();
+        let (changing, steady): (Vec<_>, Vec<_>) =
+            paths.partition(|(_, (path, _))| may_shade(&path.polyline, &at_ends));
+        let weights: Vec<Vec<Complex64>> = (0..self.waveform().shape().chirps)
+            .map(|chirp| {
+                let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
+                // Conjugated, as amplitudes at the ADC are.
+                let weight = |(_, (path, weight)): &(usize, (&StaticPath, &Complex64))| {
+                    *weight * diffraction::along_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
+                };
+                changing.iter().map(weight).collect()
+            })
+            .collect();
+        Clutter {
+            steady: steady.into_iter().map(|(number, (_, weight))| (number, *weight)).collect(),
+            changing: changing.into_iter().map(|(number, _)| number).collect(),
+            weights,
+            by_chirp: true,
+        }
+    }
+
+    /// Complex weight of every static path at the ends of stretches: `[end][path]`.
+    fn clutter_weights(&self, index: u64, ends_s: &[f64], snapshots: &[Vec<Snapshot>]) -> Vec<Vec<Complex64>> {
+        let constants = &self.scene.receiver().clutter;
+        let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let steps = self.clutter_steps(index);
+        // Half of the power of jitter and drift is common to all echoes, half each one's own.
+        let half = constants.phase_jitter_rad * 0.5f64.sqrt();
+        let half_drift = constants.phase_drift_rad_per_10s * 0.5f64.sqrt();
+        let common = half * normal();
+        let jitter: Vec<Complex64> = self
+            .prepared
+            .static_paths
+            .iter()
+            .map(|_| {
+                let phase = common + half * normal();
+                Complex64::from_polar((1.0 + constants.amplitude_jitter * normal()).max(0.0), phase)
+            })
+            .collect();
+        ends_s
+            .iter()
+            .zip(snapshots)
+            .map(|(&t, people)| {
+                let columns: Vec<_> = people.iter().map(|p| p.column).collect();
+                let common = drift(t, &self.prepared.common_drift);
+                let paths = self.prepared.static_paths.iter().zip(&jitter);
+                paths
+                    .enumerate()
+                    .map(|(i, (path, jitter))| {
+                        let shade = diffraction::along(&path.polyline, &columns, self.prepared.wavelength_m);
+                        let step = steps.get(i).copied().unwrap_or_default();
+                        let turn = half_drift * (common + drift(t, &path.drift)) + step;
+                        jitter * Complex64::from_polar(shade, turn)
+                    })
+                    .collect()
+            })
+            .collect()
+    }
+
+    /// Phase of every static path by the steps before a frame, rad; nothing where there are none. Time is cut into intervals
+    /// with one step each, anywhere in it; between two steps paths rest at levels whose differences are the steps.
+    fn clutter_steps(&self, index: u64) -> Vec<f64> {
+        let constants = &self.scene.receiver().clutter;
+        if constants.phase_step_rad == 0.0 {
+            return Vec::new();
+        }
+        let at = self.start_s(index) / constants.phase_step_interval_s;
+        let interval = at as u64;
+        let step = generator(self.options.seed, Purpose::ClutterStep, [interval, 0]).random::<f64>();
+        let level = interval + u64::from(at - interval as f64 >= step);
+        let mut rng = generator(self.options.seed, Purpose::ClutterStep, [level, 1]);
+        let sigma_rad = constants.phase_step_rad * 0.5f64.sqrt();
+        let phase = |_| {
+            let normal: f64 = StandardNormal.sample(&mut rng);
+            sigma_rad * normal
+        };
+        self.prepared.static_paths.iter().map(phase).collect()
+    }
+
+    /// Grids of static paths at the times of their weights; with every tone times `j` and its delay if so asked.
+    pub(super) fn static_grids(&self, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
+        let of = |rx: usize| {
+            let mut steady = self.synthesiser.grid();
+            self.add_static(rx, clutter.steady.iter().copied(), is_by_delay, &mut steady);
+            let at = |weights: &Vec<Complex64>| {
+                let mut grid = steady.clone();
+                let changing = clutter.changing.iter().copied().zip(weights.iter().copied());
+                self.add_static(rx, changing, is_by_delay, &mut grid);
+                grid
+            };
+            clutter.weights.iter().map(at).collect()
+        };
+        StaticGrids { grids: (0..self.waveform().shape().rx).map(of).collect(), by_chirp: clutter.by_chirp }
+    }
+
+    /// Lays static paths down, each by its number and with a weight; with every tone times `j` and its delay if so asked.
+    fn add_static(
+        &self,
+        rx: usize,
+        paths: impl Iterator<Item = (usize, Complex64)>,
+        is_by_delay: bool,
+        grid: &mut Grid,
+    ) {
+        // Of a tone of one cycle a sample: what stands still has no Doppler.
+        let delay_s = self.prepared.chirp.sample_rate_hz / self.prepared.chirp.slope_hz_per_s;
+        for (number, weight) in paths {
+            let tone = self.prepared.static_paths.get(number).and_then(|path| path.tones.get(rx));
+            if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = tone {
+                let mut a = amplitude * weight;
+                if is_by_delay {
+                    a *= Complex64::new(0.0, cycles_per_sample * delay_s);
+                }
+                let amplitude = Complex::new(a.re as f32, a.im as f32);
+                self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, grid);
+            }
+        }
+    }
+}
+
+/// Whether somebody may come near a path between times that are evenly spread: nobody is farther from both neighbouring times than
+/// these are apart.
+fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
+    at_times.iter().enumerate().any(|(time, people)| {
+        people.iter().enumerate().any(|(i, column)| {
+            let next = at_times.get(time + 1).and_then(|people| people.get(i)).unwrap_or(column);
+            let moved_m = (next.x - column.x).hypot(next.y - column.y) + (next.radius_m - column.radius_m).abs();
+            diffraction::reaches(polyline, column, moved_m)
+        })
+    })
+}
+
+/// People as columns in other paths' way at a place, 0 to 1, between times that are evenly spread.
+fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
+    let place = at.clamp(0.0, 1.0) * at_times.len().saturating_sub(1) as f64;
+    let whole = place as usize;
+    let Some(here) = at_times.get(whole) else { return Vec::new() };
+    let next = at_times.get(whole + 1).unwrap_or(here);
+    let part = place - whole as f64;
+    let between = |a: f64, b: f64| a + (b - a) * part;
+    here.iter()
+        .zip(next)
+        .map(|(a, b)| Column {
+            x: between(a.x, b.x),
+            y: between(a.y, b.y),
+            radius_m: between(a.radius_m, b.radius_m),
+            height_m: between(a.height_m, b.height_m),
+        })
+        .collect()
+}

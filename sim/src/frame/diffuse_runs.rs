@@ -1,0 +1,73 @@
+//! Diffuse echoes of a frame: run by run of chirps, and those that change too much for that block by block.
+
+use std::ops::Range;
+
+use super::FrameSimulator;
+use crate::synthesis::{CHIRPS, Grids, HeldEchoes, RUN, RateGrids, Run};
+
+/// The run of chirps that diffuse echoes were laid down for last.
+pub(super) struct DiffuseRun {
+    /// Chirps of the frame; none where a block of them is not worth a run.
+    chirps: Range<usize>,
+    rates: RateGrids,
+    /// `[receiver][block of the run]`.
+    blocks: Vec<Vec<Grids>>,
+}
+
+impl FrameSimulator {
+    /// No run yet.
+    pub(super) fn diffuse_run(&self) -> DiffuseRun {
+        let (synthesiser, receivers) = (&self.synthesiser, self.waveform().shape().rx);
+        let blocks = vec![vec![synthesiser.grids(); RUN / CHIRPS]; receivers];
+        DiffuseRun { chirps: 0..0, rates: synthesiser.rate_grids(receivers), blocks }
+    }
+
+    /// Adds the diffuse echoes of each stretch of a frame to a block of chirps. Blocks come in their order.
+    pub(super) fn lay_diffuse(
+        &self,
+        block: Range<usize>,
+        diffuse: &[HeldEchoes],
+        run: &mut DiffuseRun,
+        grids: &mut [Grids],
+    ) {
+        let Some(halvings) = diffuse.len().checked_ilog2() else { return };
+        if block.start >= run.chirps.end {
+            self.begin_run(&block, halvings, diffuse, run);
+        }
+        let in_run = run.chirps.contains(&block.start);
+        for (stretch, places) in self.stretches_of(block.clone(), halvings) {
+            let of_stretch = if in_run { Some(run.rates.left()) } else { diffuse.get(stretch) };
+            if let Some(echoes) = of_stretch {
+                self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
+            }
+        }
+        if in_run {
+            let number = (block.start - run.chirps.start) / CHIRPS;
+            for (grids, blocks) in grids.iter_mut().zip(&run.blocks) {
+                if let Some(own) = blocks.get(number) {
+                    grids.add(own);
+                }
+            }
+        }
+    }
+
+    /// Lays echoes down for as many blocks from one on as lie in its stretch and make a run. One block is no less work in a run.
+    fn begin_run(&self, block: &Range<usize>, halvings: u32, diffuse: &[HeldEchoes], run: &mut DiffuseRun) {
+        let chirps = self.waveform().shape().chirps;
+        let (stretch, first) = self.place_of(block.start, halvings);
+        let is_inside = |end: usize| self.place_of(end - 1, halvings).0 == stretch;
+        let ends = (block.start + CHIRPS..block.start + RUN + CHIRPS).step_by(CHIRPS).map(|end| end.min(chirps));
+        let end = ends.take_while(|&end| is_inside(end) && end - block.start <= RUN).last().unwrap_or(block.start);
+        run.chirps = block.start..end;
+        if run.chirps.len() <= CHIRPS {
+            run.chirps.end = run.chirps.start;
+            return;
+        }
+        let Some(echoes) = diffuse.get(stretch) else { return };
+        let (_, last) = self.place_of(end - 1, halvings);
+        let step = (last - first) / (run.chirps.len() - 1) as f64;
+        let spread = Run { first, step, chirps: run.chirps.len() };
+        run.blocks.iter_mut().flatten().for_each(Grids::clear);
+        self.synthesiser.spread_rates(&self.prepared.chirp, echoes, &spread, &mut run.rates, &mut run.blocks);
+    }
+}

@@ -1,0 +1,192 @@
+//! One frame of a scene, a pure function of (scene, seed, index): truth, paths, clutter, chirps, receiver, each in a file of its own
+//! in that order. `skins.rs` has the paths of people who are meshes.
+
+use std::sync::{Arc, Mutex};
+
+use radome_dsp::{Frame, FrameShape, Waveform};
+
+use crate::echo::diffuse;
+use crate::echo::skin::SkinnedPerson;
+use crate::em::curved_triangle::Integrator;
+use crate::people::motion::Motion;
+use crate::prepared_scene::PreparedScene;
+use crate::random::{Purpose, draw, generator};
+use crate::receiver::RxChannel;
+use crate::receiver::adc::leakage_chirp_lsb;
+use crate::receiver::noise::{NoiseShaper, channel_density_lsb2};
+use crate::receiver::phase_noise::PhaseRates;
+use crate::receiver::spurs::Spurs;
+use crate::scenario::Scenario;
+use crate::scene::Scene;
+use crate::scene::ground::Floor;
+use crate::sway::SwayingReflectors;
+use crate::synthesis::Synthesiser;
+use chirp_turn::ChirpTurns;
+use receiver::{NoisyPhase, OfFrame};
+
+mod chirp_turn;
+mod chirps;
+mod clutter;
+mod diffuse_runs;
+mod paths;
+mod receiver;
+mod report;
+mod skins;
+mod truth;
+
+pub use report::{FrameReport, PersonState};
+
+/// Distance below the noise of a cell at which a path is left out, dB: those of 10 dB below it add half a decibel to a cell
+/// that stands just above it.
+fn margin_db(tolerance_db: f64) -> f64 {
+    10.0 - 20.0 * (tolerance_db / 0.5).log10()
+}
+
+/// Choices beside the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SimulateOptions {
+    /// All random draws depend on it.
+    pub seed: u64,
+    /// Greatest number of people (slots of visits, people at a desk, actors); the scene's own number if `None`, and
+    /// 0 for an empty room.
+    pub people: Option<usize>,
+    /// End after this many frames; endless if `None`.
+    pub frames: Option<u64>,
+    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
+    /// and how finely the rest is integrated follows from it.
+    pub tolerance_db: f64,
+}
+
+impl Default for SimulateOptions {
+    fn default() -> Self {
+        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 0.5 }
+    }
+}
+
+/// Everything about a scene and a seed that frames share.
+#[derive(Debug)]
+pub(crate) struct FrameSimulator {
+    pub(crate) scene: Scene,
+    pub(crate) options: SimulateOptions,
+    scenario: Scenario,
+    /// Where people count as in the room.
+    floor: Floor,
+    prepared: PreparedScene,
+    /// Points of the walls that each segment of a body takes.
+    points_a_segment: usize,
+    sway: SwayingReflectors,
+    /// Errors that all echoes of a chirp share; `None` where there are none.
+    turns: Option<ChirpTurns>,
+    /// Spurious tones of each receiver.
+    spurs: Vec<Spurs>,
+    synthesiser: Synthesiser,
+    noise: Vec<(NoiseShaper, f32)>,
+    leakage: Vec<Vec<f32>>,
+    /// Factor on the jitter of leakage.
+    leakage_jitter: f64,
+    phase_rates: Option<PhaseRates>,
+    integrator: Integrator,
+    /// People as meshes, those last seen at the end; none where people are ellipsoids.
+    skins: Mutex<Vec<(Arc<Motion>, Arc<SkinnedPerson>)>>,
+}
+
+impl FrameSimulator {
+    /// Traces what is static, draws who comes.
+    pub(crate) fn new(scene: &Scene, options: SimulateOptions) -> Self {
+        let prepared = PreparedScene::new(scene, options.seed, margin_db(options.tolerance_db));
+        let waveform = scene.waveform();
+        let samples = waveform.request.samples_per_chirp;
+        let (noise_db, leakage_jitter) = match &scene.file().people.desk {
+            Some(desk) => {
+                let mut rng = generator(options.seed, Purpose::Desk, [3, 0]);
+                let noise_db = draw(&mut rng, desk.noise_db);
+                (noise_db, draw(&mut rng, desk.leakage_jitter_factor.map(f64::ln)).exp())
+            }
+            None => (0.0, 1.0),
+        };
+        let noise = |c: &RxChannel| {
+            let density_lsb2 = channel_density_lsb2(scene.receiver(), c, waveform);
+            (NoiseShaper::new(&density_lsb2, samples), 10f64.powf(0.05 * noise_db) as f32)
+        };
+        let noise = prepared.channels.iter().map(noise).collect();
+        let leakage = prepared.channels.iter().map(|c| leakage_chirp_lsb(c, waveform)).collect();
+        let spurs = |rx| Spurs::draw(&scene.receiver().noise, waveform.sample_rate_hz, options.seed, rx);
+        tracing::debug!(scene = scene.name(), static_paths = prepared.static_paths.len(), "scene traced");
+        FrameSimulator {
+            scene: scene.clone(),
+            options,
+            scenario: Scenario::new(scene, options.seed, options.people),
+            floor: Floor::of(scene),
+            points_a_segment: diffuse::points_a_segment(prepared.wall_points.len(), options.tolerance_db),
+            sway: SwayingReflectors::new(scene, &prepared, options.seed),
+            turns: ChirpTurns::new(scene, options.seed),
+            spurs: (0..prepared.channels.len()).map(spurs).collect(),
+            prepared,
+            synthesiser: Synthesiser::new(samples),
+            noise,
+            leakage,
+            leakage_jitter,
+            phase_rates: scene.receiver().phase_noise.map(|noise| PhaseRates::new(&noise, waveform.sample_rate_hz)),
+            integrator: Integrator::default(),
+            skins: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn simulate_into(&self, index: u64, frame: &mut Frame) -> FrameReport {
+        self.simulate_from(index, self.start_s(index), frame)
+    }
+
+    /// The same with its first chirp at another time.
+    pub(crate) fn simulate_from(&self, index: u64, start_s: f64, frame: &mut Frame) -> FrameReport {
+        let waveform = self.waveform();
+        let shape: FrameShape = waveform.shape();
+        frame.sequence = index;
+        frame.time_ns = (start_s * 1e9).round() as u64;
+        frame.host_time_ns = 0;
+        frame.shape = shape;
+        frame.temperature_millicelsius = None;
+        frame.codes.clear();
+        frame.codes.resize(shape.codes(), 0);
+
+        let motions = self.motions(start_s);
+        let instants = self.instants(&motions, start_s, None);
+        let mut traced = self.traced(&instants, None);
+        // Bodies that paths were traced by are known by now.
+        let body = |person: usize, quarter: usize| instants.body_at_quarter(person, quarter);
+        frame.truth = Some(self.truth_of(&motions, start_s, body));
+        self.add_sway(start_s, &mut traced);
+        let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });
+        let mut report = traced.report;
+        let clutter = self.clutter(index, start_s, &traced);
+        let middles_s = (0..shape.chirps).map(|chirp| self.middle_s(chirp));
+        let turns = self.turns.as_ref().map(|turns| turns.of_frame(index, start_s, middles_s)).unwrap_or_default();
+        let of_frame =
+            OfFrame { index, start_s, traced: &traced, phase: phase.as_ref(), clutter: &clutter, turns: &turns };
+        report.clipped = self.simulate_channels(&of_frame, frame);
+        report
+    }
+
+    /// Motions of all people who are there in a frame.
+    fn motions(&self, start_s: f64) -> Vec<Arc<Motion>> {
+        self.scenario.between(start_s, start_s + self.active_s()).into_iter().map(|(_, motion)| motion).collect()
+    }
+
+    fn waveform(&self) -> &Waveform {
+        self.scene.waveform()
+    }
+
+    fn start_s(&self, index: u64) -> f64 {
+        index as f64 * self.waveform().frame_interval_s()
+    }
+
+    /// From the first sample of a frame to its last chirp's middle, s.
+    fn active_s(&self) -> f64 {
+        let w = self.waveform();
+        w.request.chirps_per_frame as f64 * w.chirp_interval_s
+    }
+
+    /// Middle of a chirp, counted from the frame's first sample, s.
+    fn middle_s(&self, chirp: usize) -> f64 {
+        chirp as f64 * self.waveform().chirp_interval_s + self.prepared.chirp.middle_s
+    }
+}

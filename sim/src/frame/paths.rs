@@ -1,0 +1,139 @@
+//! Everybody's paths in a frame: specular points at as many keys as each takes, diffuse echoes, and what sways.
+
+use std::sync::Arc;
+
+use super::{FrameReport, FrameSimulator};
+use crate::diffraction::Column;
+use crate::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
+use crate::path_sampling::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
+use crate::people::motion::Motion;
+use crate::scene_file::BodyFile;
+use crate::synthesis::{ChirpGrids, HeldEchoes};
+use crate::tracks::Tracks;
+
+/// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
+/// skins between them are not predicted well enough.
+pub(super) const FIRST_HALVINGS: u32 = 1;
+/// Most of that.
+pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
+/// Error that is allowed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector
+/// magnitude): weak paths have cells of their own in a map, where nothing stronger hides their errors.
+const KEY_TOLERANCE: f64 = 0.01;
+
+/// Everybody's paths in a frame.
+pub(super) struct Traced {
+    /// `[end of a stretch][person]`.
+    pub(super) snapshots: Vec<Vec<Snapshot>>,
+    /// Number of times that the frame is halved into those stretches.
+    pub(super) halvings: u32,
+    /// Paths to all receivers.
+    pub(super) tracks: Tracks,
+    /// Diffuse echoes in each stretch of a frame that may be halved less often; none where walls throw nothing about.
+    pub(super) diffuse: Vec<HeldEchoes>,
+    /// Echoes of those who have a skin.
+    pub(super) skins: Option<ChirpGrids>,
+    pub(super) report: FrameReport,
+}
+
+impl Traced {
+    /// The same paths, each times `j` and its delay.
+    pub(super) fn by_delay(&mut self) -> Self {
+        Traced {
+            snapshots: Vec::new(),
+            halvings: self.halvings,
+            tracks: self.tracks.by_delay(),
+            diffuse: self.diffuse.iter().map(HeldEchoes::by_delay).collect(),
+            skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
+            report: self.report,
+        }
+    }
+
+    /// People as columns in other paths' way, at the ends of stretches.
+    pub(super) fn columns(&self) -> Vec<Vec<Column>> {
+        self.snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
+    }
+}
+
+impl FrameSimulator {
+    /// Everybody in a frame, at the times that its paths may take if they are halved this often.
+    pub(super) fn instants<'a>(&self, motions: &'a [Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Instants<'a> {
+        let most = MOST_HALVINGS.max(MOST_SKIN_HALVINGS).max(halvings.unwrap_or(0));
+        Instants::new(motions, start_s, self.active_s(), most)
+    }
+
+    /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
+    pub(super) fn traced(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
+        let mut traced = match self.scene.file().people.body {
+            BodyFile::Mesh => self.traced_skins(instants, halvings),
+            BodyFile::Ellipsoids => self.traced_specular_points(instants, halvings),
+        };
+        if !self.prepared.wall_points.is_empty() {
+            self.add_diffuse(instants.motions().len(), &mut traced);
+        }
+        traced
+    }
+
+    /// Adds what walls throw in all directions, in halves of the frame: a quintic between them follows a segment's middle even
+    /// where skins need more.
+    fn add_diffuse(&self, people: usize, traced: &mut Traced) {
+        let halvings = traced.halvings.min(FIRST_HALVINGS);
+        let stretch_s = self.active_s() / f64::from(1u32 << halvings);
+        traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << halvings];
+        let step = 1usize << (traced.halvings - halvings);
+        for me in 0..people {
+            let own: Vec<&Snapshot> =
+                traced.snapshots.iter().step_by(step).filter_map(|people| people.get(me)).collect();
+            diffuse::add(&self.prepared, self.points_a_segment, &own, &mut traced.diffuse);
+        }
+    }
+
+    /// Specular points of people who are ellipsoids.
+    fn traced_specular_points(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
+        let (paths, echo_report) = self.keyed_paths(instants, halvings);
+        let report = FrameReport {
+            static_paths: self.prepared.static_paths.len(),
+            traced_paths: paths.traced,
+            moving_paths: paths.heard,
+            keys: paths.keys,
+            between_keys: paths.error(),
+            estimate_db: None,
+            clamped: echo_report.clamped,
+            clipped: 0,
+        };
+        let snapshots = instants.at_ends(FIRST_HALVINGS);
+        Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
+    }
+
+    /// Everybody's paths, each at as many keys as it takes.
+    fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
+        let demand = KeyDemand {
+            // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
+            heard_lsb: HEARD * self.prepared.threshold_lsb,
+            least_lsb: 0.02 * self.prepared.threshold_lsb,
+            tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
+            halvings,
+            frequency_hz: self.prepared.chirp.start_hz,
+        };
+        let mut paths = KeyedPaths::default();
+        let mut report = EchoReport::default();
+        // Whether a path is heard is asked at the ends and in the middle.
+        let asked_s = [0.0, 0.5, 1.0].map(|part| instants.start_s() + part * self.active_s());
+        for (me, motion) in instants.motions().iter().enumerate() {
+            let pairs = audible_paths(&self.prepared, motion, &asked_s);
+            paths.add(instants, &Paths::new(&self.prepared, motion, me, &pairs), &demand, &mut report);
+        }
+        (paths, report)
+    }
+
+    /// Adds the echoes of swaying reflectors to the paths of a frame.
+    pub(super) fn add_sway(&self, start_s: f64, traced: &mut Traced) {
+        let columns = traced.columns();
+        self.sway.add(start_s, self.active_s(), &columns, self.prepared.wavelength_m, &mut traced.tracks);
+    }
+
+    /// Ends of a frame's stretches, s.
+    pub(super) fn ends_s(&self, start_s: f64, halvings: u32) -> Vec<f64> {
+        let stretches = 1u32 << halvings;
+        (0..=stretches).map(|k| start_s + self.active_s() * f64::from(k) / f64::from(stretches)).collect()
+    }
+}

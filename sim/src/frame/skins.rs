@@ -1,0 +1,143 @@
+//! Echoes of people who have skins.
+
+use std::sync::{Arc, PoisonError};
+
+use rayon::prelude::*;
+
+use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
+use super::{FrameReport, FrameSimulator};
+use crate::echo::dense;
+use crate::echo::error_budget::{ErrorBudget, Missed};
+use crate::echo::skin::SkinnedPerson;
+use crate::echo::{EchoReport, FrameTimes, Snapshot, audible_pairs, loud_pairs};
+use crate::path_sampling::Instants;
+use crate::people::motion::Motion;
+use crate::people::skin::EDGE_M;
+use crate::people::walking_mesh::WalkingMesh;
+use crate::prepared_scene::threshold_lsb;
+use crate::scene_file::BodyFile;
+use crate::synthesis::ChirpGrids;
+use crate::tracks::Tracks;
+
+/// Error that is allowed between keys of all of a skin's echoes, relative to them, for half a decibel.
+const SKIN_KEY_TOLERANCE: f64 = 0.03;
+/// Skins of this many people are kept: those in the room, and who comes next.
+const MOST_SKINS: usize = 8;
+
+impl FrameSimulator {
+    /// Somebody's skin; `None` where people are ellipsoids.
+    fn skin(&self, motion: &Arc<Motion>) -> Option<Arc<SkinnedPerson>> {
+        if self.scene.file().people.body != BodyFile::Mesh {
+            return None;
+        }
+        let mut skins = self.skins.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = skins.iter().position(|(of, _)| Arc::ptr_eq(of, motion)) {
+            let kept = skins.remove(at);
+            let skin = Arc::clone(&kept.1);
+            skins.push(kept);
+            return Some(skin);
+        }
+        let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M)));
+        if skins.len() >= MOST_SKINS {
+            skins.remove(0);
+        }
+        skins.push((Arc::clone(motion), Arc::clone(&skin)));
+        Some(skin)
+    }
+
+    /// Error budget of skins.
+    fn budget(&self) -> ErrorBudget {
+        let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
+        ErrorBudget { tolerance_db: self.options.tolerance_db, noise_lsb }
+    }
+
+    /// Echoes of everybody's skins, and what they miss.
+    fn skin_echoes(
+        &self,
+        motions: &[Arc<Motion>],
+        snapshots: &[Vec<Snapshot>],
+        keys_s: Vec<f64>,
+        report: &mut EchoReport,
+    ) -> (ChirpGrids, Missed) {
+        let shape = self.waveform().shape();
+        let (start_s, middle) = (keys_s.first().copied().unwrap_or_default(), keys_s.len() / 2);
+        let now = snapshots.get(middle).map(Vec::as_slice).unwrap_or_default();
+        let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
+        let chirps_s = (0..shape.chirps).map(|i| chirp(i) + self.prepared.chirp.middle_s).collect();
+        let times = FrameTimes::new(keys_s, chirps_s);
+        let (budget, prepared, integrator) = (self.budget(), &self.prepared, &self.integrator);
+        let mut grids = ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps);
+        if self.phase_rates.is_some() {
+            grids = grids.with_delays();
+        }
+        let mut most = Missed::default();
+        for (me, motion) in motions.iter().enumerate() {
+            let Some(skin) = self.skin(motion) else { continue };
+            let pairs = audible_pairs(prepared, motion, start_s + 0.5 * self.active_s());
+            let loud = loud_pairs(prepared, motion, now, me, &pairs);
+            let missed =
+                skin.add_echoes(prepared, integrator, &budget, &times, snapshots, me, &loud, &mut grids, report);
+            most = most.max(missed);
+        }
+        (grids, most)
+    }
+
+    /// Echoes of people who have skins, at keys that are close enough together or as asked.
+    pub(super) fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
+        let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
+        loop {
+            let mut echo_report = EchoReport::default();
+            let ends_s = self.ends_s(instants.start_s(), halvings);
+            let (keys, snapshots) = (ends_s.len(), instants.at_ends(halvings));
+            let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
+            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
+                halvings += 1;
+                continue;
+            }
+            let report = FrameReport {
+                static_paths: self.prepared.static_paths.len(),
+                traced_paths: echo_report.paths / keys,
+                moving_paths: echo_report.synthesised,
+                keys,
+                between_keys: missed.between_keys,
+                estimate_db: (!instants.motions().is_empty()).then(|| missed.db()),
+                clamped: echo_report.clamped,
+                clipped: 0,
+            };
+            let (tracks, skins) = (Tracks::default(), Some(grids));
+            return Traced { snapshots, halvings, tracks, diffuse: Vec::new(), skins, report };
+        }
+    }
+
+    /// Samples of people's echoes the slow way ([`dense`]), LSB: `[rx][chirp][sample]`; skins only.
+    pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
+        let shape = self.waveform().shape();
+        let chirp = |chirp| self.dense_echo_chirp(index, chirp, margin_db);
+        let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps).into_par_iter().map(chirp).collect();
+        (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
+    }
+
+    /// One chirp of that: `[rx][sample]`.
+    pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
+        let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
+        let motions = self.motions(start_s);
+        let mut prepared = self.prepared.clone();
+        prepared.threshold_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), margin_db);
+        let middle_s = start_s + 0.5 * self.active_s();
+        let middle: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, middle_s)).collect();
+        let time_s = start_s + chirp as f64 * self.waveform().chirp_interval_s + prepared.chirp.middle_s;
+        let people: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, time_s)).collect();
+        let mut sum = vec![vec![0.0; shape.samples]; shape.rx];
+        for (me, motion) in motions.iter().enumerate() {
+            let Some(skin) = self.skin(motion) else { continue };
+            let pairs = audible_pairs(&prepared, motion, middle_s);
+            let pairs = loud_pairs(&prepared, motion, &middle, me, &pairs);
+            let pairs: Vec<_> = pairs.into_iter().map(|(pair, _)| pair).collect();
+            let own = dense::chirp(&prepared, &skin, &people, me, &pairs, time_s, shape.samples);
+            for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
+                *sum += own;
+            }
+        }
+        sum
+    }
+}

@@ -1,0 +1,276 @@
+//! PathSample times of the paths of people.
+//!
+//! A path is traced at the ends of a frame, in its middle and at its quarters. Where ends and quarters do not predict the middle, in
+//! delay and amplitude together, it is cut in halves, and each half is tested in the same way, with quarters of its own. So a trunk
+//! has two keys in a frame, a foot two or three, and a limb whose specular point passes behind another one as many as it takes.
+//! Quarters are there because shadows are short: one may come and go within half a frame, and middles alone would miss it.
+//!
+//! A path that is followed in one stretch is traced five times, and four more times for each time that it is cut. All paths of a
+//! person go on together, instant by instant, so that specular points are sought side by side ([`Paths::meet`]).
+
+use std::cell::OnceCell;
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use crate::echo::{EchoReport, Met, Paths, Snapshot};
+use crate::em::specular::Ellipsoid;
+use crate::path_segment::{FiveSamples, PathSample};
+use crate::people::body::SEGMENTS;
+use crate::people::motion::Motion;
+use crate::tracks::{Track, Tracks};
+
+/// Paths are halved no more often than this: sixteenths of a frame.
+pub const MOST_HALVINGS: u32 = 4;
+
+/// Everybody in a frame at the times that may be asked for, each looked at once.
+pub struct Instants<'a> {
+    motions: &'a [Arc<Motion>],
+    start_s: f64,
+    span_s: f64,
+    /// Between the first instant and the last.
+    count: usize,
+    /// Everybody at each instant that was asked for.
+    snapshots: Vec<OnceCell<Vec<Snapshot>>>,
+}
+
+impl<'a> Instants<'a> {
+    /// Covers `span_s` from a time on, which may be halved this often.
+    pub fn new(motions: &'a [Arc<Motion>], start_s: f64, span_s: f64, halvings: u32) -> Self {
+        let count = 4usize << halvings;
+        Instants { motions, start_s, span_s, count, snapshots: vec![OnceCell::new(); count + 1] }
+    }
+
+    /// Motions of all people.
+    pub fn motions(&self) -> &'a [Arc<Motion>] {
+        self.motions
+    }
+
+    /// The first instant, s.
+    pub fn start_s(&self) -> f64 {
+        self.start_s
+    }
+
+    fn time_s(&self, instant: usize) -> f64 {
+        self.start_s + self.span_s * instant as f64 / self.count as f64
+    }
+
+    /// Everybody at an instant.
+    fn people(&self, instant: usize) -> &[Snapshot] {
+        let Some(cell) = self.snapshots.get(instant) else { return &[] };
+        let time_s = self.time_s(instant);
+        cell.get_or_init(|| self.motions.iter().map(|m| Snapshot::new(m, time_s)).collect())
+    }
+
+    /// Everybody at the ends of the stretches into which so many halvings cut the frame.
+    pub fn at_ends(&self, halvings: u32) -> Vec<Vec<Snapshot>> {
+        (0..=1usize << halvings).map(|end| self.people((end * self.count) >> halvings).to_vec()).collect()
+    }
+
+    /// Somebody's body at a quarter of the frame, 0 to 4.
+    pub fn body_at_quarter(&self, person: usize, quarter: usize) -> Option<[Ellipsoid; SEGMENTS]> {
+        let instant = quarter * self.count / 4;
+        match self.snapshots.get(instant).and_then(OnceCell::get) {
+            Some(people) => people.get(person).map(|snapshot| snapshot.body),
+            None => self.motions.get(person).map(|motion| motion.body(self.time_s(instant))),
+        }
+    }
+}
+
+/// Accuracy that is asked of the key times.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KeyDemand {
+    /// A path is heard if it is as strong as this at an end or in the middle of the frame, LSB.
+    pub heard_lsb: f64,
+    /// Error that is allowed of a path however weak it is, LSB.
+    pub least_lsb: f64,
+    /// Part of a path's own amplitude that may be missed.
+    pub tolerance: f64,
+    /// Every path is halved this often, whatever is missed.
+    pub halvings: Option<u32>,
+    /// Frequency at which phases are compared, Hz.
+    pub frequency_hz: f64,
+}
+
+/// Everybody's paths in a frame.
+#[derive(Debug, Clone, Default)]
+pub struct KeyedPaths {
+    /// The paths, to all receivers.
+    pub tracks: Tracks,
+    /// Paths that were looked at.
+    pub traced: usize,
+    /// Those of them that are heard.
+    pub heard: usize,
+    /// Most key times that any of those took.
+    pub keys: usize,
+    missed: f64,
+    power: f64,
+}
+
+/// PathSample of a receiver; `None` where there is no such path.
+fn existing(met: &Met, receiver: usize) -> Option<&PathSample> {
+    met.keys().get(receiver).filter(|key| met.place.is_some() || key.amplitude != Complex64::ZERO)
+}
+
+/// Keys of every receiver at five instants, `apart_s` apart. Where there is no path its delay is that of the nearest instant at
+/// which there is one, and goes on at that one's rate.
+fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveSamples> {
+    let key = |receiver: usize, at: usize| {
+        let own = five[at].keys()[receiver];
+        if existing(five[at], receiver).is_some() {
+            return own;
+        }
+        let existing = (0..5usize).filter_map(|i| Some((i, existing(five[i], receiver)?)));
+        let Some((i, near)) = existing.min_by_key(|(i, _)| i.abs_diff(at)) else { return own };
+        let later_s = apart_s * (at as f64 - i as f64);
+        PathSample { delay_s: near.delay_s + near.delay_rate * later_s, delay_rate: near.delay_rate, ..own }
+    };
+    let receivers = five.iter().map(|met| met.keys().len()).min().unwrap_or(0);
+    (0..receivers).map(|receiver| std::array::from_fn(|at| key(receiver, at))).collect()
+}
+
+impl KeyedPaths {
+    /// Greatest error within stretches relative to the echoes, rms by power.
+    pub fn error(&self) -> f64 {
+        if self.power > 0.0 { (self.missed / self.power).sqrt() } else { 0.0 }
+    }
+
+    /// Adds somebody's paths.
+    pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &KeyDemand, report: &mut EchoReport) {
+        self.traced += paths.count();
+        Tracer { instants, paths, demand, report, out: self }.follow();
+    }
+}
+
+/// A path in a stretch in which it is not yet known whether it must be cut.
+#[derive(Debug, Clone, Copy)]
+struct Open {
+    path: usize,
+    /// Number among the paths that are heard.
+    number: usize,
+    /// At both ends and in the middle.
+    met: [Met; 3],
+}
+
+/// Follows somebody's paths through a frame.
+struct Tracer<'a> {
+    instants: &'a Instants<'a>,
+    paths: &'a Paths<'a>,
+    demand: &'a KeyDemand,
+    report: &'a mut EchoReport,
+    out: &'a mut KeyedPaths,
+}
+
+impl Tracer<'_> {
+    /// Paths at an instant, of which it is told where each was met nearby.
+    fn meet(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
+        self.paths.meet(asked, self.instants.people(instant), self.report)
+    }
+
+    /// The same with the people in their ways.
+    fn meet_shaded(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
+        let mut met = self.meet(instant, asked);
+        let numbered = asked.iter().map(|&(path, _)| path).zip(&mut met);
+        self.paths.shade(numbered, self.instants.people(instant));
+        met
+    }
+
+    /// From one end of the frame to the other.
+    fn follow(&mut self) {
+        let open = self.heard();
+        self.out.heard += open.len();
+        let mut stretches = vec![0usize; open.len()];
+        // By place of the stretch; within it in the order of paths.
+        let (mut halvings, mut level) = (0, vec![open]);
+        while level.iter().any(|open| !open.is_empty()) {
+            let mut next: Vec<Vec<Open>> = vec![Vec::new(); 2 * level.len()];
+            for (place, open) in level.iter().enumerate().filter(|(_, open)| !open.is_empty()) {
+                self.cut(halvings, place, open, &mut next, &mut stretches);
+            }
+            (halvings, level) = (halvings + 1, next);
+        }
+        if let Some(most) = stretches.iter().max() {
+            self.out.keys = self.out.keys.max(most + 1);
+        }
+    }
+
+    /// Those paths that are heard at an end of the frame or in its middle.
+    fn heard(&mut self) -> Vec<Open> {
+        let at = [0, self.instants.count / 2, self.instants.count];
+        let mut asked: Vec<(usize, Option<DVec3>)> = (0..self.paths.count()).map(|path| (path, None)).collect();
+        let mut met_at = |instant: usize| {
+            let met = self.meet(instant, &asked);
+            asked.iter_mut().zip(&met).for_each(|((_, near), met)| *near = met.place);
+            met
+        };
+        let [first, middle, last] = at.map(&mut met_at);
+        let least = self.demand.heard_lsb * self.demand.heard_lsb;
+        // Receivers are so close together that the first stands for all, here and in `cut`.
+        let is_loud = |met: &Met| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
+        // People in its ways make no path louder.
+        let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
+        let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
+        let mut heard: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
+        for (i, instant) in at.into_iter().enumerate() {
+            let numbered = heard.iter_mut().map(|open| (open.path, &mut open.met[i]));
+            self.paths.shade(numbered, self.instants.people(instant));
+        }
+        heard.retain(|open| open.met.iter().any(is_loud));
+        heard.iter_mut().enumerate().for_each(|(number, open)| open.number = number);
+        heard
+    }
+
+    /// Keeps those paths of a stretch that its keys hold, and hands the others on to its halves in `next`. `stretches` counts those
+    /// of each path.
+    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], stretches: &mut [usize]) {
+        let stretch_s = self.instants.span_s / f64::from(1u32 << halvings);
+        let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
+        let asked = |end: usize| -> Vec<(usize, Option<DVec3>)> {
+            all.iter().map(|open| (open.path, open.met[end].place)).collect()
+        };
+        let [before, after] = [1, 3].map(instant);
+        let (before, after) = (self.meet_shaded(before, &asked(0)), self.meet_shaded(after, &asked(2)));
+        for ((open, before), after) in all.iter().zip(before).zip(after) {
+            let [first, middle, last] = open.met;
+            let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * stretch_s);
+            let count = &mut stretches[open.number];
+            let Some((track, missed_lsb)) = Track::through(&keys, stretch_s, self.demand.frequency_hz) else {
+                *count += 1;
+                continue;
+            };
+            let between = [&before, &middle, &after].into_iter().filter_map(|met| met.keys().first());
+            let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
+            let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
+            if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
+                self.out.missed += missed_lsb * missed_lsb * stretch_s;
+                self.out.power += loudest_lsb * loudest_lsb * stretch_s;
+                self.out.tracks.push(halvings, place, track);
+                *count += 1;
+                continue;
+            }
+            next[2 * place].push(Open { met: [first, before, middle], ..*open });
+            next[2 * place + 1].push(Open { met: [middle, after, last], ..*open });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Beside instants without a path, delays go on as they were, and nothing is heard.
+    #[test]
+    fn delays_go_on_where_paths_end_to_be() {
+        let key = |delay_s: f64, amplitude: f64| PathSample { delay_s, delay_rate: 2.0, amplitude: amplitude.into() };
+        let met = |delay_s: f64, amplitude: f64, place: Option<DVec3>| Met::new(&[key(delay_s, amplitude)], place);
+        let (here, gone) = (|delay_s| met(delay_s, 1.0, Some(DVec3::X)), || met(99.0, 0.0, None));
+        let five = [gone(), here(1.0), here(3.0), gone(), gone()];
+        let keys = keys_of(five.each_ref(), 0.5)[0];
+        assert_eq!(keys.map(|key| key.delay_s), [0.0, 1.0, 3.0, 4.0, 5.0]);
+        assert_eq!(keys.map(|key| key.amplitude.re), [0.0, 1.0, 1.0, 0.0, 0.0]);
+        // A path without a place of its own on a segment is one nevertheless.
+        let five = [met(7.0, 1.0, None), here(1.0), here(3.0), here(4.0), here(5.0)];
+        assert_eq!(keys_of(five.each_ref(), 0.5)[0][0].delay_s, 7.0);
+    }
+}

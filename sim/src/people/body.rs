@@ -1,0 +1,244 @@
+//! A person's body as thirteen ellipsoids hung on joint angles.
+
+use glam::{DMat3, DVec3};
+
+use crate::em::specular::Ellipsoid;
+
+/// Ellipsoids of a body.
+pub const SEGMENTS: usize = 13;
+/// Index of the chest.
+pub const CHEST: usize = 1;
+/// Index of the pelvis.
+pub const PELVIS: usize = 2;
+/// Names of the segments, by index. Left and right of a limb are neighbours.
+pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
+    "head",
+    "chest",
+    "pelvis",
+    "upper_arm_left",
+    "upper_arm_right",
+    "forearm_left",
+    "forearm_right",
+    "thigh_left",
+    "thigh_right",
+    "shank_left",
+    "shank_right",
+    "foot_left",
+    "foot_right",
+];
+
+/// Joint angles and place of a body at one time. Flexion moves a limb forward; sides are left, right.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Posture {
+    /// Middle of the hips on the ground plan, m.
+    pub position_m: [f64; 2],
+    /// Direction that the body faces, from +x towards +y, rad.
+    pub heading_rad: f64,
+    /// Height of the hip joints above the floor, m.
+    pub hip_height_m: f64,
+    /// Trunk forward, rad.
+    pub lean_rad: f64,
+    /// Pelvis forward, rad: upright unless one lies.
+    pub pelvis_rad: f64,
+    /// Shoulders turned against hips, rad.
+    pub twist_rad: f64,
+    /// Shoulder flexion, rad.
+    pub shoulder_rad: [f64; 2],
+    /// Elbow flexion, rad.
+    pub elbow_rad: [f64; 2],
+    /// Hip flexion, rad.
+    pub hip_rad: [f64; 2],
+    /// Knee flexion (bends backward), rad.
+    pub knee_rad: [f64; 2],
+    /// Foot pitch, toes up, rad.
+    pub ankle_rad: [f64; 2],
+    /// Both legs to the left of the hips, rad: 0 but for sway to the side.
+    pub legs_left_rad: f64,
+    /// Chest surface outward of its mean, by breath and heart, m.
+    pub chest_m: f64,
+}
+
+/// Orientations of a body's parts at one time: x forward, y left, z up of each; limbs hang along -z. Sides are left, right.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frames {
+    /// Middle of the hips, m.
+    pub hips: DVec3,
+    /// Pelvis.
+    pub pelvis: DMat3,
+    /// Trunk, from the hips to the neck.
+    pub trunk: DMat3,
+    /// Chest: the trunk, twisted.
+    pub chest: DMat3,
+    /// Head.
+    pub head: DMat3,
+    /// Upper arms.
+    pub upper_arm: [DMat3; 2],
+    /// Forearms.
+    pub forearm: [DMat3; 2],
+    /// Thighs.
+    pub thigh: [DMat3; 2],
+    /// Shanks.
+    pub shank: [DMat3; 2],
+    /// Feet: x towards the toes.
+    pub foot: [DMat3; 2],
+    /// Chest surface outward of its mean, by breath and heart, m.
+    pub chest_m: f64,
+}
+
+/// Lengths of a body, m. Proportions follow Drillis and Contini's fractions of body height.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Build {
+    /// Body height, m.
+    pub height_m: f64,
+    /// Factor on all thicknesses; 1 is average.
+    pub girth: f64,
+}
+
+impl Build {
+    /// Height of the hip joints when standing, m.
+    pub fn standing_hip_height_m(&self) -> f64 {
+        0.530 * self.height_m
+    }
+
+    /// Upright over the origin, facing +x, limbs hanging.
+    pub fn standing(&self) -> Posture {
+        Posture {
+            position_m: [0.0; 2],
+            heading_rad: 0.0,
+            hip_height_m: self.standing_hip_height_m(),
+            lean_rad: 0.0,
+            pelvis_rad: 0.0,
+            twist_rad: 0.0,
+            shoulder_rad: [0.0; 2],
+            elbow_rad: [0.0; 2],
+            hip_rad: [0.0; 2],
+            knee_rad: [0.0; 2],
+            ankle_rad: [0.0; 2],
+            legs_left_rad: 0.0,
+            chest_m: 0.0,
+        }
+    }
+
+    /// Length of a thigh, m.
+    pub fn thigh_m(&self) -> f64 {
+        0.245 * self.height_m
+    }
+
+    /// Length of a shank, m.
+    pub fn shank_m(&self) -> f64 {
+        0.246 * self.height_m
+    }
+
+    /// Height of the ankles when standing, m.
+    pub fn ankle_height_m(&self) -> f64 {
+        self.standing_hip_height_m() - self.thigh_m() - self.shank_m()
+    }
+
+    /// The ellipsoids for a posture, in the room.
+    pub fn segments(&self, p: &Posture) -> [Ellipsoid; SEGMENTS] {
+        self.hang(&p.frames())
+    }
+
+    /// The ellipsoids for parts turned so, in the room.
+    pub fn hang(&self, f: &Frames) -> [Ellipsoid; SEGMENTS] {
+        let (h, g) = (self.height_m, self.girth);
+        let &Frames { hips, pelvis, trunk, chest, .. } = f;
+        let ellipsoid =
+            |centre, axes, a: f64, b: f64, c: f64| Ellipsoid { centre, axes, semi_axes_m: DVec3::new(a, b, c) };
+        let neck = hips + trunk * DVec3::Z * (0.288 * h);
+        let mut all = [ellipsoid(hips, pelvis, 0.1, 0.1, 0.1); SEGMENTS];
+        all[0] = ellipsoid(neck + f.head * DVec3::new(0.01, 0.0, 0.108 * h), f.head, 0.095, 0.078, 0.068 * h);
+        all[1] = ellipsoid(hips + trunk * DVec3::Z * (0.190 * h), chest, 0.115 * g + f.chest_m, 0.165 * g, 0.125 * h);
+        all[2] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), pelvis, 0.110 * g, 0.165 * g, 0.085 * h);
+        for side in 0..2 {
+            let left = if side == 0 { 1.0 } else { -1.0 };
+            // A limb hangs along -z of its frame.
+            let limb = |joint: DVec3, frame: DMat3, length: f64, thick: f64| {
+                let centre = joint - frame * DVec3::Z * (0.5 * length);
+                (ellipsoid(centre, frame, thick, thick, 0.5 * length + 0.3 * thick), joint - frame * DVec3::Z * length)
+            };
+            let shoulder = neck + chest * DVec3::new(0.0, left * 0.112 * h, 0.0);
+            let (segment, elbow) = limb(shoulder, f.upper_arm[side], 0.186 * h, 0.047 * g);
+            all[3 + side] = segment;
+            let (segment, _) = limb(elbow, f.forearm[side], 0.215 * h, 0.038 * g);
+            all[5 + side] = segment;
+            let hip = hips + pelvis * DVec3::new(0.0, left * 0.052 * h, 0.0);
+            let (segment, knee) = limb(hip, f.thigh[side], self.thigh_m(), 0.075 * g);
+            all[7 + side] = segment;
+            let (segment, ankle) = limb(knee, f.shank[side], self.shank_m(), 0.053 * g);
+            all[9 + side] = segment;
+            let foot = f.foot[side];
+            all[11 + side] =
+                ellipsoid(ankle + foot * DVec3::new(0.05, 0.0, -0.02), foot, 0.075 * h, 0.028 * h, 0.022 * h);
+        }
+        all
+    }
+}
+
+impl Posture {
+    /// Orientation of every part.
+    pub fn frames(&self) -> Frames {
+        let heading = DMat3::from_rotation_z(self.heading_rad);
+        // Pitching about the body's left axis: positive angles carry what points up forward.
+        let trunk = heading * DMat3::from_rotation_y(self.lean_rad);
+        let chest = trunk * DMat3::from_rotation_z(self.twist_rad);
+        // Flexion turns a limb about the left axis.
+        let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
+        let upper_arm = self.shoulder_rad.map(|flexion| hang(chest, flexion));
+        let legs =
+            if self.legs_left_rad == 0.0 { heading } else { heading * DMat3::from_rotation_x(self.legs_left_rad) };
+        let thigh = self.hip_rad.map(|flexion| hang(legs, flexion));
+        let shank = std::array::from_fn(|side| hang(thigh[side], -self.knee_rad[side]));
+        Frames {
+            hips: DVec3::new(self.position_m[0], self.position_m[1], self.hip_height_m),
+            pelvis: if self.pelvis_rad == 0.0 { heading } else { heading * DMat3::from_rotation_y(self.pelvis_rad) },
+            trunk,
+            chest,
+            head: trunk,
+            upper_arm,
+            forearm: std::array::from_fn(|side| hang(upper_arm[side], self.elbow_rad[side])),
+            thigh,
+            shank,
+            foot: std::array::from_fn(|side| hang(shank[side], self.ankle_rad[side])),
+            chest_m: self.chest_m,
+        }
+    }
+}
+
+/// Half the extent of an ellipsoid along the room's axes, m.
+pub fn half_extent(e: &Ellipsoid) -> DVec3 {
+    let scaled = DMat3::from_cols(
+        e.axes.x_axis * e.semi_axes_m.x,
+        e.axes.y_axis * e.semi_axes_m.y,
+        e.axes.z_axis * e.semi_axes_m.z,
+    );
+    let t = scaled.transpose();
+    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_standing_body_reaches_from_the_floor_to_its_height() {
+        let build = Build { height_m: 1.8, girth: 1.0 };
+        let all = build.segments(&build.standing());
+        let top = all.iter().map(|s| s.surface(DVec3::Z).z).fold(0.0, f64::max);
+        let bottom = all.iter().map(|s| s.surface(-DVec3::Z).z).fold(9.0, f64::min);
+        assert!((top - 1.8).abs() < 0.06, "{top}");
+        assert!(bottom.abs() < 0.06, "{bottom}");
+    }
+
+    #[test]
+    fn flexion_carries_limbs_forward_and_knees_bend_backward() {
+        let build = Build { height_m: 1.8, girth: 1.0 };
+        let mut posture = build.standing();
+        posture.hip_rad = [0.5, 0.0];
+        posture.knee_rad = [0.0, 0.8];
+        posture.shoulder_rad = [0.0, 0.4];
+        let all = build.segments(&posture);
+        assert!(all[7].centre.x > 0.1 && all[10].centre.x < -0.1 && all[4].centre.x > 0.05);
+        assert!(all[3].centre.y > 0.15 && all[4].centre.y < -0.15, "left is +y when facing +x");
+    }
+}

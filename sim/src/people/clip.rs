@@ -1,0 +1,404 @@
+//! Captured steps on the parametric body: a BVH clip's joints turn the thirteen segments, whose lengths stay the body's own.
+//!
+//! Only directions are taken from the clip: of thighs from hips to knees, of the trunk from hips to shoulders, and so on; and of
+//! the hips, how they sway about their mean way, in proportion to the legs. So the unit of the clip does not matter, and its
+//! skeleton may have any proportions. One cycle of two steps is cut out of it, joined to itself, and goes with the ground covered.
+
+use glam::{DMat3, DVec3};
+
+use super::body::{Build, Frames, Posture, SEGMENTS};
+use super::bvh::{Bvh, parse_bvh};
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
+use super::skin::Map;
+use crate::em::specular::Ellipsoid;
+use crate::file_error::FileError;
+use crate::geometry::import::UpAxis;
+
+/// Captured frames are taken no closer than this, s.
+const SAMPLE_S: f64 = 1.0 / 60.0;
+/// Cycles that are looked for, s.
+const CYCLE_S: [f64; 2] = [0.7, 2.0];
+/// Fewest samples of a cycle.
+const FEWEST: usize = 16;
+/// Places of joints over all samples at most: the time in which a cycle is found goes with them.
+const MOST_PLACES: usize = 1_000_000;
+/// Hips that go over less ground than this part of the legs' length in a cycle do not walk.
+const LEAST_TRAVEL: f64 = 0.3;
+/// Frames of a body, in the order of the cycle's bones.
+const FRAMES: usize = 14;
+
+/// Joints by what they are, with the names that programs give them, less blanks, marks, and "left" or "right".
+const THIGH: &[&str] = &["upleg", "thigh", "upperleg", "femur", "hip"];
+const SHANK: &[&str] = &["leg", "shin", "calf", "lowerleg", "loleg", "tibia", "knee"];
+const FOOT: &[&str] = &["foot", "ankle"];
+const TOE: &[&str] = &["toebase", "toe", "toes", "ball"];
+const UPPER_ARM: &[&str] = &["arm", "upperarm", "uparm", "humerus", "shoulder"];
+const FOREARM: &[&str] = &["forearm", "lowerarm", "loarm", "radius", "elbow"];
+const HAND: &[&str] = &["wrist", "hand"];
+
+/// One cycle of captured steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyClip {
+    /// Orientations of parts; the first's place is that of the hips. Facing +x, in lengths of the legs.
+    cycle: Cycle,
+    /// Ground covered in a cycle, in lengths of the legs.
+    travel: f64,
+    /// Stance of a body of 1.75 m as it walks.
+    walked: Stance,
+    /// From when to when in the file, s.
+    span_s: [f64; 2],
+}
+
+/// Numbers of the joints of a side.
+struct Side {
+    thigh: usize,
+    shank: usize,
+    foot: usize,
+    toe: usize,
+    upper_arm: usize,
+    forearm: usize,
+    hand: usize,
+}
+
+impl BodyClip {
+    /// A clip from a BVH file's text. `cycle_s` says which part of it is one cycle of two steps; found if absent.
+    /// `up` is which of its axes points up.
+    ///
+    /// # Errors
+    /// [`FileError`] if the text is no BVH file, its skeleton has no two legs, or it holds no cycle of steps.
+    pub fn parse(text: &str, up: UpAxis, cycle_s: Option<[f64; 2]>) -> Result<Self, FileError> {
+        let bvh = parse_bvh(text).map_err(|e| {
+            let problem = format!("{}, expected {}", e.problem, e.expected);
+            FileError::new(format!("line {}", e.line), problem, "export the clip again as BVH, one line a frame")
+        })?;
+        Self::from_bvh(&bvh, up, cycle_s)
+    }
+
+    fn from_bvh(bvh: &Bvh, up: UpAxis, asked: Option<[f64; 2]>) -> Result<Self, FileError> {
+        let sides = [side(bvh, "left", "l")?, side(bvh, "right", "r")?];
+        let rest = upright(bvh, up, None);
+        let length = |a: usize, b: usize| rest[a].distance(rest[b]);
+        let legs: [f64; 2] =
+            [0, 1].map(|s| length(sides[s].thigh, sides[s].shank) + length(sides[s].shank, sides[s].foot));
+        let leg = 0.5 * (legs[0] + legs[1]);
+        if !(leg > 1e-6 && leg.is_finite()) {
+            let hint = "check the OFFSETs of the joints of the legs: the skeleton may have been scaled to nothing";
+            return Err(FileError::new("HIERARCHY", format!("its legs are {leg} long, expected a length"), hint));
+        }
+        let (places, step_s) = sampled(bvh, up)?;
+        let [begin, end] = span(&places, step_s, asked)?;
+        let count = end - begin;
+        let rest_pitch = sides.each_ref().map(|s| pitch(rest[s.toe] - rest[s.foot]));
+        let mut poses = closed(&places[begin..=end], &sides, rest_pitch, leg);
+        // On a body of 1.75 m, in lengths of its legs.
+        let build = Build { height_m: 1.75, girth: 1.0 };
+        let unit_m = leg_m(&build);
+        let points = |cycle: &Cycle, count: usize| -> Vec<Vec<DVec3>> {
+            (0..count).map(|k| soles(&build, &from_maps(&cycle.at(k as f64 / count as f64), unit_m, 0.0))).collect()
+        };
+        let stance = Stance::of(&points(&Cycle::through(&poses), count), build.height_m);
+        if stance.travel_m.length() < LEAST_TRAVEL * unit_m {
+            let problem = format!("feet push {:.2} m in the cycle, expected a walk", stance.travel_m.length());
+            let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
+            return Err(FileError::new("MOTION", problem, hint));
+        }
+        // Facing +x, soles on the floor.
+        let ahead = DMat3::from_rotation_z(-stance.travel_m.y.atan2(stance.travel_m.x));
+        for (pose, surge_m) in poses.iter_mut().zip(stance.surge_m()) {
+            pose.iter_mut().for_each(|m| *m = Map { centre: ahead * m.centre, stretch: ahead * m.stretch });
+            if let Some(hips) = pose.first_mut() {
+                hips.centre += (ahead * surge_m - DVec3::Z * stance.floor_m) / unit_m;
+            }
+        }
+        for pose in &mut poses {
+            lift_toes(&build, pose, unit_m);
+        }
+        let cycle = Cycle::through(&poses);
+        let walked = Stance::of(&points(&cycle, 4 * count), build.height_m);
+        Ok(BodyClip {
+            cycle,
+            travel: stance.travel_m.length() / unit_m,
+            walked: walked.over(DVec3::X * stance.travel_m.length()),
+            span_s: [begin as f64 * step_s, end as f64 * step_s],
+        })
+    }
+
+    /// Ground covered in a cycle of steps by hips so high, m.
+    pub fn cycle_m(&self, hip_height_m: f64) -> f64 {
+        self.travel * hip_height_m * LEG_OF_HIP_HEIGHT
+    }
+
+    /// Sliding of feet over the floor at a speed of walking.
+    pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
+        self.walked.sliding(speed_m_per_s)
+    }
+
+    /// Times in the file between which the cycle lies, s.
+    pub fn span_s(&self) -> [f64; 2] {
+        self.span_s
+    }
+
+    /// The body on its way; `standing` is how it stands there.
+    pub(super) fn body(&self, build: &Build, standing: &Posture, walk: &Walk) -> [Ellipsoid; SEGMENTS] {
+        let standing = standing.frames();
+        if walk.vigour <= 0.0 {
+            return build.hang(&standing);
+        }
+        let mut frames = from_maps(&self.cycle.at(walk.phase), leg_m(build), standing.chest_m);
+        let heading = DMat3::from_rotation_z(walk.heading_rad);
+        frames = frames.turned(heading);
+        frames.hips += DVec3::new(walk.position_m[0], walk.position_m[1], 0.0);
+        build.hang(&standing.towards(&frames, walk.vigour))
+    }
+}
+
+/// Length of the legs over the height of the hip joints: [`Build`]'s thigh and shank over its hips.
+const LEG_OF_HIP_HEIGHT: f64 = (0.245 + 0.246) / 0.530;
+
+fn leg_m(build: &Build) -> f64 {
+    build.standing_hip_height_m() * LEG_OF_HIP_HEIGHT
+}
+
+/// Places along a foot's underside are so far apart, as angles, and the ball of the foot is the last: toes bend.
+const SOLE_RAD: f64 = 0.17;
+const BALL: i32 = 3;
+
+/// Places at which soles may touch the floor: along the underside of either foot, from the heel to its ball.
+fn soles(build: &Build, frames: &Frames) -> Vec<DVec3> {
+    let body = build.hang(frames);
+    let under = (-8..=BALL).map(|i| (SOLE_RAD * f64::from(i)).sin_cos()).map(|(s, c)| DVec3::new(s, 0.0, -c));
+    under.flat_map(|u| [body[11].surface(u), body[12].surface(u)]).collect()
+}
+
+/// Turns feet whose toes are below the floor up about the ankle: real ones bend there.
+fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
+    for side in 0..2 {
+        let turned = |pose: &[Map], angle: f64| {
+            let mut frames = from_maps(pose, unit_m, 0.0);
+            frames.foot[side] *= DMat3::from_rotation_y(-angle);
+            frames
+        };
+        let lowest = |angle: f64| {
+            let foot = build.hang(&turned(pose, angle))[11 + side];
+            let under = (-8..=8).map(|i| (SOLE_RAD * f64::from(i)).sin_cos());
+            under.map(|(s, c)| foot.surface(DVec3::new(s, 0.0, -c)).z).fold(f64::INFINITY, f64::min)
+        };
+        // The least turn that frees the floor, or frees it most.
+        let angles = (0..=MOST_LIFTS).map(|i| LIFT_RAD * f64::from(i));
+        let best = angles.max_by(|&a, &b| {
+            let (free_a, free_b) = (lowest(a).min(0.0), lowest(b).min(0.0));
+            free_a.total_cmp(&free_b).then(b.total_cmp(&a))
+        });
+        let frames = turned(pose, best.unwrap_or(0.0));
+        if let Some(foot) = pose.get_mut(12 + side) {
+            foot.stretch = frames.foot[side];
+        }
+    }
+}
+
+/// Feet are turned up in steps so large, and by no more than so many of them.
+const LIFT_RAD: f64 = 0.02;
+const MOST_LIFTS: u32 = 40;
+
+/// Places of the joints in a frame, z up; when nothing is turned, without one.
+fn upright(bvh: &Bvh, up: UpAxis, frame: Option<usize>) -> Vec<DVec3> {
+    bvh.places(frame).into_iter().map(|p| up.to_z_up(p)).collect()
+}
+
+/// Places of the joints over a clip, and the time from one sample to the next, s.
+fn sampled(bvh: &Bvh, up: UpAxis) -> Result<(Vec<Vec<DVec3>>, f64), FileError> {
+    let step = (SAMPLE_S / bvh.frame_time_s).floor().max(1.0) as usize;
+    let (samples, joints) = (bvh.frames.len().div_ceil(step), bvh.joints.len());
+    if samples.saturating_mul(joints) > MOST_PLACES {
+        let problem = format!("{joints} joints over {samples} samples, expected {MOST_PLACES} places at most");
+        return Err(FileError::new("MOTION", problem, "cut the clip to a minute in which somebody walks"));
+    }
+    let places = (0..bvh.frames.len()).step_by(step).map(|f| upright(bvh, up, Some(f))).collect();
+    Ok((places, step as f64 * bvh.frame_time_s))
+}
+
+/// Maps of the parts over a cycle, from its first sample to the one before the last. What legs do on the way decides: the hips' own
+/// way is taken out, and what the ends differ by is shared out.
+fn closed(places: &[Vec<DVec3>], sides: &[Side; 2], rest_pitch: [f64; 2], leg: f64) -> Vec<Vec<Map>> {
+    let hips = |p: &[DVec3]| 0.5 * (p[sides[0].thigh] + p[sides[1].thigh]);
+    let count = places.len() - 1;
+    let level = DVec3::new(1.0, 1.0, 0.0);
+    let drift = (hips(&places[count]) - hips(&places[0])) * level;
+    let phase = |k: usize| k as f64 / count as f64;
+    let sway = |k: usize| hips(&places[k]) - drift * phase(k);
+    let centre = (0..count).map(sway).sum::<DVec3>() / count as f64 * level;
+    let pose = |k: usize| -> Vec<Map> {
+        let mut frames = frames(&places[k], sides, rest_pitch);
+        frames.hips = (sway(k) - centre) / leg;
+        to_maps(&frames)
+    };
+    let mut poses: Vec<Vec<Map>> = (0..count).map(pose).collect();
+    let seam: Vec<Map> = pose(count).iter().zip(&poses[0]).map(|(&b, &a)| b - a).collect();
+    for (k, pose) in poses.iter_mut().enumerate() {
+        pose.iter_mut().zip(&seam).for_each(|(m, &s)| *m = *m - s * phase(k));
+    }
+    poses
+}
+
+/// First and last sample of a cycle.
+fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[usize; 2], FileError> {
+    let lasts_s = places.len().saturating_sub(1) as f64 * step_s;
+    let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
+    if let Some([a, b]) = asked {
+        let [begin, end] = [a, b].map(|t| (t / step_s).round().max(0.0) as usize);
+        if a >= 0.0 && b <= lasts_s + 0.5 * step_s && end < places.len() && end >= begin.saturating_add(FEWEST) {
+            return Ok([begin, end]);
+        }
+        let problem =
+            format!("cycle_s is {asked:?}, expected a part of 0 to {lasts_s:.2} s of at least {FEWEST} samples");
+        return Err(FileError::new("MOTION", problem, hint));
+    }
+    let [shortest, longest] = CYCLE_S.map(|s| (s / step_s).round() as usize);
+    match best_cycle(places, shortest.max(FEWEST), longest) {
+        Some((a, b, cost)) if cost < 1.0 => Ok([a, b]),
+        _ => {
+            let problem = format!("no cycle of steps was found in its {lasts_s:.2} s");
+            Err(FileError::new("MOTION", problem, hint))
+        }
+    }
+}
+
+fn side(bvh: &Bvh, word: &str, letter: &str) -> Result<Side, FileError> {
+    let plain = |name: &str| -> String {
+        let last = name.rsplit(':').next().unwrap_or(name);
+        last.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase()
+    };
+    let names: Vec<String> = bvh.joints.iter().map(|j| plain(&j.name)).collect();
+    let find = |what: &str, aliases: &[&str]| {
+        let of_alias = |alias: &&str| {
+            let written = [word, letter].into_iter().flat_map(|s| [format!("{s}{alias}"), format!("{alias}{s}")]);
+            written.into_iter().find_map(|w| names.iter().position(|n| *n == w))
+        };
+        aliases.iter().find_map(of_alias).ok_or_else(|| {
+            let named: Vec<&str> = bvh.joints.iter().map(|j| j.name.as_str()).filter(|n| !n.is_empty()).collect();
+            let problem = format!("no joint is the {word} {what}, expected one called like {aliases:?}");
+            FileError::new("HIERARCHY", problem, format!("rename the joints of the clip, which are {named:?}"))
+        })
+    };
+    let foot = find("foot", FOOT)?;
+    let toe = find("toe", TOE).or_else(|fault| bvh.joints.iter().position(|j| j.parent == Some(foot)).ok_or(fault))?;
+    Ok(Side {
+        thigh: find("thigh", THIGH)?,
+        shank: find("shank", SHANK)?,
+        foot,
+        toe,
+        upper_arm: find("upper arm", UPPER_ARM)?,
+        forearm: find("forearm", FOREARM)?,
+        hand: find("hand", HAND)?,
+    })
+}
+
+/// Angle of a direction above the horizontal, rad.
+fn pitch(v: DVec3) -> f64 {
+    v.normalize_or_zero().z.clamp(-1.0, 1.0).asin()
+}
+
+/// Axes with this z, and y as near as may be to this one.
+fn upward(z: DVec3, left: DVec3) -> DMat3 {
+    let z = z.normalize_or(DVec3::Z);
+    let y = left.reject_from_normalized(z).normalize_or(z.any_orthonormal_vector());
+    DMat3::from_cols(y.cross(z), y, z)
+}
+
+/// Orientations of parts in a pose; the hips are left at the origin.
+fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
+    let [l, r] = sides;
+    let hips = 0.5 * (p[l.thigh] + p[r.thigh]);
+    let shoulders = 0.5 * (p[l.upper_arm] + p[r.upper_arm]);
+    let (across_hips, across_shoulders) = (p[l.thigh] - p[r.thigh], p[l.upper_arm] - p[r.upper_arm]);
+    let pelvis_left = across_hips.normalize_or(DVec3::Y);
+    let forward = pelvis_left.cross(DVec3::Z).normalize_or(DVec3::X);
+    let pelvis = DMat3::from_cols(forward, pelvis_left, forward.cross(pelvis_left));
+    let trunk = upward(shoulders - hips, across_hips);
+    let chest = upward(shoulders - hips, across_shoulders);
+    let limb = |from: usize, to: usize, left: DVec3| upward(p[from] - p[to], left);
+    let foot = |side: usize| {
+        let s = &sides[side];
+        let toes = (p[s.toe] - p[s.foot]).normalize_or(forward);
+        let left = pelvis_left.reject_from_normalized(toes).normalize_or(pelvis_left);
+        // As level as the skeleton's foot was at rest.
+        DMat3::from_cols(toes, left, toes.cross(left)) * DMat3::from_rotation_y(rest_pitch[side])
+    };
+    let each = |of: &dyn Fn(&Side) -> DMat3| [of(l), of(r)];
+    Frames {
+        hips: DVec3::ZERO,
+        pelvis,
+        trunk,
+        chest,
+        head: chest,
+        upper_arm: each(&|s| limb(s.upper_arm, s.forearm, chest.y_axis)),
+        forearm: each(&|s| limb(s.forearm, s.hand, chest.y_axis)),
+        thigh: each(&|s| limb(s.thigh, s.shank, pelvis_left)),
+        shank: each(&|s| limb(s.shank, s.foot, pelvis_left)),
+        foot: [foot(0), foot(1)],
+        chest_m: 0.0,
+    }
+}
+
+fn to_maps(f: &Frames) -> Vec<Map> {
+    let parts = [f.pelvis, f.trunk, f.chest, f.head].into_iter();
+    let limbs = [f.upper_arm, f.forearm, f.thigh, f.shank, f.foot].into_iter().flatten();
+    let mut maps: Vec<Map> = parts.chain(limbs).map(|stretch| Map { centre: DVec3::ZERO, stretch }).collect();
+    if let Some(hips) = maps.first_mut() {
+        hips.centre = f.hips;
+    }
+    maps
+}
+
+fn from_maps(maps: &[Map], unit_m: f64, chest_m: f64) -> Frames {
+    let at = |i: usize| maps.get(i).map_or(DMat3::IDENTITY, |m| rigid(m.stretch));
+    debug_assert_eq!(maps.len(), FRAMES);
+    Frames {
+        hips: maps.first().map_or(DVec3::ZERO, |m| m.centre * unit_m),
+        pelvis: at(0),
+        trunk: at(1),
+        chest: at(2),
+        head: at(3),
+        upper_arm: [at(4), at(5)],
+        forearm: [at(6), at(7)],
+        thigh: [at(8), at(9)],
+        shank: [at(10), at(11)],
+        foot: [at(12), at(13)],
+        chest_m,
+    }
+}
+
+/// The rotation that a matrix is but for rounding and blending: its z and y count.
+fn rigid(m: DMat3) -> DMat3 {
+    upward(m.z_axis, m.y_axis)
+}
+
+impl Frames {
+    fn each(&self, other: &Frames, of: impl Fn(DMat3, DMat3) -> DMat3) -> Frames {
+        let two = |a: [DMat3; 2], b: [DMat3; 2]| [of(a[0], b[0]), of(a[1], b[1])];
+        Frames {
+            hips: self.hips,
+            pelvis: of(self.pelvis, other.pelvis),
+            trunk: of(self.trunk, other.trunk),
+            chest: of(self.chest, other.chest),
+            head: of(self.head, other.head),
+            upper_arm: two(self.upper_arm, other.upper_arm),
+            forearm: two(self.forearm, other.forearm),
+            thigh: two(self.thigh, other.thigh),
+            shank: two(self.shank, other.shank),
+            foot: two(self.foot, other.foot),
+            chest_m: self.chest_m,
+        }
+    }
+
+    /// Turned about the origin.
+    fn turned(&self, by: DMat3) -> Frames {
+        Frames { hips: by * self.hips, ..self.each(self, |a, _| by * a) }
+    }
+
+    /// A part of the way to others.
+    fn towards(&self, other: &Frames, part: f64) -> Frames {
+        let blended = self.each(other, |a, b| rigid(a * (1.0 - part) + b * part));
+        Frames { hips: self.hips.lerp(other.hips, part), ..blended }
+    }
+}

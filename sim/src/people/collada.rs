@@ -1,0 +1,524 @@
+//! Skinned actors from COLLADA 1.4 and 1.5 files (`.dae`).
+//!
+//! Read: the unit and the up axis, polygons, skins, the tree of nodes with whatever transforms they are made of, and animations
+//! of those. All animations of a file are one clip; curves between keys become straight lines.
+
+use std::cell::Cell;
+use std::collections::{BTreeMap, HashMap};
+
+use glam::{DAffine3, DMat4, DQuat, DVec3};
+use roxmltree::{Document, Node as Element, ParsingOptions};
+
+use super::rig::{Between, Clip, Joint, Local, MOST_NODES, Node, Rig, Track, Values};
+use crate::file_error::{FileError, utf8};
+use crate::geometry::import::UpAxis;
+
+/// Deeper trees than this are refused.
+const DEEPEST: usize = 256;
+/// Larger documents are refused, bytes: in memory, an attribute takes ten times as much as in the file.
+const LARGEST_BYTES: usize = 64 << 20;
+/// Elements and texts of a document at most.
+const MOST_ELEMENTS: u32 = 1_000_000;
+/// Numbers and names that are read of a document at most: a skin may be named any number of times.
+const MOST_NUMBERS: usize = 1 << 25;
+/// Largest offset of an input among the indices of a corner: there are a handful of inputs.
+const LARGEST_OFFSET: usize = 255;
+/// Curves over one node's transforms, and the keys of all of them together, at most.
+const MOST_CURVES: usize = 64;
+const MOST_KEYS: usize = 100_000;
+
+/// One of the transforms that a node is made of.
+#[derive(Clone)]
+struct Step {
+    sid: String,
+    kind: Kind,
+    numbers: Vec<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Matrix,
+    Translate,
+    Rotate,
+    Scale,
+}
+
+/// Name of a node, and its contents.
+struct Place {
+    id: String,
+    sid: String,
+    steps: Vec<Step>,
+}
+
+/// A curve over one number, or all, of one of a node's transforms.
+struct Curve {
+    step: usize,
+    /// The first of the numbers, and how many.
+    member: usize,
+    width: usize,
+    times_s: Vec<f64>,
+    values: Vec<f64>,
+    stepped: bool,
+}
+
+struct Reader<'d, 'a> {
+    doc: &'d Document<'a>,
+    /// Elements by their ids; the first of those that share one.
+    ids: HashMap<&'d str, Element<'d, 'a>>,
+    /// Numbers and names that may still be read.
+    left: Cell<usize>,
+}
+
+pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileError> {
+    let export = "export the actor again as COLLADA 1.4, or as glTF 2.0";
+    let text = utf8(bytes, export)?;
+    if bytes.len() > LARGEST_BYTES {
+        let problem = format!("it has {} bytes, expected {LARGEST_BYTES} at most", bytes.len());
+        return Err(FileError::new("file", problem, "export it again as binary glTF 2.0 (.glb)"));
+    }
+    let options = ParsingOptions { nodes_limit: MOST_ELEMENTS, ..ParsingOptions::default() };
+    let doc = Document::parse_with_options(text, options)
+        .map_err(|e| FileError::new(format!("line {}", e.pos().row), format!("no XML: {e}"), export))?;
+    let mut ids = HashMap::new();
+    for element in doc.descendants() {
+        if let Some(id) = element.attribute("id") {
+            ids.entry(id).or_insert(element);
+        }
+    }
+    let reader = Reader { doc: &doc, ids, left: Cell::new(MOST_NUMBERS) };
+    let root = reader.doc.root_element();
+    if root.tag_name().name() != "COLLADA" {
+        return Err(reader.fault(root, format!("the document is a {:?}, expected COLLADA", root.tag_name().name())));
+    }
+    let mut rig = Rig { metres: 1.0, up: UpAxis::Y, ..Rig::default() };
+    for element in root.descendants() {
+        match element.tag_name().name() {
+            "unit" => rig.metres = reader.metres(element)?,
+            "up_axis" => rig.up = reader.up_axis(element)?,
+            _ => {}
+        }
+    }
+    let mut places = Vec::new();
+    for scene in reader.all("visual_scene") {
+        for node in scene.children().filter(|c| c.has_tag_name("node")) {
+            reader.add_node(&mut rig, &mut places, node, None, 0)?;
+        }
+    }
+    for controller in reader.all("instance_controller") {
+        let url = controller.attribute("url").unwrap_or_default();
+        let skin = reader.target(controller, url)?.descendants().find(|d| d.has_tag_name("skin"));
+        let skin = skin.ok_or_else(|| reader.fault(controller, format!("{url:?} has no skin, expected one")))?;
+        reader.add_skin(&mut rig, &places, skin)?;
+    }
+    reader.add_clip(&mut rig, &places)?;
+    Ok(rig)
+}
+
+/// The first child of a name.
+fn child<'d, 'a>(of: Element<'d, 'a>, name: &str) -> Option<Element<'d, 'a>> {
+    of.children().find(|c| c.has_tag_name(name))
+}
+
+/// The first input of some meaning.
+fn input<'d, 'a>(of: Element<'d, 'a>, semantic: &str) -> Option<Element<'d, 'a>> {
+    of.children().find(|c| c.has_tag_name("input") && c.attribute("semantic") == Some(semantic))
+}
+
+impl<'d, 'a> Reader<'d, 'a> {
+    fn fault(&self, at: Element, problem: impl Into<String>) -> FileError {
+        let line = self.doc.text_pos_at(at.range().start).row;
+        FileError::new(format!("line {line}"), problem, "export the actor again as COLLADA 1.4, or as glTF 2.0")
+    }
+
+    fn all(&self, name: &'static str) -> impl Iterator<Item = Element<'d, 'a>> {
+        self.doc.descendants().filter(move |d| d.has_tag_name(name))
+    }
+
+    /// Counts words that are about to be read; there is an end to them.
+    fn spend(&self, element: Element, words: usize) -> Result<(), FileError> {
+        let left = self.left.get().checked_sub(words);
+        let problem = || self.fault(element, format!("the document has more than {MOST_NUMBERS} numbers in all"));
+        left.map(|left| self.left.set(left)).ok_or_else(problem)
+    }
+
+    /// Position of an input's index among the indices of a corner; `None` where the file does not give it.
+    fn offset(&self, input: Element) -> Result<Option<usize>, FileError> {
+        let Some(text) = input.attribute("offset") else { return Ok(None) };
+        match text.trim().parse::<usize>() {
+            Ok(offset) if offset <= LARGEST_OFFSET => Ok(Some(offset)),
+            _ => Err(self.fault(input, format!("offset is {text:?}, expected 0 to {LARGEST_OFFSET}"))),
+        }
+    }
+
+    /// Element to which a reference points.
+    fn target(&self, at: Element, url: &str) -> Result<Element<'d, 'a>, FileError> {
+        let id = url.trim_start_matches('#');
+        self.ids
+            .get(id)
+            .copied()
+            .ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
+    }
+
+    /// Metres in one of a unit.
+    fn metres(&self, unit: Element) -> Result<f64, FileError> {
+        let given = unit.attribute("meter");
+        let metres = given.unwrap_or("1").parse::<f64>().ok().filter(|m| *m > 0.0 && m.is_finite());
+        metres.ok_or_else(|| self.fault(unit, format!("meter is {given:?}, expected a positive number")))
+    }
+
+    fn up_axis(&self, element: Element) -> Result<UpAxis, FileError> {
+        match element.text().unwrap_or_default().trim() {
+            "Y_UP" => Ok(UpAxis::Y),
+            "Z_UP" => Ok(UpAxis::Z),
+            other => Err(self.fault(element, format!("up_axis is {other:?}, expected Y_UP or Z_UP"))),
+        }
+    }
+
+    /// The first child of a name; a problem without one.
+    fn needed<'e, 'x>(
+        &self,
+        of: Element<'e, 'x>,
+        name: &str,
+        problem: impl Into<String>,
+    ) -> Result<Element<'e, 'x>, FileError> {
+        child(of, name).ok_or_else(|| self.fault(of, problem))
+    }
+
+    /// The words of an element's text, parsed.
+    fn words<T>(
+        &self,
+        element: Element,
+        expected: &str,
+        parse: impl Fn(&str) -> Option<T>,
+    ) -> Result<Vec<T>, FileError> {
+        let text = element.text().unwrap_or_default();
+        self.spend(element, text.split_whitespace().count())?;
+        let parsed = |word: &str| {
+            let problem = || format!("{word:?} in {:?}, expected {expected}", element.tag_name().name());
+            parse(word).ok_or_else(|| self.fault(element, problem()))
+        };
+        text.split_whitespace().map(parsed).collect()
+    }
+
+    fn numbers(&self, element: Element) -> Result<Vec<f64>, FileError> {
+        self.words(element, "finite numbers", |word| word.parse().ok().filter(|n: &f64| n.is_finite()))
+    }
+
+    fn counts(&self, element: Element) -> Result<Vec<usize>, FileError> {
+        self.words(element, "indices", |word| word.parse().ok())
+    }
+
+    /// The source that an input of some meaning names.
+    fn source(&self, of: Element, semantic: &str) -> Result<Element<'d, 'a>, FileError> {
+        let input = input(of, semantic).ok_or_else(|| {
+            self.fault(of, format!("{:?} has no input of the semantic {semantic}", of.tag_name().name()))
+        })?;
+        self.target(input, input.attribute("source").unwrap_or_default())
+    }
+
+    /// Numbers of a source.
+    fn floats(&self, source: Element) -> Result<Vec<f64>, FileError> {
+        self.numbers(self.needed(source, "float_array", "the source has no float_array, expected one")?)
+    }
+
+    fn names(&self, source: Element) -> Result<Vec<String>, FileError> {
+        let is_names = |c: &Element| c.has_tag_name("Name_array") || c.has_tag_name("IDREF_array");
+        let array = source.children().find(is_names);
+        let array = array.ok_or_else(|| self.fault(source, "the source has no Name_array"))?;
+        self.words(array, "names", |word| Some(word.to_owned()))
+    }
+
+    /// Adds a node and what is below it.
+    fn add_node(
+        &self,
+        rig: &mut Rig,
+        places: &mut Vec<Place>,
+        node: Element,
+        parent: Option<usize>,
+        depth: usize,
+    ) -> Result<(), FileError> {
+        if depth > DEEPEST {
+            return Err(self.fault(node, format!("nodes are nested more than {DEEPEST} deep")));
+        }
+        if rig.nodes.len() >= MOST_NODES {
+            return Err(self.fault(node, format!("there are more than {MOST_NODES} nodes")));
+        }
+        let mut steps = Vec::new();
+        for child in node.children().filter(|c| c.is_element()) {
+            let (kind, width) = match child.tag_name().name() {
+                "matrix" => (Kind::Matrix, 16),
+                "translate" => (Kind::Translate, 3),
+                "rotate" => (Kind::Rotate, 4),
+                "scale" => (Kind::Scale, 3),
+                other @ ("lookat" | "skew") => {
+                    return Err(
+                        self.fault(child, format!("{other:?} is not read, expected matrix, translate, rotate, scale"))
+                    );
+                }
+                _ => continue,
+            };
+            let numbers = self.numbers(child)?;
+            if numbers.len() != width {
+                return Err(self.fault(child, format!("{} numbers, expected {width}", numbers.len())));
+            }
+            steps.push(Step { sid: child.attribute("sid").unwrap_or_default().to_owned(), kind, numbers });
+        }
+        let words = |name: &str| node.attribute(name).unwrap_or_default().to_owned();
+        let name = [words("name"), words("id")].into_iter().find(|n| !n.is_empty()).unwrap_or_default();
+        let index = rig.nodes.len();
+        rig.nodes.push(Node { name, parent, local: Local::from_matrix(matrix(&steps)) });
+        places.push(Place { id: words("id"), sid: words("sid"), steps });
+        for child in node.children().filter(|c| c.has_tag_name("node")) {
+            self.add_node(rig, places, child, Some(index), depth + 1)?;
+        }
+        Ok(())
+    }
+
+    fn add_skin(&self, rig: &mut Rig, places: &[Place], skin: Element) -> Result<(), FileError> {
+        let needs = |name: &str| self.needed(skin, name, format!("the skin has no {name}, expected one"));
+        let shape = match child(skin, "bind_shape_matrix") {
+            Some(element) => {
+                let numbers: [f64; 16] = self
+                    .numbers(element)?
+                    .try_into()
+                    .map_err(|n: Vec<f64>| self.fault(element, format!("{} numbers, expected 16", n.len())))?;
+                DMat4::from_cols_array(&numbers).transpose()
+            }
+            None => DMat4::IDENTITY,
+        };
+        let (first, start) = (rig.joints.len(), rig.vertices.len());
+        self.add_joints(rig, places, needs("joints")?)?;
+        let weights = needs("vertex_weights")?;
+        self.add_weights(rig, weights, first)?;
+        let geometry = self.target(skin, skin.attribute("source").unwrap_or_default())?;
+        self.add_geometry(rig, geometry, shape)?;
+        if rig.vertices.len() != rig.weights.len() {
+            let problem =
+                format!("{} vertices, but weights for {}", rig.vertices.len() - start, rig.weights.len() - start);
+            return Err(self.fault(weights, problem));
+        }
+        Ok(())
+    }
+
+    fn add_joints(&self, rig: &mut Rig, places: &[Place], joints: Element) -> Result<(), FileError> {
+        let names = self.names(self.source(joints, "JOINT")?)?;
+        let inverse = self.floats(self.source(joints, "INV_BIND_MATRIX")?)?;
+        let (found, count) = (inverse.len(), names.len());
+        if found != 16 * count {
+            let problem = format!("{found} numbers of inverse bind matrices for {count} joints, expected 16 each");
+            return Err(self.fault(joints, problem));
+        }
+        for (name, matrix) in names.iter().zip(inverse.as_chunks::<16>().0) {
+            let by_sid = places.iter().position(|p| p.sid == *name);
+            let node = by_sid.or_else(|| places.iter().position(|p| p.id == *name));
+            let node = node.ok_or_else(|| self.fault(joints, format!("joint {name:?} is no node of the scene")))?;
+            rig.joints.push(Joint { node, inverse_bind: DMat4::from_cols_array(matrix).transpose() });
+        }
+        Ok(())
+    }
+
+    /// Adds the weights of vertices whose joints are counted from the first of the skin.
+    fn add_weights(&self, rig: &mut Rig, weights: Element, first: usize) -> Result<(), FileError> {
+        let at = |semantic: &str| {
+            let offset = input(weights, semantic).map(|input| self.offset(input)).transpose()?.flatten();
+            offset.ok_or_else(|| self.fault(weights, format!("vertex_weights has no input {semantic} with an offset")))
+        };
+        let (joint_at, weight_at) = (at("JOINT")?, at("WEIGHT")?);
+        let of = self.floats(self.source(weights, "WEIGHT")?)?;
+        let list = |name: &str| self.counts(self.needed(weights, name, format!("vertex_weights has no {name}"))?);
+        let (counts, indices) = (list("vcount")?, list("v")?);
+        let mut stride = 1 + joint_at.max(weight_at);
+        for input in weights.children().filter(|c| c.has_tag_name("input")) {
+            stride = stride.max(1 + self.offset(input)?.unwrap_or(0));
+        }
+        let named = counts.iter().try_fold(0usize, |sum, &count| sum.checked_add(count));
+        if named.and_then(|named| named.checked_mul(stride)).is_none_or(|needed| needed > indices.len()) {
+            let problem = format!(
+                "vcount asks for {} weights of {stride} indices each, but there are {} indices",
+                named.map_or_else(|| "too many".to_owned(), |named| named.to_string()),
+                indices.len()
+            );
+            return Err(self.fault(weights, problem));
+        }
+        let mut at = 0;
+        for (vertex, count) in counts.into_iter().enumerate() {
+            let mut all = Vec::with_capacity(count);
+            for _ in 0..count {
+                let pair = (indices.get(at + joint_at), indices.get(at + weight_at).and_then(|&i| of.get(i)));
+                let (Some(&joint), Some(&weight)) = pair else {
+                    let problem = format!("weights of vertex {vertex} name numbers that are not there");
+                    return Err(self.fault(weights, problem));
+                };
+                all.push((first.saturating_add(joint), weight));
+                at += stride;
+            }
+            rig.weights.push(all);
+        }
+        Ok(())
+    }
+
+    fn add_geometry(&self, rig: &mut Rig, geometry: Element, shape: DMat4) -> Result<(), FileError> {
+        let mesh = self.needed(geometry, "mesh", "the geometry is no mesh, expected one")?;
+        let vertices = self.needed(mesh, "vertices", "the mesh has no vertices")?;
+        let start = rig.vertices.len() as u32;
+        let floats = self.floats(self.source(vertices, "POSITION")?)?;
+        rig.vertices.extend(floats.as_chunks::<3>().0.iter().map(|&p| shape.transform_point3(DVec3::from(p))));
+        for faces in mesh.children().filter(|c| ["triangles", "polylist", "polygons"].contains(&c.tag_name().name())) {
+            let (mut stride, mut at) = (1, None);
+            for input in faces.children().filter(|c| c.has_tag_name("input")) {
+                let offset = self.offset(input)?.unwrap_or(0);
+                stride = stride.max(1 + offset);
+                if at.is_none() && input.attribute("semantic") == Some("VERTEX") {
+                    at = Some(offset);
+                }
+            }
+            let at = at.ok_or_else(|| self.fault(faces, "the faces have no input VERTEX"))?;
+            let polygons = faces.has_tag_name("polygons");
+            let counts = child(faces, "vcount").map(|element| self.counts(element)).transpose()?;
+            let lists = || faces.children().filter(|c| c.has_tag_name("p"));
+            if counts.is_some() && lists().count() > 1 {
+                return Err(self.fault(faces, "faces with vcount have several lists of indices, expected one"));
+            }
+            for list in lists() {
+                // An index that is too large is refused with the mesh.
+                let index = |&v: &usize| u32::try_from(v).unwrap_or(u32::MAX);
+                let corners: Vec<u32> =
+                    self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(index).collect();
+                let all;
+                let counts: &[usize] = match (&counts, polygons) {
+                    (Some(counts), _) => counts,
+                    (None, true) => {
+                        all = vec![corners.len()];
+                        &all
+                    }
+                    (None, false) => {
+                        all = vec![3; corners.len() / 3];
+                        &all
+                    }
+                };
+                let mut from = 0usize;
+                for &count in counts {
+                    let polygon = corners.get(from..from.saturating_add(count));
+                    let polygon =
+                        polygon.ok_or_else(|| self.fault(list, "faces have more corners than there are indices"))?;
+                    from += count;
+                    for pair in polygon.get(1..).unwrap_or_default().windows(2) {
+                        rig.triangles.push([polygon[0], pair[0], pair[1]].map(|v| v.saturating_add(start)));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn add_clip(&self, rig: &mut Rig, places: &[Place]) -> Result<(), FileError> {
+        let mut curves: BTreeMap<usize, Vec<Curve>> = BTreeMap::new();
+        let mut by_id: HashMap<&str, usize> = HashMap::new();
+        for (index, place) in places.iter().enumerate() {
+            by_id.entry(place.id.as_str()).or_insert(index);
+        }
+        for channel in self.all("channel") {
+            let target = channel.attribute("target").unwrap_or_default();
+            let Some((node, path)) = target.split_once('/') else { continue };
+            let Some(&index) = by_id.get(node) else { continue };
+            let of_node = curves.entry(index).or_default();
+            of_node.push(self.curve(channel, target, path, &places[index].steps)?);
+            let keys: usize = of_node.iter().map(|curve| curve.times_s.len()).sum();
+            if of_node.len() > MOST_CURVES || keys > MOST_KEYS {
+                let problem = format!(
+                    "{target:?} and the node's other curves are more than {MOST_CURVES}, or have more than {MOST_KEYS} keys"
+                );
+                return Err(self.fault(channel, problem));
+            }
+        }
+        if !curves.is_empty() {
+            let tracks = curves.iter().flat_map(|(&node, curves)| tracks(node, &places[node].steps, curves));
+            rig.clips.push(Clip { name: "animation".to_owned(), tracks: tracks.collect() });
+        }
+        Ok(())
+    }
+
+    /// The curve of a channel over one of a node's transforms, which the path names.
+    fn curve(&self, channel: Element, target: &str, path: &str, steps: &[Step]) -> Result<Curve, FileError> {
+        let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
+        let Some(step) = steps.iter().position(|s| s.sid == sid) else {
+            return Err(self.fault(channel, format!("{target:?} names no transform of the node")));
+        };
+        let all = steps[step].numbers.len();
+        let (member, width) = match member {
+            None => (0, all),
+            Some("X") => (0, 1),
+            Some("Y") => (1, 1),
+            Some("Z") => (2, 1),
+            Some("ANGLE") => (3, 1),
+            Some(other) => {
+                return Err(self.fault(channel, format!("{other:?} is animated, expected X, Y, Z or ANGLE")));
+            }
+        };
+        let sampler = self.target(channel, channel.attribute("source").unwrap_or_default())?;
+        let times_s = self.floats(self.source(sampler, "INPUT")?)?;
+        let values = self.floats(self.source(sampler, "OUTPUT")?)?;
+        if times_s.is_empty() || values.len() != width * times_s.len() || member + width > all {
+            let problem = format!("{} numbers for {} keys, expected {width} each", values.len(), times_s.len());
+            return Err(self.fault(sampler, problem));
+        }
+        let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
+        let stepped = between.first().is_some_and(|b| b == "STEP");
+        Ok(Curve { step, member, width, times_s, values, stepped })
+    }
+}
+
+/// Tracks of a node whose transforms follow curves: keys of all of them together.
+fn tracks(node: usize, steps: &[Step], curves: &[Curve]) -> [Track; 3] {
+    let mut times_s: Vec<f64> = curves.iter().flat_map(|c| &c.times_s).copied().collect();
+    times_s.sort_by(f64::total_cmp);
+    times_s.dedup_by(|a, b| *a - *b < 1e-6);
+    let at = |time_s: f64| {
+        let mut steps = steps.to_vec();
+        for curve in curves {
+            let slots = steps.get_mut(curve.step);
+            let slots = slots.and_then(|s| s.numbers.get_mut(curve.member..curve.member + curve.width));
+            slots.into_iter().flatten().zip(curve.at(time_s)).for_each(|(slot, value)| *slot = value);
+        }
+        Local::from_matrix(matrix(&steps))
+    };
+    let locals: Vec<Local> = times_s.iter().map(|&t| at(t)).collect();
+    let between = if curves.iter().all(|c| c.stepped) { Between::Step } else { Between::Linear };
+    let values = [
+        Values::Translation(locals.iter().map(|l| l.translation).collect()),
+        Values::Rotation(locals.iter().map(|l| l.rotation).collect()),
+        Values::Scale(locals.iter().map(|l| l.scale).collect()),
+    ];
+    values.map(|values| Track { node, between, times_s: times_s.clone(), values })
+}
+
+impl Curve {
+    fn at(&self, time_s: f64) -> Vec<f64> {
+        let after = self.times_s.partition_point(|&t| t <= time_s);
+        let (before, after) = (after.saturating_sub(1), after.min(self.times_s.len() - 1));
+        let (a, b) = (self.times_s[before], self.times_s[after]);
+        let u = if b > a && !self.stepped { (time_s - a) / (b - a) } else { 0.0 };
+        let key = |k: usize| &self.values[k * self.width..(k + 1) * self.width];
+        key(before).iter().zip(key(after)).map(|(a, b)| a + (b - a) * u).collect()
+    }
+}
+
+/// The product of a node's transforms, the first outermost.
+fn matrix(steps: &[Step]) -> DMat4 {
+    steps.iter().fold(DMat4::IDENTITY, |product, step| {
+        let n = &step.numbers;
+        let vector = || DVec3::new(n[0], n[1], n[2]);
+        product
+            * match step.kind {
+                Kind::Matrix => DMat4::from_cols_array(&std::array::from_fn(|i| n[i])).transpose(),
+                Kind::Translate => DMat4::from_translation(vector()),
+                Kind::Scale => DMat4::from_scale(vector()),
+                Kind::Rotate => {
+                    let turn = vector()
+                        .try_normalize()
+                        .map_or(DQuat::IDENTITY, |axis| DQuat::from_axis_angle(axis, n[3].to_radians()));
+                    DAffine3::from_quat(turn).into()
+                }
+            }
+    })
+}

@@ -1,0 +1,422 @@
+//! Actors from files: a skinned mesh and a clip of it walking become a cycle of steps over a person's trajectory.
+//!
+//! What is done to a file, in order: the clip that is asked for is sampled, its own way over the ground taken out and its ends
+//! joined; the body is stood on the floor, scaled to its height and turned to face where its feet push it; over how much ground
+//! a cycle goes follows from what the feet on the floor do, so that they rest; the mesh is welded and refined
+//! ([`super::refine`]). Then everything is a table of the bones' maps over phase ([`super::cycle`]), and phase goes with the
+//! ground covered. Standing, the actor takes the mean of the cycle.
+//!
+//! Not done: an actor does not sit, breathe or fidget; only faces that look outwards reflect; clothes that are shells of their
+//! own within 2 cm of the skin do not hide it.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+
+use super::body::{Build, SEGMENTS};
+use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
+use super::refine::{BoundMesh, follow, refine};
+use super::rig::{Clip, Rig, mean};
+use super::skin::{Map, Skin};
+use super::{collada, gltf};
+use crate::em::specular::Ellipsoid;
+use crate::file_error::FileError;
+use crate::geometry::Mesh;
+use crate::geometry::import::{LengthUnit, UpAxis};
+
+/// Clips are sampled no closer than this, s, and no farther apart than a cycle needs.
+const SAMPLE_S: f64 = 1.0 / 60.0;
+const CYCLE_SAMPLES: [f64; 2] = [24.0, 240.0];
+/// Cycles that are looked for in a clip that is none, s.
+const CYCLE_S: [f64; 2] = [0.6, 2.5];
+/// Longest clip that is looked through, s.
+const LONGEST_S: f64 = 120.0;
+/// Places of joints that are compared to find a cycle at most: the time goes with them.
+const MOST_PLACES: usize = 1_000_000;
+/// Vertices that are followed over the floor at most; of more, evenly spaced ones.
+const MOST_FEET: usize = 20_000;
+/// A clip whose ends differ by more than this part of the height is no cycle.
+const CLOSED: f64 = 0.03;
+/// A body that goes less than this part of its height in a cycle does not walk.
+const LEAST_TRAVEL: f64 = 0.1;
+/// Heights that are believed without being asked for, m.
+const HEIGHTS_M: [f64; 2] = [0.5, 2.5];
+/// Lowest part of the body, among which are the vertices that touch the floor.
+const FEET: f64 = 0.15;
+
+/// Options of an actor's file beside its name.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ActorOptions {
+    /// Name of the animation; the only one, or the only one that is called a walk, if absent.
+    pub animation: Option<String>,
+    /// Scaled to this height, m; the file's own if absent.
+    pub height_m: Option<f64>,
+    /// Instead of the file's unit.
+    pub unit: Option<LengthUnit>,
+    /// Instead of the axis that the file says points up.
+    pub up: Option<UpAxis>,
+    /// The part of the animation that is one cycle, s; found if absent.
+    pub cycle_s: Option<[f64; 2]>,
+}
+
+/// A body from a file that walks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Actor {
+    skin: Arc<Skin>,
+    cycle: Cycle,
+    standing: Vec<Map>,
+    /// By segment of a body: the bone that carries it, and an ellipsoid about it when standing.
+    parts: [(usize, Ellipsoid); SEGMENTS],
+    height_m: f64,
+    cycle_m: f64,
+    walked: Stance,
+    open_edges: usize,
+}
+
+impl Actor {
+    /// An actor from a glTF (`.gltf`, `.glb`) or COLLADA (`.dae`) file's bytes; `path` tells which, and where buffers lie.
+    ///
+    /// # Errors
+    /// [`FileError`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
+    pub fn parse(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Self, FileError> {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let mut rig = match extension.as_str() {
+            "gltf" | "glb" => gltf::parse_gltf(bytes, path.parent().unwrap_or(Path::new("")))?,
+            "dae" => collada::parse_collada(bytes)?,
+            _ => {
+                let problem = format!("its name ends in {extension:?}, expected .glb, .gltf, .dae or .bvh");
+                return Err(FileError::new("name", problem, "export the actor as glTF 2.0"));
+            }
+        };
+        rig.check()?;
+        if let Some(unit) = options.unit {
+            rig.metres = unit.metres();
+        }
+        rig.up = options.up.unwrap_or(rig.up);
+        Self::from_rig(&rig, options)
+    }
+
+    fn from_rig(rig: &Rig, options: &ActorOptions) -> Result<Self, FileError> {
+        let clip = choose(&rig.clips, options.animation.as_deref())?;
+        let span = cycle_span(rig, clip, options.cycle_s)?;
+        let Sampled { mut poses, mut standing } = sample(rig, clip, span);
+        // Upright and in metres.
+        let up = |v: DVec3| rig.up.to_z_up(v) * rig.metres;
+        let upright = DMat3::from_cols(up(DVec3::X), up(DVec3::Y), up(DVec3::Z));
+        let (_, own) = extent(rig, &standing, upright)?;
+        let height_m = options.height_m.unwrap_or(own);
+        if !(HEIGHTS_M[0]..=HEIGHTS_M[1]).contains(&height_m) {
+            let problem = format!("it is {own:.4} m tall, expected {} to {} m", HEIGHTS_M[0], HEIGHTS_M[1]);
+            let hint = "say the file's unit (unit = \"mm\"), or what height the actor is to have (height_m = 1.75)";
+            return Err(FileError::new("skin", problem, hint));
+        }
+        let scale = upright * (height_m / own);
+        poses.iter_mut().for_each(|p| turn(p, scale, DVec3::ZERO));
+        turn(&mut standing, scale, DVec3::ZERO);
+
+        // Over which ground, and which way, the feet push.
+        let first = feet(rig, &standing);
+        let stance = stance_of(rig, &first, &poses, height_m);
+        let travel_m = stance.travel_m.length();
+        if travel_m < LEAST_TRAVEL * height_m {
+            let names: Vec<&str> = rig.clips.iter().map(|c| c.name.as_str()).collect();
+            let problem = format!("feet on the floor move {travel_m:.3} m in a cycle, expected a walk");
+            return Err(FileError::new(format!("clip {:?}", clip.name), problem, format!("the file has {names:?}")));
+        }
+        let heading = stance.travel_m.y.atan2(stance.travel_m.x);
+        let ahead = DMat3::from_rotation_z(-heading);
+        for (pose, surge_m) in poses.iter_mut().zip(stance.surge_m()) {
+            turn(pose, ahead, ahead * surge_m - DVec3::Z * stance.floor_m);
+        }
+        let lowest = first.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], &standing).z);
+        let lowest = lowest.fold(f64::INFINITY, f64::min);
+        turn(&mut standing, ahead, DVec3::Z * -lowest);
+
+        let mesh = Mesh { vertices: rig.vertices.clone(), triangles: rig.triangles.clone() };
+        let bound = refine(&mesh, &rig.weights, &standing)?;
+        let parts = parts(&bound, &standing, height_m);
+        let rest = rest(&bound, &standing, &poses)?;
+        let influence = |(weights, &place): (&Vec<(usize, f64)>, &DVec3)| -> Vec<(usize, f64, DVec3)> {
+            weights.iter().map(|&(bone, weight)| (bone, weight, place)).collect()
+        };
+        let influences: Vec<_> = bound.weights.iter().zip(&bound.mesh.vertices).map(influence).collect();
+        let mut actor = Actor {
+            skin: Arc::new(Skin::bound(&rest, &influences, segments(&bound, &standing, height_m))),
+            cycle: Cycle::through(&poses),
+            standing,
+            parts,
+            height_m,
+            cycle_m: travel_m,
+            walked: Stance::default(),
+            open_edges: bound.open_edges,
+        };
+        // As it will walk, with the curve between poses.
+        let count = 4 * poses.len();
+        let walked: Vec<Vec<Map>> = (0..count).map(|k| actor.cycle.at(k as f64 / count as f64)).collect();
+        actor.walked = stance_of(rig, &first, &walked, height_m).over(DVec3::X * travel_m);
+        Ok(actor)
+    }
+
+    /// Its skin.
+    pub fn skin(&self) -> &Arc<Skin> {
+        &self.skin
+    }
+
+    /// Height, standing, m.
+    pub fn height_m(&self) -> f64 {
+        self.height_m
+    }
+
+    /// Ground covered in a cycle of steps, m.
+    pub fn cycle_m(&self) -> f64 {
+        self.cycle_m
+    }
+
+    /// Sliding of feet over the floor at a speed of walking.
+    pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
+        self.walked.sliding(speed_m_per_s)
+    }
+
+    /// Edges at which the skin ends: borders of sheets and holes.
+    pub fn open_edges(&self) -> usize {
+        self.open_edges
+    }
+
+    /// The bones in the room.
+    pub(super) fn maps(&self, walk: &Walk) -> Vec<Map> {
+        let turned = DMat3::from_rotation_z(walk.heading_rad);
+        let place = DVec3::new(walk.position_m[0], walk.position_m[1], 0.0);
+        let mut maps = if walk.vigour > 0.0 { self.cycle.at(walk.phase) } else { self.standing.clone() };
+        if walk.vigour < 1.0 {
+            maps.iter_mut().zip(&self.standing).for_each(|(m, &s)| *m = *m * walk.vigour + s * (1.0 - walk.vigour));
+        }
+        turn(&mut maps, turned, place);
+        maps
+    }
+
+    /// Ellipsoids about its parts, in the room.
+    pub(super) fn body(&self, walk: &Walk) -> [Ellipsoid; SEGMENTS] {
+        let maps = self.maps(walk);
+        self.parts.map(|(bone, part)| {
+            let (Some(now), Some(then)) = (maps.get(bone), self.standing.get(bone)) else { return part };
+            let moved = now.stretch * then.stretch.inverse();
+            let x = (moved * part.axes.x_axis).normalize_or(DVec3::X);
+            let y = (moved * part.axes.y_axis).reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
+            let axes = DMat3::from_cols(x, y, x.cross(y));
+            Ellipsoid { centre: now.centre + moved * (part.centre - then.centre), axes, ..part }
+        })
+    }
+}
+
+/// The clip that is asked for, the only one, or the only one that is called a walk.
+fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileError> {
+    let names: Vec<&str> = clips.iter().map(|c| c.name.as_str()).collect();
+    let hint = format!("the file has {names:?}: say one of them, animation = \"...\"");
+    if clips.is_empty() {
+        let hint = "export the actor with its animation, or let a BVH clip walk instead";
+        return Err(FileError::new("animations", "the file has none, expected a walk", hint));
+    }
+    let walks = |c: &&Clip| name.map_or(c.name.to_lowercase().contains("walk"), |name| c.name == name);
+    let found: Vec<&Clip> = clips.iter().filter(walks).collect();
+    match (found.as_slice(), clips, name) {
+        (&[one], ..) => Ok(one),
+        ([], [one], None) => Ok(one),
+        ([], _, Some(name)) => Err(FileError::new("animations", format!("none is called {name:?}"), hint)),
+        _ => Err(FileError::new("animations", "which of them is the walk is not said", hint)),
+    }
+}
+
+/// From when to when in a clip is one cycle, s.
+fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2], FileError> {
+    let place = format!("clip {:?}", clip.name);
+    let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
+    let Some([begin, end]) = clip.span_s().filter(|[a, b]| b - a > 0.1 && b - a < LONGEST_S) else {
+        let problem = format!("it lasts {:?} s, expected 0.1 to {LONGEST_S} s", clip.span_s().map(|[a, b]| b - a));
+        return Err(FileError::new(place, problem, "export the frames of the walk, at the right frame rate"));
+    };
+    if let Some([a, b]) = asked {
+        return if a >= begin - 1e-6 && b <= end + 1e-6 && b - a > 0.1 {
+            Ok([a, b])
+        } else {
+            let problem = format!("cycle_s is {asked:?}, expected a part of {begin} to {end} s of at least 0.1 s");
+            Err(FileError::new(place, problem, hint))
+        };
+    }
+    let step_s = clip.key_s().clamp(SAMPLE_S, 0.05);
+    let count = ((end - begin) / step_s).round().max(8.0) as usize;
+    let time = |k: usize| begin + (end - begin) * k as f64 / count as f64;
+    if count.saturating_mul(rig.joints.len()) > MOST_PLACES {
+        let problem = format!("it has {} joints over {count} samples, too many to look for a cycle", rig.joints.len());
+        return Err(FileError::new(place, problem, hint));
+    }
+    let places: Vec<Vec<DVec3>> = (0..=count).map(|k| rig.pose(&rig.locals(clip, time(k))).0).collect();
+    let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len().max(1) as f64;
+    let spread = |p: &[DVec3]| (p.iter().map(|q| q.distance_squared(middle(p))).sum::<f64>() / p.len() as f64).sqrt();
+    let (Some(first), Some(last)) = (places.first(), places.last()) else { return Ok([begin, end]) };
+    let (a, b) = (middle(first), middle(last));
+    let apart: f64 = first.iter().zip(last).map(|(p, q)| (*p - a).distance_squared(*q - b)).sum();
+    let apart = (apart / first.len().max(1) as f64).sqrt();
+    // Joints are spread by about a quarter of the height.
+    if apart < CLOSED * 4.0 * spread(first) {
+        return Ok([begin, end]);
+    }
+    let samples = |s: f64| (s * count as f64 / (end - begin)).round() as usize;
+    match best_cycle(&places, samples(CYCLE_S[0]).max(4), samples(CYCLE_S[1])) {
+        Some((a, b, cost)) if cost < 1.0 => Ok([time(a), time(b)]),
+        _ => Err(FileError::new(place, "its end is not its beginning, and no cycle of steps was found in it", hint)),
+    }
+}
+
+struct Sampled {
+    /// At even phases, the clip's way over the ground taken out.
+    poses: Vec<Vec<Map>>,
+    standing: Vec<Map>,
+}
+
+/// The maps over a cycle, in the file's unit and axes.
+fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
+    let [fewest, most] = CYCLE_SAMPLES;
+    let count = ((end - begin) / clip.key_s().max(SAMPLE_S)).round().clamp(fewest, most) as usize;
+    let phase = |k: usize| k as f64 / count as f64;
+    let locals: Vec<_> = (0..=count).map(|k| rig.locals(clip, begin + (end - begin) * phase(k))).collect();
+    let up = up_axis(rig);
+    let level = |v: DVec3| v - up * v.dot(up);
+    let middle = |places: &[DVec3]| level(places.iter().sum::<DVec3>() / places.len().max(1) as f64);
+    let mut all: Vec<(DVec3, Vec<Map>)> = locals
+        .iter()
+        .map(|l| {
+            let (places, maps) = rig.pose(l);
+            (middle(&places), maps)
+        })
+        .collect();
+    let (first, last) = (all[0].0, all[count].0);
+    let centre = all.iter().take(count).enumerate().map(|(k, (m, _))| *m - (last - first) * phase(k)).sum::<DVec3>()
+        / count as f64;
+    for (k, (_, maps)) in all.iter_mut().enumerate() {
+        maps.iter_mut().for_each(|m| m.centre -= centre + (last - first) * phase(k));
+    }
+    // What the ends differ by even so is shared out.
+    let seam: Vec<Map> = all[count].1.iter().zip(&all[0].1).map(|(&b, &a)| b - a).collect();
+    all.truncate(count);
+    let close = |(k, (_, maps)): (usize, (DVec3, Vec<Map>))| -> Vec<Map> {
+        maps.iter().zip(&seam).map(|(&m, &s)| m - s * phase(k)).collect()
+    };
+    let poses = all.into_iter().enumerate().map(close).collect();
+    let (places, mut standing) = rig.pose(&mean(&locals[..count]));
+    let under = middle(&places);
+    standing.iter_mut().for_each(|m| m.centre -= under);
+    Sampled { poses, standing }
+}
+
+/// Axis of the file that points up.
+fn up_axis(rig: &Rig) -> DVec3 {
+    [DVec3::Y, DVec3::Z].into_iter().find(|&axis| rig.up.to_z_up(axis) == DVec3::Z).unwrap_or(DVec3::Z)
+}
+
+/// Everything turned (and stretched) about the origin, then moved.
+fn turn(maps: &mut [Map], by: DMat3, then: DVec3) {
+    for map in maps {
+        *map = Map { centre: by * map.centre + then, stretch: by * map.stretch };
+    }
+}
+
+/// The mesh of who stands, where all poses have places.
+fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh, FileError> {
+    let rest = Mesh { vertices: bound.posed(standing), triangles: bound.mesh.triangles.clone() };
+    let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
+    rest.check().map_err(|error| FileError::new("skin", format!("where the actor stands, {error}"), hint))?;
+    if rest.triangles.is_empty() {
+        return Err(FileError::new("skin", "it has no triangle with an area, expected a closed surface", hint));
+    }
+    if let Some(bone) = poses.iter().find_map(|pose| pose.iter().position(|map| !map.is_finite())) {
+        return Err(FileError::new("skin", format!("a key of its clip puts bone {bone} nowhere"), hint));
+    }
+    Ok(rest)
+}
+
+/// Bottom and height of the skin in a pose.
+fn extent(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<(f64, f64), FileError> {
+    let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * follow(p, w, pose)).z);
+    let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
+    if high - low > 0.0 && (high - low).is_finite() {
+        return Ok((low, high - low));
+    }
+    let problem = format!("posed, it reaches from {low} to {high} m");
+    Err(FileError::new("skin", problem, "check the scale of the skeleton and the inverse bind matrices"))
+}
+
+/// Vertices that may touch the floor.
+fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
+    let heights: Vec<f64> = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| follow(p, w, standing).z).collect();
+    let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &z| (l.min(z), h.max(z)));
+    let limit = low + FEET * (high - low);
+    let all: Vec<usize> = (0..heights.len()).filter(|&v| heights[v] < limit).collect();
+    let step = all.len().div_ceil(MOST_FEET).max(1);
+    all.into_iter().step_by(step).collect()
+}
+
+/// Finds the motion of the feet over a cycle.
+fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> Stance {
+    let at = |pose: &Vec<Map>| feet.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], pose)).collect();
+    let points: Vec<Vec<DVec3>> = poses.iter().map(at).collect();
+    Stance::of(&points, height_m)
+}
+
+/// By bone, where its skin is on the mean when standing, and how much there is of it.
+fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<(DVec3, f64)> {
+    let mut sums = vec![(DVec3::ZERO, 0.0); standing.len()];
+    for (place, weights) in bound.posed(standing).into_iter().zip(&bound.weights) {
+        for &(bone, weight) in weights {
+            if let Some((sum, total)) = sums.get_mut(bone) {
+                *sum += place * weight;
+                *total += weight;
+            }
+        }
+    }
+    sums.into_iter().map(|(sum, total)| (sum / f64::max(total, 1e-300), total)).collect()
+}
+
+/// The segment of a standing body that a place is nearest to.
+fn nearest(body: &[Ellipsoid; SEGMENTS], place: DVec3) -> usize {
+    let apart = |e: &Ellipsoid| ((e.axes.transpose() * (place - e.centre)) / e.semi_axes_m).length();
+    (0..SEGMENTS).min_by(|&a, &b| apart(&body[a]).total_cmp(&apart(&body[b]))).unwrap_or(0)
+}
+
+fn standing_body(height_m: f64) -> [Ellipsoid; SEGMENTS] {
+    let build = Build { height_m, girth: 1.0 };
+    build.segments(&build.standing())
+}
+
+/// By bone, the segment of a standing body that its skin is nearest to.
+fn segments(bound: &BoundMesh, standing: &[Map], height_m: f64) -> Vec<usize> {
+    let body = standing_body(height_m);
+    middles(bound, standing).into_iter().map(|(middle, _)| nearest(&body, middle)).collect()
+}
+
+/// By segment of a body, the skin that is nearest to it: the bone that moves most of that, and an ellipsoid about it. For other
+/// people's shadows, loudness and truth. Skeletons may be as coarse as they like: a head without a bone is a head.
+fn parts(bound: &BoundMesh, standing: &[Map], height_m: f64) -> [(usize, Ellipsoid); SEGMENTS] {
+    let body = standing_body(height_m);
+    let posed = bound.posed(standing);
+    let of: Vec<usize> = posed.iter().map(|&place| nearest(&body, place)).collect();
+    let middle = posed.iter().sum::<DVec3>() / posed.len().max(1) as f64;
+    std::array::from_fn(|segment| {
+        let mine = || (0..posed.len()).filter(|&v| of[v] == segment);
+        let mut moves = vec![0.0; standing.len()];
+        for &(bone, weight) in mine().flat_map(|v| &bound.weights[v]) {
+            moves[bone] += weight;
+        }
+        let bone = (0..moves.len()).max_by(|&a, &b| moves[a].total_cmp(&moves[b])).unwrap_or(0);
+        let count = mine().count() as f64;
+        if count == 0.0 {
+            // No such part: next to nothing, within the body.
+            return (bone, Ellipsoid { centre: middle, axes: DMat3::IDENTITY, semi_axes_m: DVec3::splat(0.02) });
+        }
+        let centre = mine().map(|v| posed[v]).sum::<DVec3>() / count;
+        let squares = mine().map(|v| (posed[v] - centre) * (posed[v] - centre)).sum::<DVec3>() / count;
+        // Over an ellipsoid's surface, coordinates scatter by about its semi-axes over the root of three.
+        let semi_axes_m = (3.0 * squares).map(f64::sqrt).max(DVec3::splat(0.02));
+        (bone, Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m })
+    })
+}

@@ -1,0 +1,24 @@
+//! People: bodies of thirteen ellipsoids or a skin around them, gait, small motions and scripts; also actors and captured steps
+//! from files.
+
+pub mod body;
+pub mod bvh;
+pub mod clip;
+mod collada;
+mod cycle;
+pub mod gait;
+mod gltf;
+pub mod imported;
+pub(crate) mod moment;
+pub mod motion;
+pub(crate) mod person;
+pub mod postures;
+mod refine;
+mod rig;
+pub(crate) mod route;
+pub mod skin;
+pub mod track;
+pub mod walking_mesh;
+pub(crate) mod wander;
+
+pub use cycle::FootSliding;

@@ -1,0 +1,327 @@
+//! Scripts of motions: corners of a way, turns, seats, beds and squats, laid down one after another.
+
+use std::f64::consts::PI;
+
+use super::super::body::Build;
+use super::super::gait;
+use super::super::postures::{Crouch, Lying};
+use super::super::track::Track;
+use super::{Low, Motion, Person, Steps};
+use crate::math::wrapped;
+
+/// Corners of the path are rounded over this time either way, s.
+const CORNER_S: f64 = 0.35;
+/// Sitting down and getting up take twice this, s.
+const SIT_S: f64 = 0.8;
+/// Lying down and rising take twice this, s.
+const LIE_S: f64 = 1.6;
+/// On the edge of a bed one sits so long before lying down and before getting up, s.
+const ON_EDGE_S: f64 = 0.8;
+/// Smaller turns are made without steps, rad.
+const LEAST_MARCH_RAD: f64 = 0.4;
+/// Wider turns on the way are made on the spot where turning has a bound, rad.
+const WIDEST_CURVE_RAD: f64 = 1.8;
+/// Turns on the spot that were asked for are no faster than this where nothing is said, rad/s.
+const TURN_RAD_PER_S: f64 = 2.1;
+
+/// A bed, as one gets into it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bed {
+    /// Place at which the hips come to rest, m.
+    pub position_m: [f64; 2],
+    /// Direction in which feet point, rad.
+    pub heading_rad: f64,
+    /// Height of the mattress, m.
+    pub height_m: f64,
+    /// From there to the edge at which one gets in and out, to the left of the heading, m; to the right if negative.
+    pub edge_m: f64,
+}
+
+impl Bed {
+    /// Hips of who sits on the edge are so far within it, m.
+    const WITHIN_M: f64 = 0.12;
+
+    /// Hips of who sits are so far behind the feet, m: thighs are level.
+    fn back_m(build: &Build) -> f64 {
+        0.95 * build.thigh_m()
+    }
+
+    /// Facing of who sits on the edge, rad.
+    fn outward_rad(&self) -> f64 {
+        self.heading_rad + 0.5 * PI * self.edge_m.signum()
+    }
+
+    /// Place to stand before it, m.
+    pub fn stand_m(&self, build: &Build) -> [f64; 2] {
+        let from_middle = self.edge_m.abs() - Self::WITHIN_M + Self::back_m(build);
+        let (sine, cosine) = self.outward_rad().sin_cos();
+        [self.position_m[0] + from_middle * cosine, self.position_m[1] + from_middle * sine]
+    }
+
+    fn low(&self, build: &Build) -> Low {
+        let crouch = Crouch::sit(build, self.height_m, Self::back_m(build));
+        Low { crouch, lying: Some(Lying { position_m: self.position_m, height_m: self.height_m }) }
+    }
+}
+
+/// Lays down a motion step by step.
+#[derive(Debug, Clone)]
+pub struct MotionBuilder {
+    motion: Motion,
+    time_s: f64,
+    place: [f64; 2],
+    facing: f64,
+    /// Fastest that anybody turns, rad/s; within a corner's time if `None`.
+    turn_rate_rad_per_s: Option<f64>,
+    /// Time at which the last turn is over, s.
+    turned_s: f64,
+}
+
+impl MotionBuilder {
+    /// Begins at a place and time, facing a direction.
+    pub fn new(person: Person, start_s: f64, place: [f64; 2], facing_rad: f64) -> Self {
+        let motion = Motion {
+            person,
+            x: Track::constant(place[0], CORNER_S),
+            y: Track::constant(place[1], CORNER_S),
+            heading: Track::constant(facing_rad, CORNER_S),
+            phase: Track::constant(0.0, CORNER_S),
+            vigour: Track::constant(0.0, CORNER_S),
+            sit: Track::constant(0.0, SIT_S),
+            seats: Vec::new(),
+            march: Track::constant(0.0, CORNER_S),
+            low: Track::constant(0.0, SIT_S),
+            lie: Track::constant(0.0, LIE_S),
+            lows: Vec::new(),
+            wanderer: None,
+            start_s,
+            end_s: f64::INFINITY,
+        };
+        MotionBuilder {
+            motion,
+            time_s: start_s,
+            place,
+            facing: facing_rad,
+            turn_rate_rad_per_s: None,
+            turned_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// Turns no faster than this, rad/s, from here on: wide turns are made on the spot, with steps, others in a curve.
+    pub fn turning_at(mut self, most_rad_per_s: Option<f64>) -> Self {
+        self.turn_rate_rad_per_s = most_rad_per_s;
+        self
+    }
+
+    /// The person who moves.
+    pub fn person(&self) -> &Person {
+        &self.motion.person
+    }
+
+    /// Time reached, s.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Place reached, m.
+    pub fn place(&self) -> [f64; 2] {
+        self.place
+    }
+
+    fn change_to(&self, facing: f64) -> f64 {
+        wrapped(facing - self.facing)
+    }
+
+    fn turn_to(&mut self, facing: f64) {
+        let change = self.change_to(facing);
+        self.motion.heading.step(self.time_s, change);
+        self.facing += change;
+    }
+
+    /// Turns on the spot to a heading, rad.
+    pub fn face(mut self, facing_rad: f64) -> Self {
+        let change = self.change_to(facing_rad);
+        if change.abs() < 1e-3 {
+            return self;
+        }
+        let window_s = (change.abs() / self.turn_rate_rad_per_s.unwrap_or(TURN_RAD_PER_S)).max(CORNER_S);
+        let begin_s = self.time_s.max(self.turned_s);
+        let end_s = begin_s + 2.0 * window_s;
+        self.motion.heading.step_over(begin_s + window_s, change, window_s);
+        if change.abs() > LEAST_MARCH_RAD && matches!(self.motion.person.steps, Steps::Gait) {
+            // Within the turn: feet are down again when it ends.
+            for (t, sign) in [(begin_s + CORNER_S, 1.0), (end_s - CORNER_S, -1.0)] {
+                self.motion.march.step(t, sign);
+                self.motion.phase.bend(t, sign * gait::MARCH_HZ);
+            }
+        }
+        self.facing += change;
+        (self.time_s, self.turned_s) = (end_s, end_s);
+        self
+    }
+
+    /// Turns for a way that begins now. Gives the time over which its corner is rounded either way, s, too.
+    fn turn_into(self, facing: f64) -> (Self, f64) {
+        let Some(rate) = self.turn_rate_rad_per_s else {
+            let mut legacy = self;
+            legacy.turn_to(facing);
+            return (legacy, CORNER_S);
+        };
+        let change = self.change_to(facing);
+        let window_s = (change.abs() / rate).max(CORNER_S);
+        if change.abs() > WIDEST_CURVE_RAD || self.time_s - window_s < self.turned_s {
+            return (self.face(facing), CORNER_S);
+        }
+        let mut curving = self;
+        curving.motion.heading.step_over(curving.time_s, change, window_s);
+        curving.facing += change;
+        curving.turned_s = curving.time_s + window_s;
+        (curving, window_s)
+    }
+
+    /// Walks straight to a place.
+    pub fn walk_to(self, to: [f64; 2], speed_m_per_s: f64) -> Self {
+        let (dx, dy) = (to[0] - self.place[0], to[1] - self.place[1]);
+        let distance = dx.hypot(dy);
+        if distance < 1e-3 {
+            return self;
+        }
+        let (mut this, corner_s) = self.turn_into(dy.atan2(dx));
+        let (begin, end) = (this.time_s, this.time_s + distance / speed_m_per_s);
+        let (vx, vy) = (dx / distance * speed_m_per_s, dy / distance * speed_m_per_s);
+        // The way that ends here is rounded over the same time as the one that begins.
+        if corner_s > CORNER_S {
+            for track in [&mut this.motion.x, &mut this.motion.y] {
+                track.widen(begin, corner_s);
+            }
+        }
+        let m = &mut this.motion;
+        let leg_m = m.person.build.standing_hip_height_m();
+        // A clip goes with the ground covered, so that feet rest on it.
+        let (vigour, cycles) = match &m.person.steps {
+            Steps::Gait => {
+                let vigour = (speed_m_per_s / 1.3).sqrt().min(1.35);
+                (vigour, gait::cycles_per_second(speed_m_per_s, leg_m) / m.person.style.stride)
+            }
+            Steps::Clip(clip) => (1.0, speed_m_per_s / clip.cycle_m(leg_m)),
+            Steps::Actor(actor) => (1.0, speed_m_per_s / actor.cycle_m()),
+        };
+        for (t, sign, window_s) in [(begin, 1.0, corner_s), (end, -1.0, CORNER_S)] {
+            m.x.bend_over(t, sign * vx, window_s);
+            m.y.bend_over(t, sign * vy, window_s);
+            m.phase.bend(t, sign * cycles);
+            m.vigour.step(t, sign * vigour);
+        }
+        this.time_s = end;
+        this.place = to;
+        this
+    }
+
+    /// Stands still.
+    pub fn stand(mut self, duration_s: f64) -> Self {
+        self.time_s += duration_s;
+        self
+    }
+
+    /// Turns to a heading, rad, and sits down for a while (sitting down and getting up included).
+    pub fn sit(self, heading_rad: f64, seat_height_m: f64, duration_s: f64) -> Self {
+        let mut this = if self.turn_rate_rad_per_s.is_some() { self.face(heading_rad) } else { self };
+        this.turn_to(heading_rad);
+        this.motion.seats.push((this.time_s, seat_height_m));
+        let duration_s = duration_s.max(2.5 * SIT_S);
+        this.motion.sit.step(this.time_s + SIT_S, 1.0);
+        this.motion.sit.step(this.time_s + duration_s - SIT_S, -1.0);
+        this.time_s += duration_s;
+        this
+    }
+
+    /// Sits from the very beginning, for good.
+    pub fn seated(mut self, seat_height_m: f64) -> Self {
+        self.motion.seats.push((f64::NEG_INFINITY, seat_height_m));
+        self.motion.sit = Track::constant(1.0, SIT_S);
+        self
+    }
+
+    /// Goes down for a while (going down and getting up included), feet where they are.
+    fn crouch(mut self, crouch: Crouch, duration_s: f64) -> Self {
+        let duration_s = duration_s.max(2.5 * SIT_S);
+        // The last way ends, and its feet stand.
+        let begin_s = self.time_s + CORNER_S;
+        self.motion.lows.push((begin_s, Low { crouch, lying: None }));
+        self.motion.low.step(begin_s + SIT_S, 1.0);
+        self.motion.low.step(begin_s + duration_s - SIT_S, -1.0);
+        self.time_s = begin_s + duration_s + CORNER_S;
+        self
+    }
+
+    /// Squats for a while (going down and getting up included), the head as much lower as this, m.
+    pub fn squat(self, depth_m: f64, duration_s: f64) -> Self {
+        let crouch = Crouch::squat(&self.motion.person.build, depth_m);
+        self.crouch(crouch, duration_s)
+    }
+
+    /// Turns round before a seat, as far away as the hips go back, and sits down on it for a while (sitting down and getting up
+    /// included), feet where they are.
+    pub fn sit_back(self, heading_rad: f64, seat_height_m: f64, back_m: f64, duration_s: f64) -> Self {
+        let this = self.face(heading_rad);
+        let crouch = Crouch::sit(&this.motion.person.build, seat_height_m, back_m);
+        this.crouch(crouch, duration_s)
+    }
+
+    /// Turns round before a bed ([`Bed::stand_m`]), sits down on its edge, lies down, and the same way back: all of that within
+    /// the duration, s.
+    pub fn lie(self, bed: &Bed, duration_s: f64) -> Self {
+        let mut this = self.face(bed.outward_rad());
+        let begin_s = this.time_s + CORNER_S;
+        this.motion.lows.push((begin_s, bed.low(&this.motion.person.build)));
+        this.motion.low.step(begin_s + SIT_S, 1.0);
+        let lie_s = begin_s + 2.0 * SIT_S + ON_EDGE_S + LIE_S;
+        this.motion.lie.step(lie_s, 1.0);
+        let turn = this.change_to(bed.heading_rad);
+        this.motion.heading.step_over(lie_s, turn, LIE_S);
+        this.facing += turn;
+        this.time_s = lie_s;
+        let rise_s = (begin_s + duration_s - 2.0 * SIT_S - ON_EDGE_S - LIE_S).max(lie_s + 2.5 * LIE_S);
+        this.rise(bed, rise_s)
+    }
+
+    /// Lies on a bed from before the beginning, and rises so long after it, s.
+    pub fn lying(mut self, bed: &Bed, duration_s: f64) -> Self {
+        let build = self.motion.person.build;
+        self.place = bed.stand_m(&build);
+        let m = &mut self.motion;
+        (m.x, m.y) = (Track::constant(self.place[0], CORNER_S), Track::constant(self.place[1], CORNER_S));
+        m.heading = Track::constant(bed.heading_rad, CORNER_S);
+        self.facing = bed.heading_rad;
+        m.low = Track::constant(1.0, SIT_S);
+        m.lie = Track::constant(1.0, LIE_S);
+        m.lows.push((f64::NEG_INFINITY, bed.low(&build)));
+        let rise_s = self.time_s + duration_s.max(LIE_S);
+        self.rise(bed, rise_s)
+    }
+
+    /// Gets up from lying, half-way to sitting at a time.
+    fn rise(mut self, bed: &Bed, rise_s: f64) -> Self {
+        let m = &mut self.motion;
+        m.lie.step(rise_s, -1.0);
+        let turn = wrapped(bed.outward_rad() - self.facing);
+        m.heading.step_over(rise_s, turn, LIE_S);
+        self.facing += turn;
+        let up_s = rise_s + LIE_S + ON_EDGE_S + SIT_S;
+        m.low.step(up_s, -1.0);
+        self.time_s = up_s + SIT_S + CORNER_S;
+        self.turned_s = rise_s + LIE_S;
+        self
+    }
+
+    /// The person vanishes at the time reached.
+    pub fn leave(mut self) -> Motion {
+        self.motion.end_s = self.time_s;
+        self.motion
+    }
+
+    /// The person stays for good.
+    pub fn stay(self) -> Motion {
+        self.motion
+    }
+}

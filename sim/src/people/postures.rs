@@ -1,0 +1,214 @@
+//! Squatting, sitting down and lying: postures that are not walking.
+//!
+//! Who goes down keeps both feet where they are: the knees bend by a smooth course, and hips and ankles follow from that and from
+//! how far the hips go back. A knee is what is bent rather than how high the hips are, since a straight leg has no rate at which
+//! its knee bends when the hips begin to sink.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::body::{Build, Posture};
+
+/// Hips of somebody who sits are so much higher than the seat, m.
+pub const HIPS_OVER_SEAT_M: f64 = 0.09;
+/// Hips of somebody who squats all the way are so far behind the ankles, as a part of the body's height.
+const SQUAT_BACK: f64 = 0.10;
+/// Lean of a squat over how far the head sinks as a part of the body's height, rad.
+const SQUAT_LEAN_RAD: f64 = 1.8;
+/// Deepest squat as a part of the body's height: calves meet thighs.
+pub const DEEPEST_SQUAT: f64 = 0.36;
+/// Lean of somebody upright, rad.
+const UPRIGHT_LEAN_RAD: f64 = 0.02;
+/// From the hips up to the middle of the head, and its place before the neck's axis.
+const HEAD_UP: f64 = 0.288 + 0.108;
+const HEAD_AHEAD_M: f64 = 0.01;
+
+/// A way down on feet that stay, to where hips and arms are at its end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Crouch {
+    /// Knee flexion at its end, rad.
+    pub knee_rad: f64,
+    /// Hips behind the ankles at its end, m.
+    pub back_m: f64,
+    /// Trunk forward at its end, rad.
+    pub lean_rad: f64,
+    /// Most that the trunk bows forward on the way beside that, rad.
+    pub bow_rad: f64,
+    /// Shoulder and elbow flexion at its end, rad.
+    pub arm_rad: [f64; 2],
+}
+
+/// Legs on the way down.
+struct Legs {
+    hip_height_m: f64,
+    back_m: f64,
+    hip_rad: f64,
+    knee_rad: f64,
+    ankle_rad: f64,
+}
+
+impl Crouch {
+    /// A squat by which the head sinks so far, m; no deeper than legs fold.
+    pub fn squat(build: &Build, depth_m: f64) -> Self {
+        let depth = (depth_m / build.height_m).clamp(0.0, DEEPEST_SQUAT);
+        let lean_rad = UPRIGHT_LEAN_RAD + SQUAT_LEAN_RAD * depth;
+        let head_m = |lean: f64| HEAD_UP * build.height_m * lean.cos() - HEAD_AHEAD_M * lean.sin();
+        // What leaning does not do the hips have to.
+        let hips = build.standing_hip_height_m() - depth * build.height_m + head_m(UPRIGHT_LEAN_RAD) - head_m(lean_rad);
+        // Shallow squats go less far back.
+        let back_m = SQUAT_BACK * build.height_m * (depth / 0.25).min(1.0);
+        let knee_rad = knee_for(build, hips, back_m);
+        Crouch { knee_rad, back_m, lean_rad, bow_rad: 0.0, arm_rad: [0.7, 0.5] }
+    }
+
+    /// Sitting down on a seat so high, with hips so far behind the feet, m.
+    pub fn sit(build: &Build, seat_height_m: f64, back_m: f64) -> Self {
+        let knee_rad = knee_for(build, seat_height_m + HIPS_OVER_SEAT_M, back_m);
+        Crouch { knee_rad, back_m, lean_rad: UPRIGHT_LEAN_RAD - 0.06, bow_rad: 0.5, arm_rad: [0.40, 1.15] }
+    }
+
+    /// Distance of the hips behind their place before, m, at a part of the way down.
+    pub fn back_at(&self, part: f64) -> f64 {
+        self.back_m * part
+    }
+
+    fn legs(&self, build: &Build, part: f64) -> Legs {
+        let (thigh, shank) = (build.thigh_m(), build.shank_m());
+        let (knee_rad, back_m) = (self.knee_rad * part, self.back_at(part));
+        let (sine, cosine) = knee_rad.sin_cos();
+        let reach = (thigh * thigh + shank * shank + 2.0 * thigh * shank * cosine).sqrt();
+        let up = (reach * reach - back_m * back_m).max(0.0).sqrt();
+        // The line from hip to ankle leads forward, and the thigh is ahead of that.
+        let hip_rad = back_m.atan2(up) + (shank * sine).atan2(thigh + shank * cosine);
+        Legs { hip_height_m: build.ankle_height_m() + up, back_m, hip_rad, knee_rad, ankle_rad: knee_rad - hip_rad }
+    }
+
+    /// Takes a posture that stands a part of the way down.
+    pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
+        let legs = self.legs(build, part);
+        let (sine, cosine) = posture.heading_rad.sin_cos();
+        posture.position_m[0] -= legs.back_m * cosine;
+        posture.position_m[1] -= legs.back_m * sine;
+        posture.hip_height_m += legs.hip_height_m - build.standing_hip_height_m();
+        let bow = (PI * part).sin();
+        posture.lean_rad += (self.lean_rad - UPRIGHT_LEAN_RAD) * part + self.bow_rad * bow * bow;
+        for side in 0..2 {
+            posture.hip_rad[side] += legs.hip_rad;
+            posture.knee_rad[side] += legs.knee_rad;
+            posture.ankle_rad[side] += legs.ankle_rad;
+            posture.shoulder_rad[side] += self.arm_rad[0] * part;
+            posture.elbow_rad[side] += self.arm_rad[1] * part;
+        }
+    }
+}
+
+/// Knee flexion of legs whose ankles are on the floor so far ahead of hips so high, rad.
+fn knee_for(build: &Build, hip_height_m: f64, back_m: f64) -> f64 {
+    let (thigh, shank) = (build.thigh_m(), build.shank_m());
+    let up = hip_height_m - build.ankle_height_m();
+    let cosine = (up * up + back_m * back_m - thigh * thigh - shank * shank) / (2.0 * thigh * shank);
+    cosine.clamp(-0.95, 1.0).acos()
+}
+
+/// Place at which somebody lies on the back.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lying {
+    /// Middle of the hips on the ground plan, m.
+    pub position_m: [f64; 2],
+    /// Height of what one lies on, m.
+    pub height_m: f64,
+}
+
+impl Lying {
+    /// Takes a posture that sits a part of the way down to lying. The heading is the motion's to turn: feet point there.
+    pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
+        let towards = |value: &mut f64, end: f64| *value += part * (end - *value);
+        for (value, end) in posture.position_m.iter_mut().zip(self.position_m) {
+            towards(value, end);
+        }
+        towards(&mut posture.hip_height_m, self.height_m + 0.11 * build.girth);
+        // A pillow lifts the trunk a little.
+        towards(&mut posture.lean_rad, 0.12 - FRAC_PI_2);
+        towards(&mut posture.pelvis_rad, -FRAC_PI_2);
+        for side in 0..2 {
+            towards(&mut posture.hip_rad[side], FRAC_PI_2 - 0.02);
+            towards(&mut posture.knee_rad[side], 0.04);
+            towards(&mut posture.ankle_rad[side], -0.3);
+            towards(&mut posture.shoulder_rad[side], 0.0);
+            towards(&mut posture.elbow_rad[side], 0.25);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+    use crate::people::body::half_extent;
+
+    const BUILDS: [Build; 3] = [
+        Build { height_m: 1.55, girth: 0.9 },
+        Build { height_m: 1.75, girth: 1.0 },
+        Build { height_m: 1.95, girth: 1.1 },
+    ];
+
+    fn low(build: &Build, crouch: &Crouch, part: f64) -> Posture {
+        let mut posture = Posture { lean_rad: UPRIGHT_LEAN_RAD, ..build.standing() };
+        crouch.lower(build, part, &mut posture);
+        posture
+    }
+
+    /// Ankles and soles stay where they are, all the way down.
+    #[test]
+    fn feet_stay_on_their_places() {
+        for build in BUILDS {
+            let standing = build.segments(&build.standing());
+            for crouch in [Crouch::squat(&build, 0.3 * build.height_m), Crouch::sit(&build, 0.45, 0.38)] {
+                for i in 0..=20 {
+                    let now = build.segments(&low(&build, &crouch, f64::from(i) / 20.0));
+                    for foot in [11, 12] {
+                        let moved = (now[foot].centre - standing[foot].centre).length();
+                        assert!(moved < 1e-9, "{moved} m at {i}");
+                        assert!((now[foot].axes.x_axis - standing[foot].axes.x_axis).length() < 1e-9, "flat");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_squat_lowers_the_head_by_what_is_asked_and_stays_over_the_feet() {
+        for build in BUILDS {
+            for depth_m in [0.1, 0.3, 0.5] {
+                let head = |part| build.segments(&low(&build, &Crouch::squat(&build, depth_m), part))[0].centre.z;
+                assert!((head(0.0) - head(1.0) - depth_m).abs() < 1e-9, "{} m", head(0.0) - head(1.0));
+                let falls = (0..20).map(|i| head(f64::from(i) / 20.0) - head(f64::from(i + 1) / 20.0));
+                assert!(falls.into_iter().all(|fall| fall > 0.0), "down all the way");
+                // Heads, chests and pelvises together over the feet's length.
+                let all = build.segments(&low(&build, &Crouch::squat(&build, depth_m), 1.0));
+                let volume = |i: usize| all[i].semi_axes_m.x * all[i].semi_axes_m.y * all[i].semi_axes_m.z;
+                let total: f64 = (0..all.len()).map(volume).sum();
+                let middle = (0..all.len()).map(|i| volume(i) * all[i].centre.x).sum::<f64>() / total;
+                assert!((-0.06..0.18).contains(&middle), "{middle} m ahead of the ankles");
+            }
+        }
+    }
+
+    #[test]
+    fn who_lies_is_as_long_as_tall_and_lies_on_the_mattress() {
+        for build in BUILDS {
+            let mut posture = low(&build, &Crouch::sit(&build, 0.5, 0.38), 1.0);
+            Lying { position_m: [2.0, 1.0], height_m: 0.5 }.lower(&build, 1.0, &mut posture);
+            let all = build.segments(&posture);
+            let (mut least, mut most) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+            for e in &all {
+                (least, most) = (least.min(e.centre - half_extent(e)), most.max(e.centre + half_extent(e)));
+            }
+            let length = most.x - least.x;
+            assert!((length / build.height_m - 1.0).abs() < 0.08, "{length} m long");
+            assert!((0.38..0.53).contains(&least.z), "lowest at {} m", least.z);
+            assert!((all[2].centre.truncate() - DVec2::new(2.0, 1.0)).length() < 0.1, "hips are where they were asked");
+            assert!(all[0].centre.x < 1.5 && all[11].centre.x > 2.5, "feet ahead, head behind");
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! The mesh of an actor from a file made fit for a surface integral: one vertex where textures have seams, no edge of more than
+//! two triangles, and edges short enough that what curves between them is a cubic.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::DVec3;
+
+use super::rig::MOST_TRIANGLES;
+use super::skin::{EDGE_M, Map};
+use crate::file_error::FileError;
+use crate::geometry::{Mesh, bulge, edges, one_ring_normals, split, weld};
+
+/// Edges longer than this are halved, m: a little over the target, so that those about it are left alone.
+const LONGEST_M: f64 = 1.4 * EDGE_M;
+/// Vertices nearer than this part of the mesh's size are one.
+const WELD: f64 = 1e-5;
+/// Rounds of halving: from metres to millimetres.
+const ROUNDS: usize = 10;
+/// A halved edge's middle is moved onto the curve over it by no more than this part of its length: creases are none.
+const MOST_BULGE: f64 = 0.1;
+
+/// A mesh whose vertices follow bones.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct BoundMesh {
+    /// Places in the skin's own frame.
+    pub mesh: Mesh,
+    /// By vertex, bones and weights that sum to one.
+    pub weights: Vec<Vec<(usize, f64)>>,
+    /// Edges at which the surface ends.
+    pub open_edges: usize,
+    /// Triangles that were left out: without area, or there twice.
+    pub dropped: usize,
+}
+
+impl BoundMesh {
+    /// Places of the vertices in a pose.
+    pub fn posed(&self, maps: &[Map]) -> Vec<DVec3> {
+        self.mesh.vertices.iter().zip(&self.weights).map(|(&p, w)| follow(p, w, maps)).collect()
+    }
+}
+
+/// Place of a vertex in a pose.
+pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DVec3 {
+    let at = |&(bone, weight): &(usize, f64)| {
+        maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.stretch * place) * weight)
+    };
+    weights.iter().map(at).sum()
+}
+
+/// Welds, takes tangles apart and halves what is too long in a pose in metres.
+pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[Map]) -> Result<BoundMesh, FileError> {
+    let mut bound = welded(mesh, weights)?;
+    untangle(&mut bound);
+    // What is inside out, or mirrored by a negative scale, is turned.
+    if (Mesh { vertices: bound.posed(pose), triangles: bound.mesh.triangles.clone() }).volume_m3() < 0.0 {
+        bound.mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+    for _ in 0..ROUNDS {
+        if bound.mesh.triangles.len() > MOST_TRIANGLES {
+            let problem = format!("more than {MOST_TRIANGLES} triangles with edges of {EDGE_M} m");
+            let hint = "reduce the mesh before exporting it: 5 mm detail is below the wavelength; and check its size";
+            return Err(FileError::new("skin", problem, hint));
+        }
+        if !halve(&mut bound, pose) {
+            break;
+        }
+    }
+    bound.open_edges = edges(&bound.mesh).iter().filter(|e| e.right.is_none()).count();
+    Ok(bound)
+}
+
+fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileError> {
+    let (low, high) =
+        mesh.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+    let size = (high - low).length();
+    if !(size > 0.0 && size.is_finite()) {
+        let problem = "all its vertices are at one place";
+        return Err(FileError::new("skin", problem, "check the scale of the mesh and export it again"));
+    }
+    let unit =
+        Mesh { vertices: mesh.vertices.iter().map(|&v| (v - low) / size).collect(), triangles: mesh.triangles.clone() };
+    let welded = weld(&unit, WELD).map_err(|e| FileError::new("skin", e.to_string(), "export the mesh again"))?;
+    // Which vertex each was, by the triangles that are left.
+    let mut from = vec![0u32; welded.mesh.vertices.len()];
+    for (triangle, &was) in welded.mesh.triangles.iter().zip(&welded.triangle_of) {
+        let Some(before) = mesh.triangles.get(was as usize) else { continue };
+        for (&now, &before) in triangle.iter().zip(before) {
+            if let Some(slot) = from.get_mut(now as usize) {
+                *slot = before;
+            }
+        }
+    }
+    let vertices = from.iter().filter_map(|&v| mesh.vertices.get(v as usize).copied()).collect();
+    let weights = from.iter().filter_map(|&v| weights.get(v as usize).cloned()).collect();
+    let mut bound = BoundMesh { mesh: Mesh { vertices, triangles: Vec::new() }, weights, ..BoundMesh::default() };
+    // Sheets drawn from either side are there twice.
+    let mut seen = BTreeSet::new();
+    for &triangle in &welded.mesh.triangles {
+        let mut corners = triangle;
+        corners.sort_unstable();
+        if seen.insert(corners) {
+            bound.mesh.triangles.push(triangle);
+        }
+    }
+    bound.dropped = mesh.triangles.len() - bound.mesh.triangles.len();
+    if bound.mesh.triangles.is_empty() {
+        return Err(FileError::new("skin", "no triangle of it has an area", "check the scale of the mesh"));
+    }
+    Ok(bound)
+}
+
+/// Triangles at an edge of three or more, or at one of two that face different ways, get vertices of their own.
+fn untangle(bound: &mut BoundMesh) {
+    let mut tangled: BTreeSet<(u32, u32)> = BTreeSet::new();
+    for edge in edges(&bound.mesh).iter().filter(|e| e.tangled) {
+        let [a, b] = edge.vertices;
+        tangled.insert((a.min(b), a.max(b)));
+    }
+    let mut apart = 0;
+    for t in 0..bound.mesh.triangles.len() {
+        let [a, b, c] = bound.mesh.triangles[t];
+        if ![(a, b), (b, c), (c, a)].iter().any(|&(a, b)| tangled.contains(&(a.min(b), a.max(b)))) {
+            continue;
+        }
+        apart += 1;
+        bound.mesh.triangles[t] = [a, b, c].map(|v| {
+            bound.mesh.vertices.push(bound.mesh.vertices[v as usize]);
+            bound.weights.push(bound.weights[v as usize].clone());
+            bound.mesh.vertices.len() as u32 - 1
+        });
+    }
+    if apart > 0 {
+        tracing::warn!(
+            triangles = apart,
+            "triangles of the actor that meet three at an edge, or face different ways, are loose"
+        );
+    }
+}
+
+/// Halves edges that are too long in a pose. Returns whether there were any.
+fn halve(bound: &mut BoundMesh, pose: &[Map]) -> bool {
+    let posed = bound.posed(pose);
+    let normals = one_ring_normals(&bound.mesh.vertices, &bound.mesh.triangles);
+    let mut middles: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for edge in edges(&bound.mesh) {
+        let [a, b] = edge.vertices;
+        let (p, q) = (a as usize, b as usize);
+        if posed[p].distance(posed[q]) <= LONGEST_M {
+            continue;
+        }
+        let ends = [bound.mesh.vertices[p], bound.mesh.vertices[q]];
+        let d = ends[1] - ends[0];
+        // Where the surface ends, straight.
+        let bulge = if edge.right.is_none() { DVec3::ZERO } else { bulge(ends, [normals[p], normals[q]]) };
+        let bulge = bulge.clamp_length_max(MOST_BULGE * d.length());
+        middles.insert((a.min(b), a.max(b)), bound.mesh.vertices.len() as u32);
+        bound.mesh.vertices.push(ends[0] + 0.5 * d + bulge);
+        let mut weights: BTreeMap<usize, f64> = BTreeMap::new();
+        for &(bone, weight) in bound.weights[p].iter().chain(&bound.weights[q]) {
+            *weights.entry(bone).or_insert(0.0) += 0.5 * weight;
+        }
+        bound.weights.push(weights.into_iter().collect());
+    }
+    if middles.is_empty() {
+        return false;
+    }
+    let far = |a: u32, b: u32| bound.mesh.vertices[a as usize].distance_squared(bound.mesh.vertices[b as usize]);
+    let mut triangles = Vec::with_capacity(2 * bound.mesh.triangles.len());
+    for &[a, b, c] in &bound.mesh.triangles {
+        let middle = |a: u32, b: u32| middles.get(&(a.min(b), a.max(b))).copied();
+        triangles.extend(split([a, b, c], [middle(a, b), middle(b, c), middle(c, a)], far));
+    }
+    bound.mesh.triangles = triangles;
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::geometry::shape;
+
+    fn still() -> Vec<Map> {
+        vec![Map { centre: DVec3::ZERO, stretch: DMat3::IDENTITY }]
+    }
+
+    fn ball() -> Mesh {
+        shape::icosphere(DVec3::splat(0.3), 2).mesh()
+    }
+
+    /// A ball of 80 triangles of 16 cm becomes one of 2 cm, rounder than it was, still closed, every edge short.
+    #[test]
+    fn coarse_triangles_become_fine_and_round() {
+        let ball = ball();
+        let before = ball.volume_m3();
+        let weights = vec![vec![(0, 1.0)]; ball.vertices.len()];
+        let fine = refine(&ball, &weights, &still()).expect("a good mesh");
+        assert!(fine.mesh.is_solid() && fine.open_edges == 0);
+        let longest = edges(&fine.mesh)
+            .into_iter()
+            .map(|e| fine.mesh.vertices[e.vertices[0] as usize].distance(fine.mesh.vertices[e.vertices[1] as usize]));
+        assert!(longest.fold(0.0, f64::max) <= LONGEST_M);
+        let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.3f64.powi(3);
+        let after = fine.mesh.volume_m3();
+        assert!((after / exact - 1.0).abs() < 0.1 * (before / exact - 1.0).abs(), "{before} to {after} of {exact} m^3");
+    }
+
+    #[test]
+    fn seams_are_closed_doubles_dropped_and_tangles_taken_apart() {
+        let ball = ball();
+        // Every triangle with vertices of its own, the first twice, and a fin at an edge.
+        let mut soup = Mesh::default();
+        for t in 0..ball.triangles.len() {
+            let first = soup.vertices.len() as u32;
+            soup.vertices.extend(ball.corners(t).expect("a triangle"));
+            soup.triangles.push([first, first + 1, first + 2]);
+        }
+        soup.triangles.push([0, 2, 1]);
+        soup.vertices.push(DVec3::splat(0.4));
+        soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);
+        let weights = vec![vec![(0, 1.0)]; soup.vertices.len()];
+        let fine = refine(&soup, &weights, &still()).expect("a good mesh");
+        assert_eq!(fine.dropped, 1);
+        assert!(edges(&fine.mesh).iter().all(|e| !e.tangled));
+        assert!(fine.open_edges > 0, "the fin and its neighbours are loose");
+    }
+}

@@ -1,0 +1,404 @@
+//! A skeleton with a skin and clips, as files of any format state it: nodes in a tree, joints among them, vertices that follow
+//! joints by weights, and tracks of the nodes' local transforms over time.
+//!
+//! A vertex `p` is at `sum w_j G_j B_j p`, with `G_j` the joint's transform in the file's world and `B_j` its inverse bind matrix
+//! (glTF 2.0, section 3.7.3). All in the file's own unit and axes.
+
+use std::ops::{Add, Mul};
+
+use glam::{DMat3, DMat4, DQuat, DVec3};
+
+use super::skin::Map;
+use crate::file_error::FileError;
+use crate::geometry::import::UpAxis;
+
+/// Weights of a vertex sum to one within this, or the file is damaged; exporters round to bytes.
+const WEIGHT_TOLERANCE: f64 = 0.05;
+/// Remedy for what is damaged.
+const EXPORT: &str = "export it again from the program it was made with, applying all transforms";
+
+/// Nodes, and joints of all skins, at most: actors have a hundred.
+pub(super) const MOST_NODES: usize = 4096;
+/// Triangles of a skin at most: a frame's time goes with them.
+pub(super) const MOST_TRIANGLES: usize = 150_000;
+
+/// A skeleton with a skin and clips.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Rig {
+    pub nodes: Vec<Node>,
+    pub joints: Vec<Joint>,
+    /// Places in the skin's own frame.
+    pub vertices: Vec<DVec3>,
+    /// By vertex, joints and weights.
+    pub weights: Vec<Vec<(usize, f64)>>,
+    pub triangles: Vec<[u32; 3]>,
+    pub clips: Vec<Clip>,
+    /// Metres in one of the file's unit.
+    pub metres: f64,
+    pub up: UpAxis,
+}
+
+/// A place in the tree.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Node {
+    pub name: String,
+    pub parent: Option<usize>,
+    pub local: Local,
+}
+
+/// A node's transform within its parent: scaled, turned, moved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Local {
+    pub translation: DVec3,
+    pub rotation: DQuat,
+    pub scale: DVec3,
+}
+
+/// A node that moves skin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Joint {
+    pub node: usize,
+    /// From the skin's own frame into the joint's.
+    pub inverse_bind: DMat4,
+}
+
+/// Tracks over time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Clip {
+    pub name: String,
+    pub tracks: Vec<Track>,
+}
+
+/// One part of one node's transform over time.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Track {
+    pub node: usize,
+    pub between: Between,
+    /// Ascending, s.
+    pub times_s: Vec<f64>,
+    pub values: Values,
+}
+
+/// Interpolation between keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Between {
+    /// The earlier key's.
+    Step,
+    /// On the straight line, or the great arc.
+    Linear,
+    /// Hermite's cubic: three values a key, of which the first and last are tangents.
+    Cubic,
+}
+
+/// Values at the keys.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Values {
+    Translation(Vec<DVec3>),
+    Rotation(Vec<DQuat>),
+    Scale(Vec<DVec3>),
+}
+
+impl Local {
+    pub fn from_matrix(matrix: DMat4) -> Self {
+        let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
+        Local { translation, rotation, scale }
+    }
+
+    pub fn matrix(&self) -> DMat4 {
+        DMat4::from_scale_rotation_translation(self.scale, self.rotation, self.translation)
+    }
+}
+
+impl Clip {
+    /// First and last key of all tracks, s; `None` without any.
+    pub fn span_s(&self) -> Option<[f64; 2]> {
+        let ends = self.tracks.iter().filter_map(|t| Some([*t.times_s.first()?, *t.times_s.last()?]));
+        ends.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+    }
+
+    /// Least distance of the keys of a track, s: over it, the clip has nothing to say.
+    pub fn key_s(&self) -> f64 {
+        let gap = |t: &Track| {
+            let span = t.times_s.last()? - t.times_s.first()?;
+            (t.times_s.len() > 2).then(|| span / (t.times_s.len() - 1) as f64)
+        };
+        self.tracks.iter().filter_map(gap).fold(f64::INFINITY, f64::min)
+    }
+}
+
+impl Track {
+    /// Key before a time, and how far it is to the next; at the ends, the end's.
+    fn place(&self, time_s: f64) -> (usize, f64) {
+        let after = self.times_s.partition_point(|&t| t <= time_s);
+        let last = self.times_s.len().saturating_sub(1);
+        if after == 0 || last == 0 {
+            return (0, 0.0);
+        }
+        let before = (after - 1).min(last - 1);
+        let (a, b) = (self.times_s[before], self.times_s[before + 1]);
+        (before, if b > a { ((time_s - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 })
+    }
+
+    /// Value at a time; `between` goes a part of the way from one key's to the next one's.
+    fn value<T>(&self, values: &[T], time_s: f64, between: impl Fn(T, T, f64) -> T) -> Option<T>
+    where
+        T: Copy + Add<Output = T> + Mul<f64, Output = T>,
+    {
+        let (key, u) = self.place(time_s);
+        let at = |i: usize| values.get(i).copied();
+        Some(match self.between {
+            Between::Step => at(if u >= 1.0 { key + 1 } else { key })?,
+            Between::Linear if u == 0.0 => at(key)?,
+            Between::Linear => between(at(key)?, at(key + 1)?, u),
+            Between::Cubic if self.times_s.len() < 2 => at(1)?,
+            Between::Cubic => {
+                let [a, out, into, b] = [at(3 * key + 1)?, at(3 * key + 2)?, at(3 * key + 3)?, at(3 * key + 4)?];
+                let [h00, h10, h01, h11] = self.hermite(key, u);
+                a * h00 + out * h10 + b * h01 + into * h11
+            }
+        })
+    }
+
+    /// Weights of the value and tangent at the key, and at the next.
+    fn hermite(&self, key: usize, u: f64) -> [f64; 4] {
+        let step_s = self.times_s.get(key + 1).map_or(0.0, |b| b - self.times_s[key]);
+        let (u2, u3) = (u * u, u * u * u);
+        [2.0 * u3 - 3.0 * u2 + 1.0, step_s * (u3 - 2.0 * u2 + u), 3.0 * u2 - 2.0 * u3, step_s * (u3 - u2)]
+    }
+}
+
+impl Rig {
+    /// Refuses what cannot be posed; brings weights to a sum of one.
+    ///
+    /// # Errors
+    /// [`FileError`] for the first part that is out of range or too large.
+    pub fn check(&mut self) -> Result<(), FileError> {
+        self.check_sizes()?;
+        self.check_skin()?;
+        self.check_skeleton()?;
+        self.normalise_weights()?;
+        self.check_clips()
+    }
+
+    /// Refuses a file without a skin, and more of anything than a person needs.
+    fn check_sizes(&self) -> Result<(), FileError> {
+        if self.joints.is_empty() || self.vertices.is_empty() {
+            let hint = "export a mesh that is bound to an armature, with the option for skinning";
+            return Err(FileError::new("skin", "no mesh of the file has a skin, expected joints and weights", hint));
+        }
+        let (triangles, vertices) = (self.triangles.len(), self.vertices.len());
+        if triangles == 0 {
+            return Err(FileError::new("skin", "the skinned mesh has no triangle", EXPORT));
+        }
+        // Seams have a vertex for each side: corners are never fewer than vertices that are used.
+        if triangles > MOST_TRIANGLES || vertices > 3 * MOST_TRIANGLES {
+            let problem = format!(
+                "it has {triangles} triangles and {vertices} vertices, expected {MOST_TRIANGLES} triangles at most"
+            );
+            return Err(FileError::new("skin", problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
+        }
+        let (nodes, joints) = (self.nodes.len(), self.joints.len());
+        if nodes > MOST_NODES || joints > MOST_NODES {
+            let problem = format!("it has {nodes} nodes and {joints} joints, expected {MOST_NODES} of each at most");
+            return Err(FileError::new("skeleton", problem, "export only the actor and its armature"));
+        }
+        Ok(())
+    }
+
+    /// Refuses vertices without a place and triangles without a vertex.
+    fn check_skin(&self) -> Result<(), FileError> {
+        if let Some(i) = self.vertices.iter().position(|v| !v.is_finite()) {
+            let problem = format!("vertex {i} is at {}, expected finite numbers", self.vertices[i]);
+            return Err(FileError::new("skin", problem, EXPORT));
+        }
+        for (t, corners) in self.triangles.iter().enumerate() {
+            if let Some(v) = corners.iter().find(|&&v| v as usize >= self.vertices.len()) {
+                let problem = format!("triangle {t} names vertex {v} of {}", self.vertices.len());
+                return Err(FileError::new("skin", problem, EXPORT));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses nodes that cannot be placed and joints whose skin cannot.
+    fn check_skeleton(&self) -> Result<(), FileError> {
+        for (i, node) in self.nodes.iter().enumerate() {
+            let place = format!("node {:?}", node.name);
+            if node.parent.is_some_and(|p| p >= i) {
+                return Err(FileError::new(place, "its parent comes after it", EXPORT));
+            }
+            let Local { translation, rotation, scale } = node.local;
+            if (0..3).any(|axis| scale[axis].abs() < 1e-9) {
+                let problem = format!("its scale is {scale}, expected three numbers that are not zero");
+                return Err(FileError::new(place, problem, "apply or reset the scale of this node and export again"));
+            }
+            if !(translation.is_finite() && rotation.is_finite() && scale.is_finite()) {
+                return Err(FileError::new(place, "its transform has a number that is not finite", EXPORT));
+            }
+        }
+        for (j, joint) in self.joints.iter().enumerate() {
+            let place = format!("joint {j}");
+            let Some(node) = self.nodes.get(joint.node) else {
+                return Err(FileError::new(
+                    place,
+                    format!("it is node {}, of {}", joint.node, self.nodes.len()),
+                    EXPORT,
+                ));
+            };
+            let determinant = joint.inverse_bind.determinant();
+            if !(determinant.is_finite() && determinant.abs() > 1e-30) {
+                let problem = format!("the inverse bind matrix of {:?} cannot be inverted", node.name);
+                return Err(FileError::new(place, problem, "bind the mesh to its skeleton anew"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings the weights of every vertex to a sum of one.
+    fn normalise_weights(&mut self) -> Result<(), FileError> {
+        for (v, weights) in self.weights.iter_mut().enumerate() {
+            let place = || format!("weights of vertex {v}");
+            if let Some((joint, _)) = weights.iter().find(|(joint, _)| *joint >= self.joints.len()) {
+                let problem = format!("joint {joint} is named, but the skin has {}", self.joints.len());
+                return Err(FileError::new(place(), problem, EXPORT));
+            }
+            weights.retain(|(_, weight)| *weight != 0.0);
+            let sum = weights.iter().fold(0.0, |sum, (_, weight)| sum + weight);
+            let good = weights.iter().all(|(_, w)| *w > 0.0) && (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
+            if !good {
+                let problem = format!("they sum to {sum}, expected positive ones that sum to 1");
+                let hint = "normalise all weights, and bind every vertex to a joint";
+                return Err(FileError::new(place(), problem, hint));
+            }
+            weights.iter_mut().for_each(|(_, weight)| *weight /= sum);
+        }
+        Ok(())
+    }
+
+    fn check_clips(&self) -> Result<(), FileError> {
+        for clip in &self.clips {
+            for track in &clip.tracks {
+                let name = self.nodes.get(track.node).map_or("", |n| n.name.as_str());
+                let place = format!("clip {:?}, track of {name:?}", clip.name);
+                let (values, finite) = match &track.values {
+                    Values::Translation(v) | Values::Scale(v) => (v.len(), v.iter().all(|v| v.is_finite())),
+                    Values::Rotation(q) => (q.len(), q.iter().all(|q| q.is_finite())),
+                };
+                let keys = track.times_s.len();
+                let expected = if track.between == Between::Cubic { 3 * keys } else { keys };
+                let hint = "bake the animation to key frames and export again";
+                if keys == 0 || values != expected {
+                    let problem = format!("{values} values for {keys} keys, expected {expected} and at least one key");
+                    return Err(FileError::new(place, problem, hint));
+                }
+                let ascending = track.times_s.windows(2).all(|t| t[0] < t[1]);
+                if !ascending || !track.times_s.iter().all(|t| t.is_finite()) {
+                    return Err(FileError::new(place, "key times do not ascend", hint));
+                }
+                // A key's rotation that is none could not be normalised; tangents may be anything.
+                let key = |i: usize| if track.between == Between::Cubic { i % 3 == 1 } else { true };
+                let turned = match &track.values {
+                    Values::Rotation(q) => q.iter().enumerate().all(|(i, q)| !key(i) || q.length() > 1e-6),
+                    Values::Scale(s) => s.iter().enumerate().all(|(i, s)| !key(i) || s.abs().min_element() > 1e-9),
+                    Values::Translation(_) => true,
+                };
+                if !finite || !turned {
+                    let problem = "a key is not finite, or a rotation or scale of zero";
+                    return Err(FileError::new(place, problem, hint));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The nodes' transforms at a time of a clip.
+    pub fn locals(&self, clip: &Clip, time_s: f64) -> Vec<Local> {
+        let mut locals: Vec<Local> = self.nodes.iter().map(|n| n.local).collect();
+        for track in &clip.tracks {
+            let Some(local) = locals.get_mut(track.node) else { continue };
+            match &track.values {
+                Values::Translation(v) => {
+                    local.translation = track.value(v, time_s, DVec3::lerp).unwrap_or(local.translation);
+                }
+                Values::Rotation(q) => {
+                    let rotation = track.value(q, time_s, DQuat::slerp);
+                    local.rotation = rotation.map_or(local.rotation, DQuat::normalize);
+                }
+                Values::Scale(v) => local.scale = track.value(v, time_s, DVec3::lerp).unwrap_or(local.scale),
+            }
+        }
+        locals
+    }
+
+    /// Places of the joints in the file's world, and the maps from the skin's own frame.
+    pub fn pose(&self, locals: &[Local]) -> (Vec<DVec3>, Vec<Map>) {
+        let mut world: Vec<DMat4> = Vec::with_capacity(locals.len());
+        for (node, local) in self.nodes.iter().zip(locals) {
+            let parent = node.parent.and_then(|p| world.get(p)).copied().unwrap_or(DMat4::IDENTITY);
+            world.push(parent * local.matrix());
+        }
+        let of = |joint: &Joint| {
+            let joint_world = world.get(joint.node).copied().unwrap_or(DMat4::IDENTITY);
+            let map = joint_world * joint.inverse_bind;
+            let map = Map { centre: map.w_axis.truncate(), stretch: DMat3::from_mat4(map) };
+            (joint_world.w_axis.truncate(), map)
+        };
+        self.joints.iter().map(of).unzip()
+    }
+}
+
+/// The mean of transforms: of rotations, that of their quaternions on one side.
+pub(super) fn mean(poses: &[Vec<Local>]) -> Vec<Local> {
+    let Some(first) = poses.first() else { return Vec::new() };
+    let over = 1.0 / poses.len() as f64;
+    let of = |i: usize| {
+        let all = || poses.iter().filter_map(|p| p.get(i));
+        let side = first[i].rotation;
+        let rotation = all().fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, local| {
+            sum + if local.rotation.dot(side) < 0.0 { -local.rotation } else { local.rotation }
+        });
+        Local {
+            translation: all().map(|l| l.translation).sum::<DVec3>() * over,
+            rotation: if rotation.length() > 1e-9 { rotation.normalize() } else { side },
+            scale: all().map(|l| l.scale).sum::<DVec3>() * over,
+        }
+    };
+    (0..first.len()).map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn track(between: Between, values: Values) -> Track {
+        Track { node: 0, between, times_s: vec![0.0, 2.0], values }
+    }
+
+    /// glTF 2.0, appendix C.
+    #[test]
+    fn keys_are_joined_as_the_format_says() {
+        let ends = || Values::Translation(vec![DVec3::ZERO, DVec3::X]);
+        let at = |track: &Track, t: f64| match &track.values {
+            Values::Translation(v) => track.value(v, t, DVec3::lerp).expect("keys").x,
+            _ => f64::NAN,
+        };
+        let (step, linear) = (track(Between::Step, ends()), track(Between::Linear, ends()));
+        assert_eq!([-1.0, 0.0, 1.9, 2.0, 3.0].map(|t| at(&step, t)), [0.0, 0.0, 0.0, 1.0, 1.0]);
+        assert_eq!([-1.0, 0.5, 2.0, 3.0].map(|t| at(&linear, t)), [0.0, 0.25, 1.0, 1.0]);
+        // x = t^3 from its values and slopes at 0 and 2.
+        let slopes = [0.0, 0.0, 0.0, 12.0, 8.0, 0.0].map(|x| DVec3::X * x);
+        let cubic = track(Between::Cubic, Values::Translation(slopes.to_vec()));
+        for t in [0.0, 0.3, 1.0, 1.7, 2.0] {
+            assert!((at(&cubic, t) - t.powi(3)).abs() < 1e-12, "{t}");
+        }
+    }
+
+    #[test]
+    fn rotations_go_the_short_way_round() {
+        let (a, b) = (DQuat::from_rotation_z(0.2), -DQuat::from_rotation_z(1.0));
+        let turn = track(Between::Linear, Values::Rotation(vec![a, b]));
+        let Values::Rotation(values) = &turn.values else { unreachable!() };
+        let middle = turn.value(values, 1.0, DQuat::slerp).expect("keys");
+        assert!(middle.dot(DQuat::from_rotation_z(0.6)).abs() > 1.0 - 1e-12);
+    }
+}

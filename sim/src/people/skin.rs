@@ -1,0 +1,588 @@
+//! A person as one skin whose vertices follow bones. The parametric walker's is a closed smooth surface around bones and flesh,
+//! made once in a pose with limbs apart, whose bones are the thirteen ellipsoids of [`super::body`]; that of an actor from a file
+//! ([`super::imported`]) follows the file's joints.
+//!
+//! A vertex is a weighted mean of points, each of which moves with one bone: of the walker's, as the ellipsoid's own surface does
+//! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`), so that it takes part in gait, twist and breath alike. Its velocity is the
+//! same sum over the bones' rates, which come from the pose in f64 and never from differences of vertices.
+
+use glam::{DMat3, DVec3};
+
+use super::body::{Build, CHEST, PELVIS, SEGMENTS, half_extent};
+use crate::em::specular::Ellipsoid;
+use crate::geometry::{Edge, Mesh, Surface, edges, isosurface, one_ring_normals};
+use crate::lanes::LANES;
+
+/// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
+pub const EDGE_M: f64 = 0.020;
+/// Parts blend into each other over about this, m.
+const BLEND_M: f64 = 0.014;
+/// Parts farther than the nearest by this many times that blend by 1e-9.
+const NEGLIGIBLE: f64 = 20.0;
+/// A segment moves skin up to this far from its own surface, m.
+const REACH_M: f64 = 0.085;
+/// Beyond this nothing of a part is left, neither skin nor what it moves, with all that blending brings nearer, m.
+const FAR_M: f64 = 0.15;
+/// More parts than any body has.
+const MOST_PARTS: usize = 32;
+/// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
+const ARM_APART_RAD: f64 = 0.5;
+const LEG_APART_RAD: f64 = 0.10;
+/// Reach of a patch from where it began, m: over it a chirp's tones differ by a tenth of a cell.
+const PATCH_M: f64 = 0.05;
+/// Radius of the thinnest limbs, m.
+const LIMB_RADIUS_M: f64 = 0.04;
+/// Rounds of averaging curvatures over neighbours.
+const CURVATURE_SMOOTHING: usize = 4;
+
+/// Flesh: where it is and which segment moves it.
+#[derive(Debug, Clone, Copy)]
+enum Part {
+    Ellipsoid(usize, Ellipsoid),
+    /// From one ball to another.
+    Cone(usize, [DVec3; 2], [f64; 2]),
+}
+
+/// A ball around a part, and a bound from below on how fast what [`Part::distance_m`] says grows with the distance from it.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    centre: DVec3,
+    radius_m: f64,
+    slope: f64,
+}
+
+impl Reach {
+    fn least_distance_m(&self, p: DVec3) -> f64 {
+        (p.distance(self.centre) - self.radius_m).max(0.0) * self.slope
+    }
+}
+
+impl Part {
+    fn reach(&self) -> Reach {
+        match *self {
+            Part::Ellipsoid(_, e) => {
+                let radius_m = e.semi_axes_m.max_element();
+                Reach { centre: e.centre, radius_m, slope: e.semi_axes_m.min_element() / radius_m }
+            }
+            Part::Cone(_, [a, b], [ra, rb]) => {
+                Reach { centre: 0.5 * (a + b), radius_m: 0.5 * a.distance(b) + ra.max(rb), slope: 1.0 }
+            }
+        }
+    }
+
+    fn segment(&self) -> usize {
+        match *self {
+            Part::Ellipsoid(segment, _) | Part::Cone(segment, ..) => segment,
+        }
+    }
+
+    /// About the distance to the surface, m; negative inside.
+    fn distance_m(&self, p: DVec3) -> f64 {
+        match self {
+            Part::Ellipsoid(_, e) => {
+                let local = e.axes.transpose() * (p - e.centre);
+                let unit = (local / e.semi_axes_m).length();
+                let slope = (local / (e.semi_axes_m * e.semi_axes_m)).length();
+                if slope > 1e-9 { unit * (unit - 1.0) / slope } else { -e.semi_axes_m.min_element() }
+            }
+            Part::Cone(_, [a, b], [ra, rb]) => {
+                let axis = *b - *a;
+                let along = ((p - *a).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
+                p.distance(*a + axis * along) - (ra + (rb - ra) * along)
+            }
+        }
+    }
+}
+
+/// Distance to what is nearest of parts, less what the rest adds, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, the largest taken out.
+/// Of places that are [`FAR_M`] from all of them a bound from below.
+fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
+    let mut at_least_m = [f64::INFINITY; MOST_PARTS];
+    let (mut nearest, mut nearest_m) = (0, f64::INFINITY);
+    for (i, (at_least, (_, reach))) in at_least_m.iter_mut().zip(parts).enumerate() {
+        *at_least = reach.least_distance_m(p);
+        (nearest, nearest_m) = if *at_least < nearest_m { (i, *at_least) } else { (nearest, nearest_m) };
+    }
+    let Some((first, _)) = parts.get(nearest) else { return f64::INFINITY };
+    if nearest_m > FAR_M {
+        return nearest_m - BLEND_M * (parts.len() as f64).ln();
+    }
+    // What cannot matter beside the part that seems the nearest is passed over.
+    let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
+    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    for ((part, _), _) in parts.iter().zip(at_least_m).filter(|(_, at_least)| *at_least < farthest) {
+        let d = part.distance_m(p);
+        if d < least {
+            sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
+            least = d;
+        } else if d - least < NEGLIGIBLE * BLEND_M {
+            sum += ((least - d) / BLEND_M).exp();
+        }
+    }
+    least - BLEND_M * f64::ln(sum)
+}
+
+/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units
+/// of the segment's semi-axes).
+#[derive(Debug, Clone, PartialEq)]
+struct Binding {
+    first: u32,
+    count: u32,
+}
+
+/// A skin that can take any posture of its bones.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Skin {
+    rest: Mesh,
+    /// The segment of the body to which each bone belongs.
+    segment_of: Vec<usize>,
+    edges: Vec<SkinEdge>,
+    bindings: Vec<Binding>,
+    influences: Vec<(usize, f64, DVec3)>,
+    patches: Vec<SkinPatch>,
+    narrowing: Vec<f32>,
+}
+
+/// Triangles that hang together: consecutive ones, no more than go side by side, nor their vertices.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SkinPatch {
+    /// Their numbers.
+    pub triangles: std::ops::Range<usize>,
+    /// Their vertices; the first again where there are fewer than lanes.
+    pub vertices: [u32; LANES],
+    /// Places of each triangle's corners in that list; all the same in lanes without a triangle.
+    pub corners: [[usize; 3]; LANES],
+}
+
+/// An edge of a skin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SkinEdge {
+    /// Its vertices.
+    pub vertices: [u32; 2],
+    /// The triangles on either side; the same twice where the surface ends.
+    pub triangles: [u32; 2],
+}
+
+/// A skin at one time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PosedSkin {
+    /// Positions of the vertices, m.
+    pub vertices: Vec<DVec3>,
+    /// Their velocities, m/s.
+    pub velocities_m_per_s: Vec<DVec3>,
+    /// Unit normals there.
+    pub normals: Vec<DVec3>,
+}
+
+impl Skin {
+    /// The skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
+    pub fn new(build: &Build, edge_m: f64) -> Self {
+        let segments = apart(build);
+        let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
+        let of_segment = |segment: usize| parts.iter().filter(|(part, _)| part.segment() == segment).copied().collect();
+        let by_segment: [Vec<(Part, Reach)>; SEGMENTS] = std::array::from_fn(of_segment);
+        let around = segments.iter().map(|e| (e.centre, half_extent(e)));
+        let (least, greatest) =
+            around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
+        let margin = DVec3::splat(0.06 + 2.0 * edge_m);
+        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
+        let (mut skin, _) = Skin::unbound(&rest, (0..SEGMENTS).collect());
+        for &vertex in &skin.rest.vertices {
+            let first = skin.influences.len();
+            let weight = |segment: usize| {
+                let distance = blended_m(vertex, &by_segment[segment]).max(0.0);
+                (1.0 - distance / REACH_M).max(0.0).powi(3)
+            };
+            let weights: [f64; SEGMENTS] = std::array::from_fn(weight);
+            let total: f64 = weights.iter().sum();
+            for ((segment, e), weight) in segments.iter().enumerate().zip(weights).filter(|(_, weight)| *weight > 0.0) {
+                let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
+                skin.influences.push((segment, weight / total, unit));
+            }
+            skin.bindings.push(Binding { first: first as u32, count: (skin.influences.len() - first) as u32 });
+        }
+        skin
+    }
+
+    /// A skin of a mesh in a rest pose, every edge with one triangle or two. Of each vertex, what moves it: bone, weight, and
+    /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
+    pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
+        let (mut skin, from) = Skin::unbound(rest, segment_of);
+        for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
+            skin.bindings.push(Binding { first: skin.influences.len() as u32, count: of.len() as u32 });
+            skin.influences.extend_from_slice(of);
+        }
+        skin
+    }
+
+    /// A skin of a mesh that follows no bone yet, and of each of its vertices, which it was.
+    fn unbound(mesh: &Mesh, segment_of: Vec<usize>) -> (Self, Vec<u32>) {
+        let (rest, patches, from) = in_patch_order(mesh);
+        let edges = skin_edges(&rest);
+        let narrowing = narrowing(&rest, &edges);
+        let (bindings, influences) = (Vec::new(), Vec::new());
+        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, from)
+    }
+
+    /// A body that keeps its shape and its place, and its pose.
+    pub(crate) fn still(surface: &Surface) -> (Self, PosedSkin) {
+        let (skin, from) = Skin::unbound(&surface.mesh(), Vec::new());
+        let posed = PosedSkin {
+            vertices: skin.rest.vertices.clone(),
+            velocities_m_per_s: vec![DVec3::ZERO; from.len()],
+            normals: from.iter().map(|&v| surface.normals.get(v as usize).copied().unwrap_or(DVec3::Z)).collect(),
+        };
+        (skin, posed)
+    }
+
+    /// The mesh in its rest pose, over the origin, facing +x.
+    pub fn rest(&self) -> &Mesh {
+        &self.rest
+    }
+
+    /// The edges.
+    pub fn edges(&self) -> &[SkinEdge] {
+        &self.edges
+    }
+
+    /// Small connected patches of triangles, which together are all of them.
+    pub fn patches(&self) -> &[SkinPatch] {
+        &self.patches
+    }
+
+    /// By vertex, how much narrower than on the thinnest limb the surface around a specular point is that matters, as angles: phase
+    /// grows with the radius of curvature times the angle's square.
+    pub fn narrowing(&self) -> &[f32] {
+        &self.narrowing
+    }
+
+    /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
+    pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
+        let of_bone: Vec<f64> = self.segment_of.iter().map(|&s| of_segment[s]).collect();
+        self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_bone[s]).sum()).collect()
+    }
+
+    fn influences(&self, binding: &Binding) -> impl Iterator<Item = &(usize, f64, DVec3)> {
+        let first = binding.first as usize;
+        self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
+    }
+
+    /// Vertices for a pose of the bones; their velocities for its rate.
+    pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
+        self.bindings.iter().map(|b| self.follow(b, maps)).collect()
+    }
+
+    fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
+        self.influences(binding)
+            .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
+            .sum()
+    }
+}
+
+/// The square root of every vertex's least radius of curvature, smoothed, over that of a thin limb.
+fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
+    let normals = one_ring_normals(&mesh.vertices, &mesh.triangles);
+    let mut curvatures = vec![0f64; mesh.vertices.len()];
+    for edge in edges {
+        let [a, b] = edge.vertices.map(|v| v as usize);
+        let d = mesh.vertices[b] - mesh.vertices[a];
+        let curvature = (normals[b] - normals[a]).dot(d).abs() / d.length_squared();
+        for v in [a, b] {
+            curvatures[v] = curvatures[v].max(curvature);
+        }
+    }
+    for _ in 0..CURVATURE_SMOOTHING {
+        let mut sums: Vec<(f64, f64)> = curvatures.iter().map(|&c| (c, 1.0)).collect();
+        for edge in edges {
+            let [a, b] = edge.vertices.map(|v| v as usize);
+            sums[a] = (sums[a].0 + curvatures[b], sums[a].1 + 1.0);
+            sums[b] = (sums[b].0 + curvatures[a], sums[b].1 + 1.0);
+        }
+        curvatures = sums.into_iter().map(|(sum, count)| sum / count).collect();
+    }
+    curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
+}
+
+fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
+    let edge =
+        |edge: &Edge| SkinEdge { vertices: edge.vertices, triangles: [edge.left, edge.right.unwrap_or(edge.left)] };
+    edges(mesh).iter().map(edge).collect()
+}
+
+/// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
+/// together in memory. And of every vertex, which it was.
+fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
+    let numbers_of = patches(mesh, &skin_edges(mesh));
+    let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
+    order.sort_by_key(|&t| numbers_of[t]);
+    let mut numbers = vec![u32::MAX; mesh.vertices.len()];
+    let (mut sorted, mut from) = (Mesh::default(), Vec::new());
+    for triangle in order.iter().map(|&t| mesh.triangles[t]) {
+        sorted.triangles.push(triangle.map(|v| {
+            let number = &mut numbers[v as usize];
+            if *number == u32::MAX {
+                *number = sorted.vertices.len() as u32;
+                sorted.vertices.push(mesh.vertices[v as usize]);
+                from.push(v);
+            }
+            *number
+        }));
+    }
+    let mut all = Vec::new();
+    let mut begin = 0;
+    for members in order.chunk_by(|&a, &b| numbers_of[a] == numbers_of[b]) {
+        let triangles = begin..begin + members.len();
+        begin = triangles.end;
+        all.push(SkinPatch::new(triangles.clone(), &sorted.triangles[triangles]));
+    }
+    (sorted, all, from)
+}
+
+impl SkinPatch {
+    fn new(triangles: std::ops::Range<usize>, corners: &[[u32; 3]]) -> Self {
+        let mut vertices: Vec<u32> = corners.iter().flatten().copied().collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let place = |v: u32| vertices.binary_search(&v).unwrap_or(0);
+        SkinPatch {
+            triangles,
+            vertices: std::array::from_fn(|lane| vertices.get(lane).or(vertices.first()).copied().unwrap_or(0)),
+            corners: std::array::from_fn(|lane| corners.get(lane).map_or([0; 3], |corners| corners.map(place))),
+        }
+    }
+}
+
+/// Patches of triangles that hang together: each begins where the fewest neighbours are left and takes what is nearest to its
+/// middle, until it is full or reaches [`PATCH_M`] from where it began.
+fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
+    let mut beside: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
+    for edge in edges {
+        let [left, right] = edge.triangles;
+        beside[left as usize].push(right);
+        beside[right as usize].push(left);
+    }
+    let middle = |t: u32| mesh.corners(t as usize).map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0);
+    let mut patches = vec![u32::MAX; mesh.triangles.len()];
+    let (mut count, mut rim) = (0, std::collections::BTreeSet::new());
+    let mut beginning = 0;
+    while let Some(start) = {
+        let free =
+            |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
+        // On the rim of what is done, where a triangle left behind would be alone; else anywhere.
+        let least = rim.iter().copied().min_by_key(|&t| (free(&patches, t), t));
+        least.or_else(|| (beginning..patches.len() as u32).find(|&t| patches[t as usize] == u32::MAX))
+    } {
+        beginning = if rim.is_empty() { start } else { beginning };
+        let (mut members, mut sum) = (vec![start], middle(start));
+        let mut vertices = mesh.triangles[start as usize].to_vec();
+        patches[start as usize] = count;
+        rim.remove(&start);
+        while members.len() < LANES {
+            let centre = sum / members.len() as f64;
+            let fits = |t: u32| {
+                let more = mesh.triangles[t as usize].iter().filter(|v| !vertices.contains(v)).count();
+                vertices.len() + more <= LANES && middle(t).distance(middle(start)) < PATCH_M
+            };
+            let around = members.iter().flat_map(|&t| &beside[t as usize]);
+            let near = around.filter(|&&t| patches[t as usize] == u32::MAX && fits(t));
+            // Those that would be left alone come first.
+            let alone = |t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
+            let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * alone(t) as f64);
+            let Some(&next) = near.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b))) else { break };
+            patches[next as usize] = count;
+            rim.remove(&next);
+            sum += middle(next);
+            let more: Vec<u32> = mesh.triangles[next as usize].into_iter().filter(|v| !vertices.contains(v)).collect();
+            vertices.extend(more);
+            members.push(next);
+        }
+        rim.extend(members.iter().flat_map(|&t| &beside[t as usize]).filter(|&&t| patches[t as usize] == u32::MAX));
+        count += 1;
+    }
+    patches
+}
+
+/// From a bone's own frame (of an ellipsoid: the unit sphere) to where it is; or the rate of that.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Map {
+    pub(super) centre: DVec3,
+    pub(super) stretch: DMat3,
+}
+
+impl Map {
+    pub(super) fn of(e: &Ellipsoid) -> Self {
+        Map { centre: e.centre, stretch: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
+    }
+
+    pub(super) fn is_finite(&self) -> bool {
+        self.centre.is_finite() && self.stretch.is_finite()
+    }
+}
+
+impl Map {
+    /// Map that adds nothing.
+    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
+}
+
+impl std::ops::Add for Map {
+    type Output = Map;
+    fn add(self, other: Map) -> Map {
+        Map { centre: self.centre + other.centre, stretch: self.stretch + other.stretch }
+    }
+}
+
+impl std::ops::Sub for Map {
+    type Output = Map;
+    fn sub(self, other: Map) -> Map {
+        Map { centre: self.centre - other.centre, stretch: self.stretch - other.stretch }
+    }
+}
+
+impl std::ops::Mul<f64> for Map {
+    type Output = Map;
+    fn mul(self, factor: f64) -> Map {
+        Map { centre: self.centre * factor, stretch: self.stretch * factor }
+    }
+}
+
+/// The segments standing over the origin with limbs apart.
+fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
+    let mut all = build.segments(&build.standing());
+    for side in 0..2 {
+        let sign = if side == 0 { 1.0 } else { -1.0 };
+        for (angle, chain) in [(ARM_APART_RAD, &[3, 5][..]), (LEG_APART_RAD, &[7, 9, 11][..])] {
+            let [joint, _] = joints(&all[chain[0] + side]);
+            let turn = DMat3::from_rotation_x(sign * angle);
+            for &segment in chain {
+                let e = &mut all[segment + side];
+                *e = Ellipsoid { centre: joint + turn * (e.centre - joint), axes: turn * e.axes, ..*e };
+            }
+        }
+    }
+    all
+}
+
+/// Upper and lower joint of a limb: its ellipsoid reaches beyond either by 0.3 of its thickness.
+fn joints(e: &Ellipsoid) -> [DVec3; 2] {
+    let half = e.axes * DVec3::Z * (e.semi_axes_m.z - 0.3 * e.semi_axes_m.x);
+    [e.centre + half, e.centre - half]
+}
+
+/// Ellipsoids alone touch in points: joints, neck, shoulders, hands and heels are added.
+fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
+    let mut parts: Vec<Part> = Vec::new();
+    for (index, &e) in segments.iter().enumerate() {
+        // Room for hanging arms.
+        let slim = if index == CHEST { DVec3::new(1.0, 0.88, 1.0) } else { DVec3::ONE };
+        parts.push(Part::Ellipsoid(index, Ellipsoid { semi_axes_m: e.semi_axes_m * slim, ..e }));
+    }
+    let girth = build.girth;
+    let head = segments[0].centre - segments[0].axes * DVec3::Z * 0.04;
+    let [left, right] = [joints(&segments[3])[0], joints(&segments[4])[0]];
+    let neck = 0.5 * (left + right);
+    parts.push(Part::Cone(CHEST, [neck, head], [0.062 * girth, 0.054 * girth]));
+    parts.push(Part::Cone(PELVIS, [segments[PELVIS].centre, segments[CHEST].centre], [0.100 * girth, 0.090 * girth]));
+    for (side, shoulder) in [left, right].into_iter().enumerate() {
+        parts.push(Part::Cone(CHEST, [neck.lerp(shoulder, 0.3), shoulder], [0.058 * girth, 0.046 * girth]));
+        let mut limb = |segment: usize, upper: f64, lower: f64| {
+            let ends = joints(&segments[segment + side]);
+            parts.push(Part::Cone(segment + side, ends, [upper * girth, lower * girth]));
+            ends[1]
+        };
+        limb(3, 0.046, 0.038);
+        limb(5, 0.039, 0.033);
+        limb(7, 0.078, 0.052);
+        let ankle = limb(9, 0.051, 0.038);
+        let foot = &segments[11 + side];
+        parts.push(Part::Cone(11 + side, [ankle, foot.centre], [0.040, 0.036]));
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::people::motion::{MotionBuilder, Person};
+    use crate::people::walking_mesh::WalkingMesh;
+
+    fn walker(height_m: f64) -> WalkingMesh {
+        let person = Person::draw(1, [0, 0], height_m);
+        let motion = MotionBuilder::new(person, 0.0, [1.0, 1.0], 0.0).walk_to([9.0, 1.0], 1.2).stay();
+        WalkingMesh::new(Arc::new(motion), EDGE_M)
+    }
+
+    /// Every edge has one triangle on either side, and the surface is one piece without holes: V - E + F = 2.
+    #[test]
+    fn the_skin_is_one_closed_surface_with_the_size_of_a_person() {
+        for (identity, height_m) in [(0, 1.55), (1, 1.75), (2, 1.95)] {
+            let build = Person::draw(5, [identity, 0], height_m).build;
+            let skin = Skin::new(&build, EDGE_M);
+            let mesh = skin.rest();
+            let mut edges = std::collections::BTreeMap::new();
+            for &[a, b, c] in &mesh.triangles {
+                for edge in [(a, b), (b, c), (c, a)] {
+                    *edges.entry(edge).or_insert(0) += 1;
+                }
+            }
+            for (&(a, b), &n) in &edges {
+                let both = n == 1 && edges.get(&(b, a)) == Some(&1);
+                assert!(both, "not a closed manifold at {}", mesh.vertices[a as usize]);
+            }
+            assert_eq!(mesh.vertices.len() + mesh.triangles.len(), edges.len() / 2 + 2, "not one piece without holes");
+            let z = |v: &DVec3| v.z;
+            let (low, high) =
+                (mesh.vertices.iter().map(z).fold(9.0, f64::min), mesh.vertices.iter().map(z).fold(-9.0, f64::max));
+            assert!((high - height_m).abs() < 0.05 && low.abs() < 0.06, "from {low} to {high} m");
+            // 1010 kg/m^3 and a body mass index of 18 to 32.
+            let index = 1010.0 * mesh.volume_m3() / (height_m * height_m);
+            assert!((18.0..32.0).contains(&index), "body mass index {index}");
+        }
+    }
+
+    #[test]
+    fn triangles_are_even_and_about_fourteen_thousand() {
+        let walker = walker(1.75);
+        let mesh = walker.skin().rest();
+        assert!((12_000..16_500).contains(&mesh.triangles.len()), "{} triangles", mesh.triangles.len());
+        for time_s in [2.0, 2.3, 2.6] {
+            let mesh = walker.mesh_at(time_s);
+            let mut lengths: Vec<f64> = mesh
+                .triangles
+                .iter()
+                .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+                .map(|(a, b)| mesh.vertices[a as usize].distance(mesh.vertices[b as usize]))
+                .collect();
+            lengths.sort_by(f64::total_cmp);
+            let at = |part: f64| lengths[(part * (lengths.len() - 1) as f64) as usize];
+            assert!(at(0.02) > 0.009 && at(0.98) < 0.030, "2 % to 98 %: {} to {} m", at(0.02), at(0.98));
+        }
+    }
+
+    #[test]
+    fn velocities_are_the_rates_of_the_vertices() {
+        let walker = walker(1.75);
+        let (t, h) = (3.1, 1e-4);
+        let moving = walker.posed(t);
+        let (before, after) = (walker.mesh_at(t - h).vertices, walker.mesh_at(t + h).vertices);
+        let mut fastest = 0.0f64;
+        for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
+            assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-4, "{velocity}");
+            fastest = fastest.max(velocity.length());
+        }
+        assert!((1.5..7.0).contains(&fastest), "a swinging foot goes at {fastest} m/s");
+        assert_eq!(moving.vertices, walker.mesh_at(t).vertices);
+    }
+
+    /// Flesh neither vanishes nor is made by walking: skinning at the joints costs little.
+    #[test]
+    fn volume_is_kept_while_walking() {
+        let walker = walker(1.75);
+        let standing = walker.skin().rest().volume_m3();
+        for i in 0..20 {
+            let ratio = walker.mesh_at(2.0 + 0.05 * f64::from(i)).volume_m3() / standing;
+            assert!((0.95..1.03).contains(&ratio), "{ratio} at {i}");
+        }
+    }
+}

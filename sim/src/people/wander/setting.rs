@@ -1,0 +1,162 @@
+//! The ground on which people wander: where hips may be, where goals and seats are, and how they are drawn.
+
+use std::f64::consts::PI;
+
+use rand::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::draw;
+use super::walker::{Limits, Pose};
+use crate::people::body::Build;
+use crate::people::route::Ground;
+use crate::scene_file::{PeopleFile, WanderFile};
+
+/// Draws of a place to go to.
+const PLACES: usize = 200;
+/// Draws of a pair of places.
+const PAIRS: usize = 12;
+/// People begin at least so far apart, m.
+const BEGIN_APART_M: f64 = 1.0;
+
+/// Part of the ground plan in which the scene lets people wander, as seen from the radar.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct View {
+    /// The radar, m.
+    pub radar_m: [f64; 2],
+    /// Its boresight, rad.
+    pub azimuth_rad: f64,
+}
+
+/// A seat, and the place to stand before it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Seat {
+    /// Place at which the hips come to rest, m.
+    pub place_m: [f64; 2],
+    /// Place to stand before it, m.
+    pub before_m: [f64; 2],
+    /// Facing of who sits, rad.
+    pub heading_rad: f64,
+    /// Distance from the place before it back to that of the hips, m.
+    pub back_m: f64,
+    /// Height of the seat, m.
+    pub height_m: f64,
+}
+
+/// Ground and habits of people who wander.
+#[derive(Debug)]
+pub(super) struct Setting {
+    /// Habits, as the scene file states them.
+    pub file: WanderFile,
+    /// Keys of the scene for all people.
+    pub people: PeopleFile,
+    /// Seed of all draws.
+    pub seed: u64,
+    /// Identity of the first person; those of the others follow.
+    pub first_identity: u64,
+    /// Size of the ground plan, m.
+    pub size_m: [f64; 2],
+    /// Free ground for hips.
+    pub ground: Ground,
+    /// Free ground for ways: farther off everything.
+    pub planned: Ground,
+    /// Part in which goals lie; all of it if absent.
+    pub view: Option<View>,
+    /// Seats that can be used.
+    pub seats: Vec<Seat>,
+}
+
+impl Setting {
+    /// Identity of the person of a slot.
+    pub fn identity(&self, slot: usize) -> [u64; 2] {
+        [self.first_identity + slot as u64, 0]
+    }
+
+    /// Bounds of the motion of a person with such a body and stride.
+    pub fn limits(&self, build: &Build, stride: f64) -> Limits {
+        Limits {
+            // Along and across the way: together no more than the file says.
+            acceleration_m_per_s2: self.file.acceleration_m_per_s2 * 0.5f64.sqrt(),
+            turn_rad_per_s: self.people.turn_rate_deg_per_s.unwrap_or(120.0).to_radians(),
+            leg_m: build.standing_hip_height_m(),
+            stride,
+        }
+    }
+
+    /// A free place to go to.
+    pub fn goal(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[f64; 2]> {
+        for number in 0..2 * PLACES {
+            let at = match &self.view {
+                Some(view) => {
+                    let [nearest, farthest] = self.file.range_m;
+                    let range_m = nearest + (farthest - nearest) * rng.random::<f64>().powf(self.file.nearness);
+                    let most = self.file.off_boresight_deg.to_radians();
+                    let (sine, cosine) = (view.azimuth_rad + draw(rng, [-most, most])).sin_cos();
+                    [view.radar_m[0] + range_m * cosine, view.radar_m[1] + range_m * sine]
+                }
+                None => self.size_m.map(|size| draw(rng, [0.0, size])),
+            };
+            let ground = if number < PLACES { &self.planned } else { &self.ground };
+            if ground.is_free(at) {
+                return Some(at);
+            }
+        }
+        None
+    }
+
+    /// First place of somebody, off others.
+    pub fn start(&self, rng: &mut Xoshiro256PlusPlus, taken: &[[f64; 2]]) -> [f64; 2] {
+        /// Places along each axis where chance finds none.
+        const GRID: usize = 40;
+        let off = |at: [f64; 2]| taken.iter().map(|other| distance_m(at, *other)).fold(BEGIN_APART_M, f64::min);
+        for _ in 0..PLACES {
+            let Some(at) = self.goal(rng) else { break };
+            if off(at) >= BEGIN_APART_M {
+                return at;
+            }
+        }
+        let mut best = (-1.0, self.size_m.map(|size| 0.5 * size));
+        for i in 1..GRID * GRID {
+            let at =
+                [self.size_m[0] * (i % GRID) as f64 / GRID as f64, self.size_m[1] * (i / GRID) as f64 / GRID as f64];
+            if self.ground.is_free(at) && off(at) > best.0 {
+                best = (off(at), at);
+            }
+        }
+        best.1
+    }
+
+    /// Two free places far apart with nothing between them.
+    pub fn ends(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[[f64; 2]; 2]> {
+        let mut best: Option<(f64, [[f64; 2]; 2])> = None;
+        for _ in 0..PAIRS {
+            let (a, b) = (self.goal(rng)?, self.goal(rng)?);
+            let length_m = distance_m(a, b);
+            if self.planned.route(a, b).len() == 1 && best.is_none_or(|(longest, _)| length_m > longest) {
+                best = Some((length_m, [a, b]));
+            }
+        }
+        best.map(|(_, ends)| ends)
+    }
+
+    /// Two free places at talking distance, the first of them the nearer one to a person.
+    pub fn meeting(&self, rng: &mut Xoshiro256PlusPlus, person: &Pose) -> Option<[[f64; 2]; 2]> {
+        for _ in 0..PLACES {
+            let middle = self.goal(rng)?;
+            // Who stops may do so a little beyond the place.
+            let apart_m = self.file.least_distance_m + draw(rng, [0.4, 1.0]);
+            let (sine, cosine) = draw(rng, [-PI, PI]).sin_cos();
+            let spots =
+                [0.5, -0.5].map(|part| [middle[0] + part * apart_m * cosine, middle[1] + part * apart_m * sine]);
+            if spots.iter().all(|at| self.planned.is_free(*at)) {
+                let [near, far] = spots;
+                let is_sorted = person.distance_m(near) <= person.distance_m(far);
+                return Some(if is_sorted { [near, far] } else { [far, near] });
+            }
+        }
+        None
+    }
+}
+
+fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}

@@ -1,0 +1,238 @@
+//! Small motions of somebody who stands or walks: sway of the whole body and of its parts, weight shifts and gestures.
+
+use std::f64::consts::{PI, TAU};
+
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::node::Knot;
+use super::walker::STEP_S;
+use super::{chance, draw};
+use crate::math::smooth_step;
+use crate::people::body::Build;
+use crate::people::moment::Small;
+
+/// Waves of each part's sway, each with a frequency in a band of its own.
+const WAVES: usize = 4;
+/// Frequencies of sway, Hz.
+const SWAY_HZ: [f64; 2] = [0.1, 1.0];
+/// Parts that sway: hips forward and left, lean, twist, two shoulders, two elbows.
+const PARTS: usize = 8;
+
+/// One sinusoid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Wave {
+    amplitude: f64,
+    rad_per_s: f64,
+    phase_rad: f64,
+}
+
+/// Postural sway of a person: sums of sinusoids that never end and hardly ever repeat.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Sway {
+    parts: [[Wave; WAVES]; PARTS],
+}
+
+impl Sway {
+    /// Sway whose excursion at the shoulders is so large, rms, m.
+    pub fn draw(rng: &mut Xoshiro256PlusPlus, excursion_m: f64) -> Self {
+        // Hips move half as far as shoulders; a trunk is half a metre long, shoulders 0.17 m wide, an arm 0.6 m long.
+        let [forward, left] = [0.5, 0.4].map(|part| part * excursion_m);
+        let rms = [forward, left, excursion_m, 3.0 * excursion_m]
+            .into_iter()
+            .chain([1.5, 1.5, 2.0, 2.0].map(|part| part * excursion_m));
+        let mut parts = [[Wave { amplitude: 0.0, rad_per_s: 0.0, phase_rad: 0.0 }; WAVES]; PARTS];
+        for (waves, rms) in parts.iter_mut().zip(rms) {
+            let [low, high] = SWAY_HZ.map(f64::ln);
+            let mut power = 0.0;
+            for (number, wave) in waves.iter_mut().enumerate() {
+                let part = (number as f64 + rng.random::<f64>()) / WAVES as f64;
+                let hz = (low + part * (high - low)).exp();
+                // Slow sway is larger.
+                let amplitude = hz.powf(-0.5);
+                power += 0.5 * amplitude * amplitude;
+                *wave = Wave { amplitude, rad_per_s: TAU * hz, phase_rad: rng.random_range(0.0..TAU) };
+            }
+            let scale = rms / power.sqrt();
+            waves.iter_mut().for_each(|wave| wave.amplitude *= scale);
+        }
+        Sway { parts }
+    }
+
+    /// Displacements by sway alone at a time.
+    pub fn at(&self, time_s: f64) -> Small {
+        let sum = |waves: &[Wave; WAVES]| -> f64 {
+            waves.iter().map(|w| w.amplitude * (w.rad_per_s * time_s + w.phase_rad).sin()).sum()
+        };
+        let [forward_m, left_m, lean_rad, twist_rad, left_shoulder, right_shoulder, left_elbow, right_elbow] =
+            self.parts.each_ref().map(sum);
+        Small {
+            forward_m,
+            left_m,
+            lean_rad,
+            twist_rad,
+            shoulder_rad: [left_shoulder, right_shoulder],
+            elbow_rad: [left_elbow, right_elbow],
+        }
+    }
+}
+
+/// A smooth change of two values at a time, in whole steps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Stroke {
+    from: [f64; 2],
+    to: [f64; 2],
+    steps: u32,
+    done: u32,
+}
+
+impl Stroke {
+    /// Values that do not change.
+    pub fn resting(at: [f64; 2]) -> Self {
+        Stroke { from: at, to: at, steps: 1, done: 1 }
+    }
+
+    /// Whether the change is complete.
+    pub fn is_over(&self) -> bool {
+        self.done >= self.steps
+    }
+
+    /// Values at the end of the change.
+    pub fn end(&self) -> [f64; 2] {
+        self.to
+    }
+
+    /// Begins another change where the last one ended.
+    pub fn start(&mut self, to: [f64; 2], duration_s: f64) {
+        let steps = (duration_s / STEP_S).ceil().clamp(4.0, 1000.0) as u32;
+        *self = Stroke { from: self.to, to, steps, done: 0 };
+    }
+
+    /// Goes on by a step.
+    pub fn advance(&mut self) {
+        self.done = self.steps.min(self.done + 1);
+    }
+
+    /// Values and their rates.
+    pub fn knots(&self) -> [Knot; 2] {
+        let x = 2.0 * f64::from(self.done) / f64::from(self.steps) - 1.0;
+        let share = smooth_step(x);
+        let rate_per_s = (0.5 + 0.5 * (PI * x).cos()) * 2.0 / (f64::from(self.steps) * STEP_S);
+        [0, 1].map(|i| {
+            let change = self.to[i] - self.from[i];
+            Knot { value: self.from[i] + change * share, rate: change * rate_per_s }
+        })
+    }
+}
+
+/// An arm: shoulder and elbow flexion beside those of the gait, rad.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Arm {
+    /// Change under way.
+    pub stroke: Stroke,
+    rest_rad: [f64; 2],
+    /// Strokes left of the gesture, the one back to rest included.
+    strokes: u32,
+}
+
+impl Arm {
+    /// Share of people who hold an arm up: a telephone, a cup, a bag.
+    const HELD: f64 = 0.2;
+
+    /// An arm at rest.
+    pub fn draw(rng: &mut Xoshiro256PlusPlus) -> Self {
+        let rest_rad = if chance(rng, Self::HELD) {
+            [draw(rng, [0.1, 0.6]), draw(rng, [0.8, 1.7])]
+        } else {
+            [draw(rng, [-0.05, 0.1]), draw(rng, [0.0, 0.3])]
+        };
+        Arm { stroke: Stroke::resting(rest_rad), rest_rad, strokes: 0 }
+    }
+
+    /// Goes on by a step. A gesture begins after a mean time at rest; hands move at a peak speed within an interval.
+    pub fn advance(&mut self, rng: &mut Xoshiro256PlusPlus, build: &Build, idle_s: f64, speed_m_per_s: [f64; 2]) {
+        self.stroke.advance();
+        if !self.stroke.is_over() {
+            return;
+        }
+        let now = self.stroke.end();
+        let to = if self.strokes > 1 {
+            let near = |angle: f64, rng: &mut Xoshiro256PlusPlus| angle + draw(rng, [-0.45, 0.45]);
+            [near(now[0], rng).clamp(-0.2, 1.4), near(now[1], rng).clamp(0.1, 2.1)]
+        } else if self.strokes == 1 {
+            self.rest_rad
+        } else if chance(rng, STEP_S / idle_s) {
+            self.strokes = rng.random_range(2..=7);
+            [draw(rng, [0.2, 1.3]), draw(rng, [0.4, 2.0])]
+        } else {
+            return;
+        };
+        self.strokes -= 1;
+        // A hand hangs from the shoulder by 0.40 of the height, from the elbow by 0.215.
+        let travel_m = build.height_m * (0.40 * (to[0] - now[0]).abs() + 0.215 * (to[1] - now[1]).abs());
+        // The peak of a stroke's speed is twice its mean.
+        self.stroke.start(to, 2.0 * travel_m / draw(rng, speed_m_per_s));
+    }
+}
+
+/// Weight on one leg or the other: the hips' place (forward, left) off the middle, m.
+pub(super) fn shift_weight(stroke: &mut Stroke, rng: &mut Xoshiro256PlusPlus, stands: bool) {
+    /// Mean time between weight shifts, s.
+    const EVERY_S: f64 = 7.0;
+    stroke.advance();
+    if !stroke.is_over() {
+        return;
+    }
+    if !stands {
+        if stroke.end() != [0.0; 2] {
+            stroke.start([0.0; 2], 1.0);
+        }
+    } else if chance(rng, STEP_S / EVERY_S) {
+        let mut normal = |deviation_m: f64, most_m: f64| {
+            let unit: f64 = StandardNormal.sample(rng);
+            (deviation_m * unit).clamp(-most_m, most_m)
+        };
+        let to = [normal(0.008, 0.02), normal(0.012, 0.025)];
+        let duration_s = draw(rng, [1.4, 3.0]);
+        stroke.start(to, duration_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    #[test]
+    fn sway_is_as_large_as_asked_and_slow() {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
+        for excursion_m in [0.002, 0.02] {
+            let sway = Sway::draw(&mut rng, excursion_m);
+            let places: Vec<f64> = (0..60_000).map(|i| sway.at(f64::from(i) * 0.01).forward_m).collect();
+            let rms = (places.iter().map(|x| x * x).sum::<f64>() / places.len() as f64).sqrt();
+            assert!((rms / (0.5 * excursion_m) - 1.0).abs() < 0.1, "{rms} m");
+            let speed = places.windows(2).map(|w| (w[1] - w[0]).abs() / 0.01).fold(0.0, f64::max);
+            // No faster than 1 Hz.
+            assert!(speed < TAU * 4.0 * rms, "{speed} m/s");
+        }
+    }
+
+    #[test]
+    fn hands_move_at_the_speeds_that_were_asked_for_and_return() {
+        let build = Build { height_m: 1.75, girth: 1.0 };
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(5);
+        let mut arm = Arm::draw(&mut rng);
+        let rest = arm.stroke.end();
+        let (mut fastest, mut back) = (0.0f64, 0);
+        for _ in 0..20_000 {
+            arm.advance(&mut rng, &build, 3.0, [0.3, 1.5]);
+            let [shoulder, elbow] = arm.stroke.knots();
+            fastest = fastest.max(build.height_m * (0.40 * shoulder.rate.abs() + 0.215 * elbow.rate.abs()));
+            back += usize::from(arm.stroke.is_over() && arm.stroke.end() == rest);
+        }
+        assert!((0.8..=1.51).contains(&fastest), "{fastest} m/s");
+        assert!(back > 1000, "{back} steps at rest");
+    }
+}

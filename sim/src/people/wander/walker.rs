@@ -1,0 +1,229 @@
+//! Dynamics of a walker on the ground plan: a speed along the heading and a rate of turning, which follow what is wanted smoothly
+//! and within bounds.
+//!
+//! The acceleration along the way is linear in time within a step, and so is the rate of turning: between two steps speed and
+//! heading are cubics that their values and rates at both ends determine exactly.
+
+use crate::math::wrapped;
+use crate::people::gait;
+
+/// Duration of a step, s.
+pub(super) const STEP_S: f64 = 0.05;
+
+/// Time in which the speed approaches the one that is wanted, s. Four times [`LAG_S`] or more: the speed never overshoots.
+const SPEED_S: f64 = 0.7;
+/// Time in which the heading approaches the one that is wanted, s.
+const TURN_S: f64 = 0.5;
+/// Lag of accelerations, s.
+const LAG_S: f64 = 0.15;
+/// Largest angular acceleration, rad/s^2.
+const MOST_RAD_PER_S2: f64 = 6.0;
+/// Speed that is zero if nothing else is wanted, m/s.
+const STILL_M_PER_S: f64 = 1e-4;
+/// Speed that is added where steps are counted and measured: slow steps do not become infinitely short, m/s.
+const LEAST_STEP_M_PER_S: f64 = 0.03;
+/// Speed at which half of a walk's vigour is there, m/s.
+const GOING_M_PER_S: f64 = 0.04;
+/// Turning rate at which half of a march's vigour is there, rad/s.
+const MARCHING_RAD_PER_S: f64 = 0.5;
+/// Speed of a walk of vigour 1, m/s.
+const BRISK_M_PER_S: f64 = 1.3;
+
+/// Place and motion at the end of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pose {
+    /// Place on the ground plan, m.
+    pub position_m: [f64; 2],
+    /// Speed along the heading, never negative, m/s.
+    pub speed_m_per_s: f64,
+    /// Rate of the speed, m/s^2.
+    pub acceleration_m_per_s2: f64,
+    /// Heading from +x towards +y, not wrapped, rad.
+    pub heading_rad: f64,
+    /// Rate of the heading, rad/s.
+    pub turn_rad_per_s: f64,
+    /// Cycles (two steps) made.
+    pub phase: f64,
+}
+
+/// Motion that is wanted of a walker in a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Command {
+    /// Speed, m/s.
+    pub speed_m_per_s: f64,
+    /// Heading, rad; `None` ends all turning.
+    pub heading_rad: Option<f64>,
+}
+
+impl Command {
+    /// Stops as soon as the bounds allow.
+    pub const STOP: Command = Command { speed_m_per_s: 0.0, heading_rad: None };
+}
+
+/// Bounds of a walker's motion, and the length of the steps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Limits {
+    /// Largest acceleration along the way and, separately, across it, m/s^2.
+    pub acceleration_m_per_s2: f64,
+    /// Largest rate of turning, rad/s.
+    pub turn_rad_per_s: f64,
+    /// Length of the legs, m.
+    pub leg_m: f64,
+    /// Stride over the average one.
+    pub stride: f64,
+}
+
+impl Limits {
+    /// Cycles in a second at a speed and a rate of turning.
+    pub fn cycles_per_s(&self, speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
+        let speed = speed_m_per_s + LEAST_STEP_M_PER_S;
+        let cycles_per_m = gait::cycles_per_second(speed, self.leg_m) / (speed * self.stride);
+        speed_m_per_s * cycles_per_m + gait::MARCH_HZ * march(speed_m_per_s, turn_rad_per_s)
+    }
+}
+
+/// Share of a walk in what the legs do at a speed, 0 to 1.
+fn going(speed_m_per_s: f64) -> f64 {
+    let square = speed_m_per_s * speed_m_per_s;
+    square / (square + GOING_M_PER_S * GOING_M_PER_S)
+}
+
+/// Vigour of the gait at a speed: its steps are as long as [`Limits::cycles_per_s`] counts them.
+pub(super) fn vigour(speed_m_per_s: f64) -> f64 {
+    ((speed_m_per_s + LEAST_STEP_M_PER_S) / BRISK_M_PER_S).sqrt().min(1.35) * going(speed_m_per_s)
+}
+
+/// Vigour of steps on the spot.
+pub(super) fn march(speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
+    let square = turn_rad_per_s * turn_rad_per_s;
+    square / (square + MARCHING_RAD_PER_S * MARCHING_RAD_PER_S) * (1.0 - going(speed_m_per_s))
+}
+
+impl Pose {
+    /// A walker who stands.
+    pub fn standing(position_m: [f64; 2], heading_rad: f64) -> Self {
+        Pose {
+            position_m,
+            speed_m_per_s: 0.0,
+            acceleration_m_per_s2: 0.0,
+            heading_rad,
+            turn_rad_per_s: 0.0,
+            phase: 0.0,
+        }
+    }
+
+    /// Velocity, m/s.
+    pub fn velocity_m_per_s(&self) -> [f64; 2] {
+        let (sine, cosine) = self.heading_rad.sin_cos();
+        [self.speed_m_per_s * cosine, self.speed_m_per_s * sine]
+    }
+
+    /// Acceleration over the ground, m/s^2.
+    pub fn ground_acceleration_m_per_s2(&self) -> [f64; 2] {
+        let (sine, cosine) = self.heading_rad.sin_cos();
+        let across = self.speed_m_per_s * self.turn_rad_per_s;
+        [self.acceleration_m_per_s2 * cosine - across * sine, self.acceleration_m_per_s2 * sine + across * cosine]
+    }
+
+    /// Direction from here to a place, rad.
+    pub fn bearing_rad(&self, to: [f64; 2]) -> f64 {
+        (to[1] - self.position_m[1]).atan2(to[0] - self.position_m[0])
+    }
+
+    /// Distance from here to a place, m.
+    pub fn distance_m(&self, to: [f64; 2]) -> f64 {
+        (to[0] - self.position_m[0]).hypot(to[1] - self.position_m[1])
+    }
+
+    /// Place so far ahead and so far to the left, m.
+    pub fn beside(&self, ahead_m: f64, left_m: f64) -> [f64; 2] {
+        let (sine, cosine) = self.heading_rad.sin_cos();
+        [self.position_m[0] + ahead_m * cosine - left_m * sine, self.position_m[1] + ahead_m * sine + left_m * cosine]
+    }
+
+    /// Pose one step later.
+    pub fn advance(&self, command: &Command, limits: &Limits) -> Pose {
+        let follows = 1.0 - (-STEP_S / LAG_S).exp();
+        let most = limits.acceleration_m_per_s2;
+        let wanted = ((command.speed_m_per_s - self.speed_m_per_s) / SPEED_S).clamp(-most, most);
+        let mut acceleration = self.acceleration_m_per_s2 + (wanted - self.acceleration_m_per_s2) * follows;
+        let mut speed = self.speed_m_per_s + 0.5 * STEP_S * (self.acceleration_m_per_s2 + acceleration);
+        if speed <= 0.0 || (command.speed_m_per_s <= 0.0 && speed < STILL_M_PER_S) {
+            (speed, acceleration) = (0.0, 0.0);
+        }
+        // Faster walkers turn in wider curves.
+        let across = if speed > 0.0 { most / speed } else { f64::INFINITY };
+        let most_turn = limits.turn_rad_per_s.min(across);
+        let wanted = command
+            .heading_rad
+            .map_or(0.0, |heading| (wrapped(heading - self.heading_rad) / TURN_S).clamp(-most_turn, most_turn));
+        let change = (wanted - self.turn_rad_per_s) * follows;
+        let most_change = MOST_RAD_PER_S2 * STEP_S;
+        let turn = (self.turn_rad_per_s + change.clamp(-most_change, most_change)).clamp(-most_turn, most_turn);
+        let heading = self.heading_rad + 0.5 * STEP_S * (self.turn_rad_per_s + turn);
+
+        // Simpson's rule for the way, with speed and heading in the middle of the step.
+        let middle_speed =
+            0.5 * (self.speed_m_per_s + speed) + 0.125 * STEP_S * (self.acceleration_m_per_s2 - acceleration);
+        let middle_heading = 0.5 * (self.heading_rad + heading) + 0.125 * STEP_S * (self.turn_rad_per_s - turn);
+        let at = |speed: f64, heading: f64| [speed * heading.cos(), speed * heading.sin()];
+        let first = at(self.speed_m_per_s, self.heading_rad);
+        let middle = at(middle_speed, middle_heading);
+        let last = at(speed, heading);
+        let way = [0, 1].map(|i| STEP_S / 6.0 * (first[i] + 4.0 * middle[i] + last[i]));
+        let cycles = limits.cycles_per_s(self.speed_m_per_s, self.turn_rad_per_s)
+            + 4.0 * limits.cycles_per_s(middle_speed.max(0.0), 0.5 * (self.turn_rad_per_s + turn))
+            + limits.cycles_per_s(speed, turn);
+        Pose {
+            position_m: [self.position_m[0] + way[0], self.position_m[1] + way[1]],
+            speed_m_per_s: speed,
+            acceleration_m_per_s2: acceleration,
+            heading_rad: heading,
+            turn_rad_per_s: turn,
+            phase: self.phase + STEP_S / 6.0 * cycles,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = Limits { acceleration_m_per_s2: 0.7, turn_rad_per_s: 2.1, leg_m: 0.93, stride: 1.0 };
+
+    #[test]
+    fn a_walker_speeds_up_turns_and_stops_within_the_bounds() {
+        let mut pose = Pose::standing([0.0; 2], 0.0);
+        let go = Command { speed_m_per_s: 1.0, heading_rad: Some(2.5) };
+        let mut last = pose;
+        for step in 0..400 {
+            let command = if step < 200 { go } else { Command::STOP };
+            pose = pose.advance(&command, &LIMITS);
+            let [x, y] = pose.ground_acceleration_m_per_s2();
+            assert!(x.hypot(y) <= 0.7 * 1.4143, "{} m/s^2", x.hypot(y));
+            assert!((0.0..=1.0).contains(&pose.speed_m_per_s), "{} m/s: no overshoot", pose.speed_m_per_s);
+            assert!(pose.turn_rad_per_s.abs() <= LIMITS.turn_rad_per_s);
+            assert!((pose.turn_rad_per_s - last.turn_rad_per_s).abs() < 0.31);
+            assert!(pose.phase >= last.phase);
+            if step == 199 {
+                assert!(pose.speed_m_per_s > 0.98 && (pose.heading_rad - 2.5).abs() < 0.02, "{pose:?}");
+            }
+            last = pose;
+        }
+        assert_eq!((pose.speed_m_per_s, pose.acceleration_m_per_s2), (0.0, 0.0));
+        let stood = pose.advance(&Command::STOP, &LIMITS);
+        assert_eq!((stood.position_m, stood.speed_m_per_s), (pose.position_m, 0.0));
+    }
+
+    /// The length of a stride by the angle of the hips is the ground covered in a cycle, at every speed.
+    #[test]
+    fn steps_are_as_long_as_the_way_and_end_where_it_ends() {
+        for speed in [0.2, 0.5, 0.9, 1.3] {
+            let per_cycle = speed / LIMITS.cycles_per_s(speed, 0.0);
+            // Half a cycle takes a foot from 0.4 rad before the hip to 0.4 rad behind it, at vigour 1.
+            let stepped = 4.0 * LIMITS.leg_m * (0.4 * vigour(speed)).sin();
+            assert!((stepped / per_cycle - 1.0).abs() < 0.12, "{stepped} m for {per_cycle} m at {speed} m/s");
+        }
+        assert_eq!((vigour(0.0), LIMITS.cycles_per_s(0.0, 0.0), march(0.0, 0.0)), (0.0, 0.0, 0.0));
+    }
+}

@@ -1,0 +1,300 @@
+//! A placement: everything about a scene that does not change while people move.
+
+use std::borrow::Cow;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
+use rand::Rng;
+
+use crate::chirp::Chirp;
+use crate::diffuse::{Diffuse, WallPoint, wall_points};
+use crate::em::image::{Element, ImageIndex, images, order};
+use crate::paths::Surroundings;
+use crate::random::{Purpose, generator};
+use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
+use crate::receiver::noise::density_lsb2;
+use crate::receiver::{Receiver, RxChannel};
+use crate::scene::Scene;
+
+/// A static path: a wall's reflection or an echo of furniture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StaticPath {
+    /// For each receiver: phase at the middle of a chirp (cycles), cycles per sample, amplitude at the ADC (LSB).
+    pub tones: Vec<(f64, f64, Complex64)>,
+    /// Corners of the path, radar to radar, for shadows.
+    pub polyline: Vec<DVec3>,
+    /// Phases of its own slow drift, rad.
+    pub drift: [f64; 3],
+}
+
+/// Echo of a point by a pair of images at one receiver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PointEcho {
+    /// Field amplitude, but for the propagation phase.
+    pub(crate) amplitude: Complex64,
+    /// Length of the path, m.
+    pub(crate) length_m: f64,
+    /// Sum of the unit vectors from both images to the point: how much longer the path becomes for each metre that the point
+    /// moves along an axis.
+    pub(crate) directions: DVec3,
+}
+
+/// Geometry, link budget and static paths of a scene for one seed.
+#[derive(Debug, Clone)]
+pub struct PreparedScene {
+    /// The room.
+    pub room: Surroundings,
+    /// The transmitter.
+    pub tx: Element,
+    /// The enabled receivers.
+    pub rx: Vec<Element>,
+    /// Constants of each enabled receiver.
+    pub channels: Vec<RxChannel>,
+    /// IF filters.
+    pub filters: Filters,
+    /// Chirp constants.
+    pub chirp: Chirp,
+    /// Peak LSB of unit amplitude, for each receiver.
+    pub lsb: Vec<f64>,
+    /// Wave length, m.
+    pub wavelength_m: f64,
+    /// Image pairs (transmitter, receiver) that paths by way of a body may use in a box; none in other rooms, where they depend
+    /// on the place ([`PreparedScene::pairs_near`]).
+    pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
+    /// Points of the walls that throw in all directions.
+    pub wall_points: Vec<WallPoint>,
+    /// Paths that stand still.
+    pub static_paths: Vec<StaticPath>,
+    /// Phases of the slow drift that all of it shares, rad.
+    pub common_drift: [f64; 3],
+    /// Paths weaker than this at the ADC cannot be seen in any map, LSB.
+    pub threshold_lsb: f64,
+}
+
+/// Amplitude (LSB) of a tone that stands `margin_db` below the mean thermal noise of a cell of the range-Doppler map:
+/// `2 sigma sqrt(1/(N M)) 10^(-margin/20)`, with sigma^2 the least density of the noise over the band.
+pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -> f64 {
+    let density = density_lsb2(receiver, waveform);
+    let least = density.iter().copied().fold(f64::INFINITY, f64::min).max(1e-3);
+    let cells = (waveform.request.samples_per_chirp * waveform.request.chirps_per_frame) as f64;
+    2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
+}
+
+/// Part of a field that may be missed where paths so far below the noise are left out: half a decibel of it at 10 dB, as
+/// [`threshold_lsb`] has it.
+fn least_part(margin_db: f64) -> f64 {
+    let tolerance_db = 0.5 * 10f64.powf(0.05 * (10.0 - margin_db));
+    10f64.powf(0.05 * tolerance_db) - 1.0
+}
+
+/// Phases at which a slow drift's waves begin, rad.
+pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
+    let mut rng = generator(seed, Purpose::Drift, of);
+    std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU))
+}
+
+/// A slow wander whose change over ten seconds has a standard deviation of about 1.
+pub fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
+    const PERIODS_S: [f64; 3] = [17.0, 29.0, 53.0];
+    let waves =
+        PERIODS_S.iter().zip(phases).map(|(period, phase)| (std::f64::consts::TAU * time_s / period + phase).sin());
+    0.5 * waves.sum::<f64>()
+}
+
+impl PreparedScene {
+    /// Wavelength over 4 pi, m: of the field at an isotropic antenna, times its distance, so much is received.
+    pub(crate) fn aperture_m(&self) -> f64 {
+        self.wavelength_m / (4.0 * std::f64::consts::PI)
+    }
+
+    /// Traces what is static, once.
+    pub fn new(scene: &Scene, seed: u64, margin_db: f64) -> Self {
+        let (receiver, waveform) = (scene.receiver(), scene.waveform());
+        let (tx, rx) = scene.elements();
+        let typical = Receiver::typical();
+        let channels: Vec<RxChannel> = waveform
+            .request
+            .rx_antennas
+            .antennas()
+            .iter()
+            .map(|&antenna| {
+                let index = usize::from(antenna) - 1;
+                receiver.rx.get(index).or_else(|| typical.rx.get(index)).cloned().unwrap_or_default()
+            })
+            .collect();
+        let base = lsb_per_unit_amplitude(receiver, waveform);
+        let max_body = scene.file().room.max_body_reflections;
+        let room = Surroundings::of_scene(scene, &tx, least_part(margin_db));
+        let body_pairs = match &room {
+            Surroundings::Box(_) => lattice_pairs(max_body),
+            Surroundings::Polygons(_) => Vec::new(),
+        };
+        let mut prepared = PreparedScene {
+            room,
+            tx,
+            lsb: channels.iter().map(|c| base * 10f64.powf(0.05 * c.gain_db)).collect(),
+            rx,
+            channels,
+            filters: Filters::new(receiver, waveform),
+            chirp: Chirp::new(waveform),
+            wavelength_m: std::f64::consts::TAU / scene.wavenumber_per_m(),
+            body_pairs,
+            wall_points: Vec::new(),
+            static_paths: Vec::new(),
+            common_drift: drift_phases(seed, [0, 2]),
+            threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
+        };
+        let diffuse = Diffuse {
+            share: scene.file().room.diffuse_share,
+            points: scene.file().room.diffuse_points as usize,
+            bounces: scene.file().room.diffuse_bounces,
+            mirrored: max_body,
+        };
+        prepared.wall_points = wall_points(&prepared.room, diffuse, &prepared.tx, &prepared.rx, seed);
+        prepared.add_walls(scene.file().room.max_reflections);
+        prepared.add_furniture(scene, seed);
+        for (i, path) in prepared.static_paths.iter_mut().enumerate() {
+            path.drift = drift_phases(seed, [i as u64, 0]);
+        }
+        prepared
+    }
+
+    /// Image pairs (transmitter, receiver) by which what lies within a distance of a place may be seen, the direct pair first.
+    pub fn pairs_near(&self, middle: DVec3, reach_m: f64) -> Cow<'_, [(ImageIndex, ImageIndex)]> {
+        match &self.room {
+            Surroundings::Box(_) => Cow::Borrowed(&self.body_pairs),
+            Surroundings::Polygons(room) => Cow::Owned(room.pairs_near(self.tx.position, middle, reach_m)),
+        }
+    }
+
+    /// Amplitude at the ADC of a path (as it multiplies `exp(+j...)`) from its field amplitude: conjugated, with link budget
+    /// and the IF filters at its true beat.
+    pub fn at_adc(&self, rx: usize, amplitude: Complex64, beat_hz: f64) -> Complex64 {
+        let lsb = self.lsb.get(rx).copied().unwrap_or(0.0);
+        amplitude.conj() * lsb * self.filters.response(beat_hz)
+    }
+
+    fn static_tone(&self, rx: usize, amplitude: Complex64, length_m: f64) -> (f64, f64, Complex64) {
+        let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
+        let beat_hz = self.chirp.beat_hz(delay_s, 0.0);
+        (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
+    }
+
+    /// Keeps a path that is strong enough. Receivers are so close together that the first stands for all: what it hears, and every
+    /// draw, is the same whoever else listens.
+    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: impl FnOnce(&Self) -> Vec<DVec3>) {
+        if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
+            let polyline = polyline(self);
+            self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
+        }
+    }
+
+    /// Bare reflections of the walls: geometrical optics, exact for infinite planes.
+    fn add_walls(&mut self, max_reflections: u32) {
+        for index in self.room.images(max_reflections).into_iter().skip(1) {
+            let tones = (0..self.rx.len())
+                .filter_map(|i| self.rx.get(i).map(|rx| (i, rx)))
+                .map(|(i, rx)| {
+                    let (amplitude, length_m) = self.room.direct(&self.tx, index, rx);
+                    self.static_tone(i, amplitude, length_m)
+                })
+                .collect();
+            let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
+            self.keep(tones, |prepared| prepared.room.polyline(index, prepared.tx.position, end));
+        }
+    }
+
+    /// Echoes of an isotropic point of a cross-section by a pair of images, at each receiver.
+    pub(crate) fn point_echoes(
+        &self,
+        point: DVec3,
+        cross_section_m2: f64,
+        phase: f64,
+        p: ImageIndex,
+        q: ImageIndex,
+    ) -> Vec<PointEcho> {
+        let there = self.room.illuminate(&self.tx, p, point);
+        self.rx
+            .iter()
+            .map(|rx| {
+                let back = self.room.illuminate(rx, q, point);
+                let (r_t, r_r) = (there.distance_m.max(0.1), back.distance_m.max(0.1));
+                let aperture = self.aperture_m();
+                let scatter = (cross_section_m2 / (4.0 * std::f64::consts::PI)).sqrt();
+                let amplitude = there.field.received_by(back.field)
+                    * Complex64::from_polar(aperture * scatter / (r_t * r_r), phase);
+                let length_m = there.distance_m + back.distance_m;
+                PointEcho { amplitude, length_m, directions: there.direction + back.direction }
+            })
+            .collect()
+    }
+
+    /// The way from the radar to a point and back by a pair of images, folded into the room.
+    pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex) -> Vec<DVec3> {
+        let mut polyline = self.room.polyline(p, self.tx.position, point);
+        let mut back = self.room.polyline(q, self.tx.position, point);
+        if polyline.is_empty() || back.is_empty() {
+            return Vec::new();
+        }
+        back.reverse();
+        polyline.extend(back.into_iter().skip(1));
+        polyline
+    }
+
+    fn add_point(&mut self, point: DVec3, cross_section_m2: f64, phase: f64) {
+        for (p, q) in self.pairs_near(point, 0.0).into_owned() {
+            let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
+            let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
+            self.keep(tones, |prepared| prepared.point_polyline(point, p, q));
+        }
+    }
+
+    fn add_furniture(&mut self, scene: &Scene, seed: u64) {
+        for (f, furniture) in scene.file().furniture.iter().enumerate() {
+            // What has faces that mirror does not scatter from points as well.
+            if self.room.has_faces_of(f) {
+                continue;
+            }
+            let mut rng = generator(seed, Purpose::Furniture, [f as u64, 0]);
+            let corner = DVec3::from_array(furniture.position_m);
+            let size = DVec3::from_array(furniture.size_m);
+            let radar = self.tx.position - (corner + 0.5 * size);
+            let each = 10f64.powf(0.1 * furniture.cross_section_dbsm()) / furniture.points as f64;
+            for _ in 0..furniture.points {
+                let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
+                // On a face that looks at the radar: one of the two nearer upright ones, or the top.
+                match rng.random_range(0..3) {
+                    0 => at.x = if radar.x > 0.0 { 1.0 } else { 0.0 },
+                    1 => at.y = if radar.y > 0.0 { 1.0 } else { 0.0 },
+                    _ => at.z = if radar.z > 0.0 { 1.0 } else { 0.0 },
+                }
+                self.add_point(corner + at * size, each, rng.random_range(0.0..std::f64::consts::TAU));
+            }
+        }
+        if let Some(desk) = &scene.file().people.desk {
+            let mut rng = generator(seed, Purpose::Desk, [2, 0]);
+            if rng.random::<f64>() < desk.objects_probability {
+                let world_from_radar = scene.radar_from_world().transpose();
+                for _ in 0..rng.random_range(1..4) {
+                    let distance = rng.random_range(0.15..0.9);
+                    let angle = rng.random_range(-0.6..0.6f64);
+                    let along = DVec3::new(angle.cos(), angle.sin(), -0.15) * distance;
+                    let point =
+                        (scene.radar_position() + world_from_radar * along).clamp(DVec3::ZERO, self.room.size_m());
+                    let cross_section_m2 = 10f64.powf(rng.random_range(-3.5..-2.0));
+                    self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
+                }
+            }
+        }
+    }
+}
+
+/// Pairs of images of a lattice with at most so many reflections together, the direct pair first.
+fn lattice_pairs(max_reflections: u32) -> Vec<(ImageIndex, ImageIndex)> {
+    let all = images(max_reflections);
+    all.iter()
+        .flat_map(|&p| all.iter().map(move |&q| (p, q)))
+        .filter(|&(p, q)| order(p) + order(q) <= max_reflections)
+        .collect()
+}

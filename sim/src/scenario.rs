@@ -1,0 +1,533 @@
+//! Presence of people over time: written scripts, endless visits, people who wander, or people at a desk. All drawn from (seed,
+//! slot, visit).
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::{DVec3, EulerRot};
+use rand::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::people::motion::{Bed, Motion, MotionBuilder};
+use crate::people::person::{AtDesk, BodyPoint, Person, Steps, with_gait};
+use crate::people::route::Ground;
+use crate::people::wander;
+use crate::random::{Purpose, draw, generator};
+use crate::scene::Scene;
+use crate::scene::ground::{blocks, walls};
+use crate::scene_file::{
+    ActorFile, BedFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, StepFile, VisitsFile,
+};
+
+/// The people of a scene over all time.
+#[derive(Debug)]
+pub struct Scenario {
+    fixed: Vec<Arc<Motion>>,
+    visits: Option<Visits>,
+}
+
+/// Each slot's visits so far, in order of time; later ones are drawn when they are first asked for.
+#[derive(Debug)]
+struct Visits {
+    seed: u64,
+    file: VisitsFile,
+    size_m: [f64; 2],
+    /// Place on the ground plan and azimuth, rad.
+    radar: ([f64; 2], f64),
+    people: PeopleFile,
+    ground: Option<Ground>,
+    doors: Vec<DoorFile>,
+    seats: Vec<SeatFile>,
+    slots: Vec<Mutex<Vec<Arc<Motion>>>>,
+}
+
+impl Scenario {
+    /// The people of a scene; `people` overrides how many there are at most.
+    pub fn new(scene: &Scene, seed: u64, people: Option<usize>) -> Self {
+        let file = scene.file();
+        let mut scenario = Scenario { fixed: Vec::new(), visits: None };
+        if let Some(visits) = &file.people.visits {
+            scenario.fixed = passer_by(file, visits, seed).into_iter().map(Arc::new).collect();
+            let slots = people.unwrap_or(visits.max_people);
+            scenario.visits = Some(Visits {
+                seed,
+                file: visits.clone(),
+                size_m: [file.room.size_m[0], file.room.size_m[1]],
+                radar: ([file.radar.position_m[0], file.radar.position_m[1]], file.radar.azimuth_deg.to_radians()),
+                people: file.people.clone(),
+                ground: ground(scene),
+                doors: file.door.clone(),
+                seats: file.seat.clone(),
+                slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
+            });
+        } else if let Some(wandering) = &file.people.wander {
+            let all = wander::everybody(file, wandering, blocks(scene), seed, people).into_iter();
+            scenario.fixed = all.map(|(person, wanderer)| Arc::new(Motion::wandering(person, wanderer))).collect();
+        } else if let Some(desk) = &file.people.desk {
+            scenario.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
+        } else {
+            let all = file.people.actor.iter().enumerate();
+            let count = people.unwrap_or(usize::MAX);
+            let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
+            let ground = ground(scene);
+            let one = |(i, a)| Arc::new(scripted(file, ground.as_ref(), a, steps(i), seed, i as u64));
+            scenario.fixed = all.take(count).map(one).collect();
+        }
+        scenario
+    }
+
+    /// Everybody who exists at some time of an interval, with a slot number.
+    pub fn between(&self, start_s: f64, end_s: f64) -> Vec<(usize, Arc<Motion>)> {
+        let overlaps = |m: &Motion| m.start_s <= end_s && m.end_s >= start_s;
+        let mut all: Vec<_> =
+            self.fixed.iter().enumerate().filter(|(_, m)| overlaps(m)).map(|(slot, m)| (slot, Arc::clone(m))).collect();
+        // Those beside visits have slots after theirs.
+        let visitors = self.visits.as_ref().map_or(0, |visits| visits.slots.len());
+        all.iter_mut().for_each(|(slot, _)| *slot += visitors);
+        if let Some(visits) = &self.visits {
+            for slot in 0..visits.slots.len() {
+                all.extend(visits.between(slot, start_s, end_s).into_iter().map(|m| (slot, m)));
+            }
+        }
+        all
+    }
+}
+
+/// Where people may walk; `None` where they walk straight. Walls are in everybody's way, furniture where the scene says how far
+/// people keep off it.
+fn ground(scene: &Scene) -> Option<Ground> {
+    /// Hips keep so far from walls where the scene says nothing else, m.
+    const OFF_WALLS_M: f64 = 0.3;
+    let [width, depth, _] = scene.file().room.size_m;
+    let walls = walls(scene);
+    let has_walls = !walls.is_empty();
+    let ground = match scene.file().people.keep_off_m {
+        Some(keep_off_m) => Some(Ground::new([width, depth], blocks(scene), keep_off_m)),
+        None => has_walls.then(|| Ground::new([width, depth], walls, OFF_WALLS_M)),
+    };
+    ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
+}
+
+/// Walks to a place, around what stands in the way.
+fn go(mut path: MotionBuilder, ground: Option<&Ground>, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
+    let way = ground.map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
+    for corner in way {
+        path = path.walk_to(corner, speed_m_per_s);
+    }
+    path
+}
+
+/// A point so far ahead of another, m.
+fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
+    [x + by_m * heading_rad.cos(), y + by_m * heading_rad.sin()]
+}
+
+/// Depth behind a door at which one is out, and in, m.
+const OUTSIDE_M: f64 = -0.75;
+const INSIDE_M: f64 = 0.6;
+
+/// A script on its way to a motion.
+struct Script<'a> {
+    file: &'a SceneFile,
+    ground: Option<&'a Ground>,
+    size_m: [f64; 2],
+    /// Direction in which the person looks at the beginning, rad.
+    facing_rad: f64,
+}
+
+/// The motion of somebody with a script.
+fn scripted(
+    file: &SceneFile,
+    ground: Option<&Ground>,
+    actor: &ActorFile,
+    steps: Steps,
+    seed: u64,
+    index: u64,
+) -> Motion {
+    let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
+    let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
+    person.steps = steps;
+    person = with_gait(person, &file.people, seed);
+    person.style.stride = actor.stride.unwrap_or(person.style.stride);
+    person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
+    let size_m = [file.room.size_m[0], file.room.size_m[1]];
+    let first = actor.step.first();
+    let door = first.and_then(|s| s.enter_door).and_then(|number| file.door.get(number));
+    let (place, facing_rad) = match door {
+        Some(door) => {
+            let [nx, ny] = inward(size_m, door);
+            (at_door(size_m, door, OUTSIDE_M, 0.0), ny.atan2(nx))
+        }
+        None => {
+            let place = first.and_then(|s| s.walk_to_m).unwrap_or_default();
+            let next = actor.step.iter().skip(1).find_map(|s| s.walk_to_m).unwrap_or(place);
+            (place, (next[1] - place[1]).atan2(next[0] - place[0]))
+        }
+    };
+    let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
+    let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
+    let script = Script { file, ground, size_m, facing_rad };
+    let steps = actor.step.iter().enumerate();
+    let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
+    let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
+    let mut motion = if is_gone { path.leave() } else { path.stay() };
+    // Who does not come in by a door waits where the script begins.
+    if first.is_none_or(|s| s.enter_door.is_none()) {
+        motion.start_s = f64::NEG_INFINITY;
+    }
+    motion
+}
+
+impl Script<'_> {
+    /// Goes on by a step, which may be the first.
+    fn follow(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
+        let speed = step.speed_m_per_s.unwrap_or(1.2);
+        let door = |number: usize| self.file.door.get(number);
+        if let (Some(to), false) = (step.walk_to_m, is_first) {
+            path = go(path, self.ground, to, speed);
+        }
+        if let Some(duration_s) = step.stand_s {
+            path = path.stand(duration_s);
+        }
+        if let Some(duration_s) = step.sit_s {
+            path = match step.seat.and_then(|number| self.file.seat.get(number)) {
+                Some(seat) if seat.back_m > 0.0 => sit_back(path, self.ground, seat, speed, duration_s),
+                Some(seat) => path.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
+                None => path.sit(self.facing_rad, 0.45, duration_s),
+            };
+        }
+        if let Some(duration_s) = step.squat_s {
+            path = path.squat(step.depth_m.unwrap_or(0.45), duration_s);
+        }
+        if let (Some(duration_s), Some(bed)) = (step.lie_s, self.file.bed.get(step.bed.unwrap_or(0)).map(bed)) {
+            path = if is_first {
+                path.lying(&bed, duration_s)
+            } else {
+                let before = bed.stand_m(&path.person().build);
+                go(path, self.ground, before, speed).lie(&bed, duration_s)
+            };
+        }
+        if let Some(degrees) = step.face_deg {
+            path = path.face(degrees.to_radians());
+        }
+        if let Some(door) = step.enter_door.and_then(door) {
+            path = path.walk_to(at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+        }
+        if let Some(door) = step.leave_door.and_then(door) {
+            path = go(path, self.ground, at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+            path = path.walk_to(at_door(self.size_m, door, OUTSIDE_M, 0.0), speed);
+        }
+        path
+    }
+}
+
+/// A bed, as one gets into it.
+fn bed(file: &BedFile) -> Bed {
+    Bed {
+        position_m: file.position_m,
+        heading_rad: file.heading_deg.to_radians(),
+        height_m: file.height_m,
+        edge_m: file.edge_m,
+    }
+}
+
+/// Walks to the place before a seat with a back, and sits there for a while.
+fn sit_back(
+    path: MotionBuilder,
+    ground: Option<&Ground>,
+    seat: &SeatFile,
+    speed: f64,
+    duration_s: f64,
+) -> MotionBuilder {
+    let heading = seat.heading_deg.to_radians();
+    let before = ahead(seat.position_m, heading, seat.back_m);
+    go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
+}
+
+/// Unit vector into a room at a door.
+fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
+    let [x, y] = door.position_m;
+    if x < 1e-6 {
+        [1.0, 0.0]
+    } else if x > size_m[0] - 1e-6 {
+        [-1.0, 0.0]
+    } else if y < 1e-6 {
+        [0.0, 1.0]
+    } else {
+        [0.0, -1.0]
+    }
+}
+
+/// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
+fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+    let [nx, ny] = inward(size_m, door);
+    let room = (0.5 * door.width_m - 0.3).max(0.0);
+    let shift = lateral.clamp(-room, room);
+    // Sideways is +y for doors in x walls and +x for those in y walls, whichever way one goes.
+    let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
+    [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
+}
+
+/// Somebody beyond the far wall, where there is one.
+fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion> {
+    /// Distance beyond the wall, m.
+    const BEYOND_M: [f64; 2] = [0.6, 3.0];
+    /// Ways there and back: more than a run lasts.
+    const LEGS: usize = 400;
+    let mut rng = generator(seed, Purpose::Visit, [u64::MAX, 0]);
+    if rng.random::<f64>() >= visits.passer_by_probability {
+        return None;
+    }
+    let size_m = file.room.size_m;
+    let person = Person::draw(seed, [u64::MAX, 0], draw(&mut rng, visits.height_m));
+    let mut person = with_gait(person, &file.people, seed);
+    let level = 10f64.powf(0.05 * draw(&mut rng, visits.passer_by_level_db));
+    person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
+    let place = |rng: &mut Xoshiro256PlusPlus| [size_m[0] + draw(rng, BEYOND_M), draw(rng, [0.0, size_m[1]])];
+    let mut path = MotionBuilder::new(person, 0.0, place(&mut rng), 0.0);
+    for _ in 0..LEGS {
+        let (to, speed) = (place(&mut rng), draw(&mut rng, visits.speed_m_per_s));
+        path = path.walk_to(to, speed);
+        if rng.random::<f64>() < visits.pause_probability {
+            path = path.stand(draw(&mut rng, visits.pause_s));
+        }
+    }
+    let mut motion = path.stay();
+    motion.start_s = f64::NEG_INFINITY;
+    Some(motion)
+}
+
+/// Draws that people at a desk share.
+struct DeskDraws<'a> {
+    scene: &'a Scene,
+    desk: &'a DeskFile,
+    seed: u64,
+    /// Boresight on the ground plan, rad.
+    azimuth: f64,
+    level_db: f64,
+    double_bounce: f64,
+    double_bounce_offset_m: f64,
+}
+
+/// People who sit before the radar.
+fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
+    let mut rng = generator(seed, Purpose::Desk, [0, 0]);
+    let drawn = rng.random_range(0..=desk.max_people);
+    let count = people.unwrap_or(drawn);
+    let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
+    let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
+    let [nearest, farthest] = desk.distance_m;
+    // Two people share the stretch in any way that keeps them apart, to either side: bodies do not overlap.
+    let apart = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
+    let apart = if count > 1 { rng.random_range(apart) } else { 0.0 };
+    let first = draw(&mut rng, [nearest, (farthest - apart).max(nearest)]);
+    let draws = DeskDraws {
+        scene,
+        desk,
+        seed,
+        azimuth,
+        level_db: draw(&mut rng, desk.reflectivity_db),
+        double_bounce: desk.double_bounce_db.map_or(0.0, |db| 10f64.powf(0.05 * draw(&mut rng, db))),
+        double_bounce_offset_m: draw(&mut rng, desk.double_bounce_offset_m),
+    };
+    // Far off the boresight where there are two.
+    let least_off = if count > 1 { 0.6 } else { 0.0 };
+    let sits = |slot: usize| {
+        let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
+        draws.person(slot as u64, [first, first + apart][slot.min(1)], side, least_off)
+    };
+    (0..count).map(sits).collect()
+}
+
+impl DeskDraws<'_> {
+    /// The person of a slot, whose chest is at a distance from the radar, m, on a side of its boresight, and off that by a part of the
+    /// greatest angle or more.
+    fn person(&self, slot: u64, distance: f64, side: f64, least_off: f64) -> Motion {
+        let desk = self.desk;
+        let mut rng = generator(self.seed, Purpose::Desk, [1, slot]);
+        let angle = self.azimuth + side * desk.off_boresight_deg.to_radians() * rng.random_range(least_off..1.0);
+        let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
+        let person = Person::draw(self.seed, [slot, 1 << 20], height);
+        let mut person = with_gait(person, &self.scene.file().people, self.seed);
+        person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
+        person.at_ease();
+        let scatter_db = desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0);
+        let reflectivity = 10f64.powf(0.05 * (self.level_db + scatter_db));
+        person.cloth.iter_mut().for_each(|c| *c *= reflectivity);
+        let mut arm = || (rng.random_range(-0.35..0.5), rng.random_range(-0.6..0.5));
+        let arms_rad = [arm(), arm()];
+        person.at_desk = Some(AtDesk {
+            double_bounce: self.double_bounce,
+            double_bounce_offset_m: self.double_bounce_offset_m,
+            points: self.body_points(slot, reflectivity, &mut rng),
+            point_decay_db_per_m: draw(&mut rng, desk.body_point_decay_db_per_m),
+            arms_rad,
+            lean_rad: rng.random_range(-0.12..0.15),
+        });
+        // The chest's front surface is about this far before the hips.
+        let hips = distance + 0.115 * person.build.girth;
+        let radar = self.scene.radar_position();
+        let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];
+        let facing = angle + std::f64::consts::PI + rng.random_range(-0.3..0.3);
+        let mut motion = MotionBuilder::new(person, 0.0, place, facing).seated(0.45).stay();
+        motion.start_s = f64::NEG_INFINITY;
+        motion
+    }
+
+    /// Scattering points about the body of a slot.
+    fn body_points(&self, slot: u64, reflectivity: f64, rng: &mut Xoshiro256PlusPlus) -> Vec<BodyPoint> {
+        let mut detours = generator(self.seed, Purpose::Desk, [4, slot]);
+        let mut point = || BodyPoint {
+            place: DVec3::new(rng.random_range(-0.6..0.8), rng.random_range(-1.5..1.5), rng.random_range(-1.6..1.4)),
+            scatter_m: reflectivity
+                * (10f64.powf(0.1 * draw(rng, self.desk.body_point_dbsm)) / (4.0 * std::f64::consts::PI)).sqrt(),
+            detour_m: draw(&mut detours, self.desk.body_point_detour_m),
+        };
+        (0..self.desk.body_points).map(|_| point()).collect()
+    }
+}
+
+/// Draws of a place to pace to.
+const PLACES: usize = 40;
+
+impl Visits {
+    fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
+        let Some(visits) = self.slots.get(slot) else { return Vec::new() };
+        let mut visits = visits.lock().unwrap_or_else(PoisonError::into_inner);
+        while visits.last().is_none_or(|v| v.start_s <= end_s) {
+            let number = visits.len() as u64;
+            let mut rng = generator(self.seed, Purpose::Visit, [slot as u64, number]);
+            let begin = match visits.last() {
+                None => draw(&mut rng, self.file.first_absence_s),
+                Some(last) => last.end_s + draw(&mut rng, self.file.absence_s),
+            };
+            visits.push(Arc::new(self.visit(slot, number, begin, &mut rng)));
+        }
+        let first = visits.partition_point(|v| v.end_s < start_s);
+        visits.iter().skip(first).take_while(|v| v.start_s <= end_s).cloned().collect()
+    }
+
+    fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+        let [w, d] = self.size_m;
+        let within = |x: f64, y: f64| [[x, y], [w - x, d - y]];
+        let by_margin = |margin: f64| within(margin.min(0.5 * w), margin.min(0.5 * d));
+        let area = self.file.pace_area_m.or(self.file.pace_margin_m.map(by_margin));
+        let [low, high] = area.unwrap_or(within(0.25 * w, 0.25 * d));
+        let mut at = [0.0; 2];
+        // A place that will not do is drawn again; where the room has none, the last one has to.
+        for _ in 0..PLACES {
+            at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
+            if self.is_in_view(at) && self.is_free(at) {
+                break;
+            }
+        }
+        at
+    }
+
+    /// Whether the file lets people pace there.
+    fn is_in_view(&self, [x, y]: [f64; 2]) -> bool {
+        let ([radar_x, radar_y], azimuth) = self.radar;
+        let (east, north) = (x - radar_x, y - radar_y);
+        let (sine, cosine) = azimuth.sin_cos();
+        let (along, across) = (east * cosine + north * sine, north * cosine - east * sine);
+        let off_deg = across.atan2(along).to_degrees().abs();
+        self.file.pace_off_boresight_deg.is_none_or(|most| off_deg <= most)
+            && self.file.pace_range_m.is_none_or(|[least, most]| (least..=most).contains(&along.hypot(across)))
+    }
+
+    /// Walks to a place, around what stands in the way.
+    fn go(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
+        go(path, self.ground.as_ref(), to, speed)
+    }
+
+    /// Whether nothing stands at a place.
+    fn is_free(&self, at: [f64; 2]) -> bool {
+        self.ground.as_ref().is_none_or(|ground| ground.is_free(at))
+    }
+
+    /// A visit of a slot: in by a door, to a seat, to and fro, or through the room, and out again.
+    fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
+        let f = &self.file;
+        let speed = draw(rng, f.speed_m_per_s);
+        let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
+        let person = with_gait(person, &self.people, self.seed);
+        let side = if slot.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let lateral = side * draw(rng, f.lateral_m);
+        let [entry, exit] = self.entry_and_exit(rng);
+        let at_door = |door: &DoorFile, depth: f64| at_door(self.size_m, door, depth, lateral);
+        let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
+        let [nx, ny] = inward(self.size_m, &entry);
+        let path = MotionBuilder::new(person, begin_s, at_door(&entry, OUTSIDE_M), ny.atan2(nx)).turning_at(turn_rate);
+        let mut path = path.walk_to(at_door(&entry, INSIDE_M), speed);
+
+        let sits = rng.random::<f64>() < f.sit_probability && !self.seats.is_empty();
+        let paces = rng.random::<f64>() < f.pace_probability;
+        let turns = rng.random::<f64>() < f.turn_probability;
+        let pause_s = if rng.random::<f64>() < f.pause_probability { draw(rng, f.pause_s) } else { 0.0 };
+        let mut leave_by = &exit;
+        if sits {
+            path = self.sit(path, slot, speed, rng);
+        } else if paces {
+            path = self.pace(path, speed, rng);
+        } else if self.doors.len() > 1 {
+            let stop = self.stop(path.place(), at_door(&exit, INSIDE_M), rng);
+            if turns {
+                leave_by = &entry;
+            }
+            if turns || pause_s > 0.0 {
+                path = self.go(path, stop, speed).stand(pause_s);
+            }
+        } else {
+            let to = self.pace_point(rng);
+            path = self.go(path, to, speed).stand(pause_s);
+        }
+        path = self.go(path, at_door(leave_by, INSIDE_M), speed);
+        path.walk_to(at_door(leave_by, OUTSIDE_M), speed).leave()
+    }
+
+    /// Draws the doors by which somebody comes and, without turning round, goes: two where there are two.
+    fn entry_and_exit(&self, rng: &mut Xoshiro256PlusPlus) -> [DoorFile; 2] {
+        let count = self.doors.len();
+        let pick = rng.random_range(0..count.max(1));
+        let other = if count > 1 { (pick + 1 + rng.random_range(0..count - 1)) % count } else { pick };
+        // `check` refuses visits without a door; a default keeps this total.
+        let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
+        [pick, other].map(|number| self.doors.get(number).copied().unwrap_or(fallback))
+    }
+
+    /// Goes to the seat of a slot and sits there for a while. Slots have their own seats, so that no two people share one.
+    fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
+        let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
+        let sit_s = draw(rng, self.file.sit_s);
+        if seat.back_m > 0.0 {
+            return sit_back(path, self.ground.as_ref(), seat, speed, sit_s);
+        }
+        let heading = seat.heading_deg.to_radians();
+        let front = ahead(seat.position_m, heading, 0.35);
+        let path = self.go(path, front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
+        path.walk_to(front, 0.6)
+    }
+
+    fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
+        for _ in 0..draw(rng, self.file.pace_legs).round() as usize {
+            let to = self.pace_point(rng);
+            path = self.go(path, to, speed);
+            if rng.random::<f64>() < self.file.pause_probability {
+                path = path.stand(draw(rng, self.file.pause_s));
+            }
+        }
+        path
+    }
+
+    /// Draws a free place on the way through the room: the last one drawn where none is free.
+    fn stop(&self, from: [f64; 2], to: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+        let mut stop = from;
+        for _ in 0..PLACES {
+            let fraction = rng.random_range(0.3..0.8);
+            stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
+            if self.is_free(stop) {
+                break;
+            }
+        }
+        stop
+    }
+}

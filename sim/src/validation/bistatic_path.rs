@@ -1,0 +1,77 @@
+//! A transmitter and a receiver, and what a surface element does between them.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::endpoint::Endpoint;
+use super::facet::Sample;
+use crate::em::Phasor3;
+use crate::em::current::{Arrival, Listener, heard};
+use crate::em::image::Wall;
+
+/// A transmitter and a receiver whose fields have unit strength in every direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BistaticPath {
+    /// Source of the wave.
+    pub tx: Endpoint,
+    /// Receiver of the wave.
+    pub rx: Endpoint,
+    /// Polarisation of the transmitter, unit vector.
+    pub tx_polarisation: DVec3,
+    /// Polarisation of the receiver, unit vector.
+    pub rx_polarisation: DVec3,
+}
+
+/// Unit polarisation across a direction of travel, as near to the antenna's own as it can be.
+pub fn transverse(polarisation: DVec3, direction: DVec3) -> DVec3 {
+    (polarisation - direction * direction.dot(polarisation)).normalize_or(direction.any_orthonormal_vector())
+}
+
+impl BistaticPath {
+    /// One antenna that sends and listens.
+    pub fn monostatic(end: Endpoint, polarisation: DVec3) -> Self {
+        BistaticPath { tx: end, rx: end, tx_polarisation: polarisation, rx_polarisation: polarisation }
+    }
+
+    /// Whether one antenna sends and listens.
+    pub fn is_monostatic(&self) -> bool {
+        self.tx == self.rx && self.tx_polarisation == self.rx_polarisation
+    }
+
+    /// Integrand of physical optics at a surface point. A two-sided sheet is turned to whoever sees it.
+    #[inline]
+    pub fn sample(
+        &self,
+        point: DVec3,
+        normal: DVec3,
+        two_sided: bool,
+        boundary: &Wall,
+        wavenumber_per_m: f64,
+    ) -> Sample {
+        let there = self.tx.leg(point);
+        let cosine = normal.dot(there.towards);
+        if *boundary == Wall::Conductor && self.is_monostatic() {
+            // What the vectors come to for a conductor and one antenna.
+            let cosine = if two_sided { cosine.abs() } else { cosine };
+            let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
+            return Sample { length_m: 2.0 * there.length_m, amplitude, lit: cosine > 0.0 };
+        }
+        let back = self.rx.leg(point);
+        let normal = if two_sided && cosine < 0.0 { -normal } else { normal };
+        let length_m = there.length_m + back.length_m;
+        let lit = normal.dot(there.towards) > 0.0 && normal.dot(back.towards) > 0.0;
+        if !lit {
+            return Sample { length_m, amplitude: Complex64::ZERO, lit };
+        }
+        let direction = -there.towards;
+        let arrival = Arrival { field: Phasor3::real(transverse(self.tx_polarisation, direction)), direction };
+        let listener = self.listener(back.towards);
+        let amplitude = heard(&arrival, normal, boundary, wavenumber_per_m, &listener);
+        Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
+    }
+
+    /// The receiver as a point sees it that lies in the direction opposite to `towards`.
+    pub fn listener(&self, towards: DVec3) -> Listener {
+        Listener { towards, polarisation: transverse(self.rx_polarisation, towards) }
+    }
+}

@@ -1,0 +1,140 @@
+//! Physical optics over a surface, facet by facet: `int A e^{-jk(R_t + R_r)} dS` with exact phases at the vertices, the
+//! triangle integral in between, and facets cut until the phase bends little inside each.
+//!
+//! Strength is linear inside a facet too, as phase is. Far from stationary points the sum lives on neighbours cancelling at
+//! their common edges, and facets of constant strength do not: on a sphere of 5 mm facets they leave 0.1 dB where linear ones
+//! leave 0.01.
+//!
+//! Whether an edge is cut depends on that edge alone: both of its facets decide alike, no vertex ever hangs on a neighbour's
+//! edge, and the vertex phases of interior edges cancel exactly. The half-way point of an edge lies on the curve that its
+//! ends' normals describe, so that the facets of a coarse mesh follow the body that it stands for.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use crate::em::triangle;
+use crate::geometry::{Surface, halfway, split};
+
+/// Integrand at a point of the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Path length `R_t + R_r`, m.
+    pub length_m: f64,
+    /// Everything but the phase of the path; zero in the dark.
+    pub amplitude: Complex64,
+    /// Whether both ends see the point's front.
+    pub lit: bool,
+}
+
+/// A surface integral and what it took.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Integral {
+    /// The integral, m^2 times the integrand's unit.
+    pub value: Complex64,
+    /// Facets that were evaluated.
+    pub facets: usize,
+    /// The largest bend, rad, that was left uncut: less than the tolerance, and how much less says whether a finer one would
+    /// have changed anything.
+    pub bend_rad: f64,
+}
+
+/// Cuts an edge deeper than this no more: a thousandth part of it and less.
+const MAX_DEPTH: u32 = 11;
+/// Phase difference along an edge, rad, beyond which the facet's contribution is so far from stationary that its bending
+/// matters less, by the square of the ratio.
+const STATIONARY_RAD: f64 = 30.0;
+
+/// Accuracy of an integration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Accuracy {
+    /// Wave number, 1/m.
+    pub wavenumber_per_m: f64,
+    /// Phase, rad, by which the middle of an edge may miss the mean of its ends. The facet is then integrated as the four that
+    /// its middles make of it, less their mean residual: half a radian leaves some hundredths of a decibel.
+    pub tolerance_rad: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Corner {
+    point: DVec3,
+    normal: DVec3,
+    sample: Sample,
+}
+
+struct Integrator<F> {
+    accuracy: Accuracy,
+    sample: F,
+    sum: Integral,
+}
+
+/// Integrates over a surface. `sample` is asked for the integrand at points of the surface with their unit normals.
+pub fn integrate<F: Fn(DVec3, DVec3) -> Sample>(surface: &Surface, accuracy: Accuracy, sample: F) -> Integral {
+    let corners: Vec<Corner> = surface
+        .vertices
+        .iter()
+        .zip(&surface.normals)
+        .map(|(&point, &normal)| Corner { point, normal, sample: sample(point, normal) })
+        .collect();
+    let mut integrator = Integrator { accuracy, sample, sum: Integral::default() };
+    for triangle in &surface.triangles {
+        if let [Some(a), Some(b), Some(c)] = triangle.map(|i| corners.get(i as usize)) {
+            integrator.facet([a, b, c], 0);
+        }
+    }
+    integrator.sum
+}
+
+impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
+    /// The middle of an edge, and whether the edge is to be cut there.
+    fn middle(&mut self, a: &Corner, b: &Corner, depth: u32) -> (Corner, bool) {
+        let (point, normal) = halfway(a.point, a.normal, b.point, b.normal);
+        let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
+        let k = self.accuracy.wavenumber_per_m;
+        let bend = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
+        let along = k * (b.sample.length_m - a.sample.length_m) / STATIONARY_RAD;
+        let weighed = bend.abs() / (1.0 + along * along);
+        let bent = weighed > self.accuracy.tolerance_rad;
+        // Where light ends, facets of no more than a wavelength.
+        let edge_of_light = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
+        let cut = depth < MAX_DEPTH && (bent || edge_of_light);
+        if !cut {
+            self.sum.bend_rad = self.sum.bend_rad.max(weighed);
+        }
+        (corner, cut)
+    }
+
+    fn facet(&mut self, [a, b, c]: [&Corner; 3], depth: u32) {
+        if !(a.sample.lit || b.sample.lit || c.sample.lit) {
+            return;
+        }
+        let (ab, cut_ab) = self.middle(a, b, depth);
+        let (bc, cut_bc) = self.middle(b, c, depth);
+        let (ca, cut_ca) = self.middle(c, a, depth);
+        if !(cut_ab || cut_bc || cut_ca) {
+            return self.leaf([a, b, c], [&ab, &bc, &ca]);
+        }
+        let middles = [cut_ab.then_some(&ab), cut_bc.then_some(&bc), cut_ca.then_some(&ca)];
+        for part in split([a, b, c], middles, |p, q| p.point.distance_squared(q.point)) {
+            self.facet(part, depth + 1);
+        }
+    }
+
+    /// A facet that is cut no more, as the four triangles that its middles make of it: their samples are there anyway.
+    fn leaf(&mut self, [a, b, c]: [&Corner; 3], [ab, bc, ca]: [&Corner; 3]) {
+        let ends = a.sample.length_m + b.sample.length_m + c.sample.length_m;
+        let between = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;
+        // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
+        let residual = (between - ends) / 12.0;
+        for [p, q, r] in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+            self.sum.facets += 1;
+            let k = self.accuracy.wavenumber_per_m;
+            // Phases about their mean, so that the integral works on small numbers.
+            let mean = (p.sample.length_m + q.sample.length_m + r.sample.length_m) / 3.0;
+            let phase = |corner: &Corner| -k * (corner.sample.length_m - mean);
+            let [x, y, z] = triangle::moments(phase(p), phase(q), phase(r));
+            let integral = x * p.sample.amplitude + y * q.sample.amplitude + z * r.sample.amplitude;
+            let twice_area = (q.point - p.point).cross(r.point - p.point).length();
+            self.sum.value += integral * Complex64::from_polar(twice_area, -k * (mean + residual));
+        }
+    }
+}

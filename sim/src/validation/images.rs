@@ -1,0 +1,273 @@
+//! Multiple reflection between plane faces: images by every sequence of facets, physical optics over the last.
+//!
+//! Facets, the sequences in which waves may meet them, and fields after reflections are those of scenes
+//! ([`crate::paths`]). What light of a sequence falls on its last facet is a polygon, cut from the facet by the (mirrored)
+//! facets before it as seen from the last image. Every current sees each field of geometrical optics once: the sequences 1-2
+//! and 2-1 of a dihedral are two integrals, and nothing that physical optics has scattered is reflected again.
+//!
+//! Facets do not hide each other but by facing away: corners, not rooms with furniture. Every sequence is tried: rays that
+//! find sequences in scenes are traced in single precision, from antennas that are near.
+
+use glam::{DMat3, DVec3};
+use num_complex::Complex64;
+
+use super::bistatic_path::{BistaticPath, transverse};
+use super::endpoint::Endpoint;
+use super::facet::{Accuracy, Integral, Sample, integrate};
+use crate::em::Phasor3;
+use crate::em::current::{Arrival, heard};
+use crate::em::image::Wall;
+use crate::geometry::{Surface, polygon};
+use crate::paths::exhaustive::all_sequences;
+use crate::paths::{Environment, EnvironmentError, Facet, FacetId};
+
+/// From a radar infinitely far waves come as from one at this distance, as far as it says which facets they may meet, m.
+const FAR_M: f64 = 1e6;
+
+/// Plane facets of one material before a radar.
+#[derive(Debug, Clone)]
+pub struct Images {
+    environment: Environment,
+    boundary: Wall,
+    path: BistaticPath,
+    ways: Vec<Way>,
+}
+
+/// A sequence of facets and what its light falls on.
+#[derive(Debug, Clone)]
+pub struct Way {
+    /// Facets in the order in which the wave meets them.
+    pub facets: Vec<FacetId>,
+    /// Image of the transmitter by all facets but the last.
+    source: Endpoint,
+    /// Image of a vector of the transmitter.
+    mirror: DMat3,
+    /// Lengths by a far source leave this out, m.
+    longer_m: f64,
+    /// The lit part of the last facet.
+    lit: Surface,
+}
+
+impl Images {
+    /// Convex polygons of a material, counter-clockwise seen from where they reflect, and every sequence of at most so many of
+    /// them that light reaches.
+    ///
+    /// # Errors
+    /// If a face is no plane polygon, or the environment of scenes refuses them.
+    pub fn new(
+        faces: Vec<Vec<DVec3>>,
+        boundary: Wall,
+        path: BistaticPath,
+        wavenumber_per_m: f64,
+        max_bounces: usize,
+    ) -> Result<Self, EnvironmentError> {
+        let facets = faces.into_iter().map(|corners| Facet::new(corners, boundary)).collect();
+        let environment = Environment::new(facets, wavenumber_per_m)?;
+        let origin = match path.tx {
+            Endpoint::Near(antenna) => antenna,
+            Endpoint::Far(towards) => towards * FAR_M,
+        };
+        let sequences = all_sequences(&environment, origin, max_bounces);
+        let ways = sequences.into_iter().filter_map(|facets| Way::new(&environment, &path, facets)).collect();
+        Ok(Images { environment, boundary, path, ways })
+    }
+
+    /// The facets.
+    pub fn environment(&self) -> &Environment {
+        &self.environment
+    }
+
+    /// Every sequence that lights something.
+    pub fn ways(&self) -> &[Way] {
+        &self.ways
+    }
+
+    /// Field that a sequence sends to the receiver from its last facet.
+    pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
+        let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
+        integrate(&way.lit, accuracy, |point, normal| {
+            let (there, back) = (way.source.leg(point), self.path.rx.leg(point));
+            let length_m = there.length_m + way.longer_m + back.length_m;
+            let lit = normal.dot(there.towards) > 0.0 && normal.dot(back.towards) > 0.0;
+            if !lit {
+                return Sample { length_m, amplitude: Complex64::ZERO, lit };
+            }
+            let direction = -there.towards;
+            let launched = transverse(way.mirror * self.path.tx_polarisation, direction);
+            let field = self.environment.reflected(before, &[], direction, Phasor3::real(launched));
+            let listener = self.path.listener(back.towards);
+            let arrival = Arrival { field, direction };
+            let amplitude = heard(&arrival, normal, &self.boundary, accuracy.wavenumber_per_m, &listener);
+            Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
+        })
+    }
+}
+
+impl Way {
+    /// `None` where no light falls on the last facet, and of no facet.
+    fn new(environment: &Environment, path: &BistaticPath, facets: Vec<FacetId>) -> Option<Self> {
+        let (last, before) = facets.split_last()?;
+        let (mut source, mut mirror, mut longer_m) = (path.tx, DMat3::IDENTITY, 0.0);
+        // What the wave has passed, in the same mirrored space.
+        let mut windows: Vec<Vec<DVec3>> = Vec::new();
+        for &facet in before {
+            let (corners, normal) = (&environment.facet(facet)?.corners, environment.normal(facet)?);
+            let on_plane = *corners.first()?;
+            let image = |p: DVec3| p - normal * (2.0 * normal.dot(p - on_plane));
+            windows.iter_mut().flatten().for_each(|corner| *corner = image(*corner));
+            windows.push(corners.clone());
+            if let Endpoint::Far(towards) = source {
+                longer_m -= 2.0 * normal.dot(towards) * normal.dot(on_plane);
+            }
+            source = source.mirrored(on_plane, normal);
+            let of_axis = |axis: DVec3| axis - normal * (2.0 * normal.dot(axis));
+            mirror = DMat3::from_cols(of_axis(DVec3::X), of_axis(DVec3::Y), of_axis(DVec3::Z)) * mirror;
+        }
+        let corners = environment.facet(*last)?.corners.clone();
+        let lit = windows.iter().fold(corners, |lit, window| through_window(lit, window, &source));
+        let lit = fan(&lit, environment.normal(*last)?);
+        (!lit.triangles.is_empty()).then_some(Way { source, mirror, longer_m, lit, facets })
+    }
+}
+
+/// A convex polygon as triangles.
+fn fan(corners: &[DVec3], normal: DVec3) -> Surface {
+    Surface {
+        vertices: corners.to_vec(),
+        normals: vec![normal; corners.len()],
+        triangles: (2..corners.len() as u32).map(|i| [0, i - 1, i]).collect(),
+        two_sided: false,
+    }
+}
+
+/// The part of a convex polygon that a endpoint sees through a convex window, behind it.
+fn through_window(polygon: Vec<DVec3>, window: &[DVec3], endpoint: &Endpoint) -> Vec<DVec3> {
+    let normal = polygon::normal(window);
+    let middle = polygon::centroid(window);
+    let away = if endpoint.side(middle, normal) > 0.0 { -normal } else { normal };
+    let mut left = polygon::clipped(&polygon, middle, away);
+    for [a, b] in polygon::sides(window) {
+        let side = (b - a).cross(endpoint.leg(a).towards);
+        let inwards = if side.dot(middle - a) < 0.0 { -side } else { side };
+        left = polygon::clipped(&left, a, inwards);
+    }
+    left
+}
+
+/// The two square faces of a dihedral whose edge stands on the z axis, opening towards +x and +y.
+pub fn dihedral(width_m: f64, height_m: f64) -> Vec<Vec<DVec3>> {
+    let (low, high) = (-0.5 * height_m, 0.5 * height_m);
+    let face = |along: DVec3| {
+        vec![DVec3::Z * low, along * width_m + DVec3::Z * low, along * width_m + DVec3::Z * high, DVec3::Z * high]
+    };
+    // Counter-clockwise from the front: the face along x looks to +y, the one along y to +x.
+    let mut along_x = face(DVec3::X);
+    along_x.reverse();
+    vec![along_x, face(DVec3::Y)]
+}
+
+/// The faces of a trihedral with its corner at the origin and its edges on the positive axes: triangles or squares.
+pub fn trihedral(edge_m: f64, is_square: bool) -> Vec<Vec<DVec3>> {
+    let face = |u: DVec3, v: DVec3| {
+        let mut corners = vec![DVec3::ZERO, u * edge_m];
+        if is_square {
+            corners.push((u + v) * edge_m);
+        }
+        corners.push(v * edge_m);
+        corners
+    };
+    vec![face(DVec3::X, DVec3::Y), face(DVec3::Y, DVec3::Z), face(DVec3::Z, DVec3::X)]
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::paths::{ImagePaths, LaunchOptions};
+
+    const K: f64 = 1_257.507_013_171_009;
+    const ACCURACY: Accuracy = Accuracy { wavenumber_per_m: K, tolerance_rad: 0.03 };
+
+    fn images(faces: Vec<Vec<DVec3>>, end: Endpoint, max_bounces: usize) -> Images {
+        let path = BistaticPath::monostatic(end, DVec3::Z);
+        Images::new(faces, Wall::Conductor, path, K, max_bounces).expect("plane faces")
+    }
+
+    /// Integrals by sequences of so many facets.
+    fn of_order(images: &Images, order: usize) -> Vec<Complex64> {
+        let ways = images.ways().iter().filter(|way| way.facets.len() == order);
+        ways.map(|way| images.integrate(way, ACCURACY)).filter(|i| i.facets > 0).map(|i| i.value).collect()
+    }
+
+    /// Both orders carry the same, each lights all of its last face at 45 degrees, and nothing else has two bounces.
+    #[test]
+    fn a_dihedral_has_two_orders_counted_once_each() {
+        let far = Endpoint::Far(DVec3::new(1.0, 1.0, 0.0).normalize());
+        let found = images(dihedral(0.1, 0.1), far, 4);
+        let double = of_order(&found, 2);
+        assert_eq!(double.len(), 2);
+        for value in &double {
+            // Area times cosine, no phase at all: the corner is the origin.
+            assert!((value.norm() - 0.01 * 0.5f64.sqrt()).abs() < 1e-12, "{value}");
+        }
+        assert!((double[0] - double[1]).norm() < 1e-12);
+        assert!(of_order(&found, 3).is_empty() && of_order(&found, 4).is_empty());
+    }
+
+    /// Six orders of three bounces, whose lit polygons together are the aperture of the closed form.
+    #[test]
+    fn a_trihedral_has_six_orders() {
+        for (is_square, area) in [(false, 0.01 / 3f64.sqrt()), (true, 0.01 * 3f64.sqrt())] {
+            let found = images(trihedral(0.1, is_square), Endpoint::Far(DVec3::ONE.normalize()), 6);
+            let triple = of_order(&found, 3);
+            assert_eq!(triple.len(), 6);
+            let sum: Complex64 = triple.iter().sum();
+            assert!((sum.norm() / area - 1.0).abs() < 1e-9, "{sum} {area}");
+        }
+    }
+
+    /// A corner anywhere else sends back the same to a radar infinitely far, in all of its orders together.
+    #[test]
+    fn a_corner_s_place_does_not_matter_from_afar() {
+        let towards = DVec3::new(0.6, 0.7, 0.4).normalize();
+        let sum = |shift: DVec3| -> Complex64 {
+            let mut faces = trihedral(0.1, true);
+            faces.iter_mut().flatten().for_each(|corner| *corner += shift);
+            let found = images(faces, Endpoint::Far(towards), 3);
+            found.ways().iter().map(|way| found.integrate(way, ACCURACY).value).sum()
+        };
+        let (here, there) = (sum(DVec3::ZERO), sum(DVec3::new(0.31, -0.27, 0.53)));
+        assert!((here.norm() / there.norm() - 1.0).abs() < 1e-9, "{here} {there}");
+    }
+
+    /// Rays as scenes launch them find every sequence by which a corner a metre away lights more than a twentieth of a face.
+    #[test]
+    fn rays_find_the_sequences_of_a_corner() {
+        let radar = DVec3::new(0.5, 0.62, 0.55);
+        let found = images(trihedral(1.0, true), Endpoint::Near(radar * 1.5), 3);
+        let environment = Arc::new(found.environment().clone());
+        let options = LaunchOptions { max_order: 3, ..LaunchOptions::default() };
+        let by_rays = ImagePaths::discover(environment, radar * 1.5, &options);
+        let known: Vec<&Vec<FacetId>> = by_rays.images().iter().flat_map(|image| &image.sequences).collect();
+        let lit: Vec<&Way> = found.ways().iter().filter(|way| way.lit.mesh().area_m2() > 0.05).collect();
+        assert!(lit.iter().any(|way| way.facets.len() == 3), "a corner has paths of three reflections");
+        for way in lit {
+            assert!(known.contains(&&way.facets), "{:?}", way.facets);
+        }
+    }
+
+    /// A pinhole camera's window halves what lies twice as far behind it, a far one keeps its size.
+    #[test]
+    fn windows_throw_shadows_of_the_right_size() {
+        let square = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
+        let window = [0.4, 0.6, 0.6, 0.4].iter().zip([0.4, 0.4, 0.6, 0.6]).map(|(x, y)| DVec3::new(*x, y, 1.0));
+        let window: Vec<DVec3> = window.collect();
+        let near = through_window(square.to_vec(), &window, &Endpoint::Near(DVec3::new(0.5, 0.5, 2.0)));
+        assert!((polygon::area_m2(&near) - 0.16).abs() < 1e-12, "{near:?}");
+        let far = through_window(square.to_vec(), &window, &Endpoint::Far(DVec3::Z));
+        assert!((polygon::area_m2(&far) - 0.04).abs() < 1e-12);
+        // What lies before the window is not seen through it.
+        assert!(through_window(square.to_vec(), &window, &Endpoint::Far(-DVec3::Z)).is_empty());
+    }
+}

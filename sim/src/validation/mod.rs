@@ -1,0 +1,354 @@
+//! Radar cross-sections of canonical targets, by the integrators of scenes, beside values that are known without them.
+//!
+//! Round bodies are solved by the specular points of people's ellipsoids ([`crate::em::specular`]), closed smooth meshes by the patches
+//! of skins ([`crate::echo::still`]), plane faces by the facets, sequences and reflections of rooms ([`images`]). Two things are here
+//! alone, because scenes lack them: radars infinitely far ([`endpoint`]), and physical optics on flat or open surfaces ([`facet`], the
+//! last surface of a sequence).
+//!
+//! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
+//! solved to a tolerance. Far from the target the cross-section is the textbook's; near it, it is the one that a radar at that
+//! range would report: `4 pi (k/2 pi)^2 |I|^2 R^4` with the range measured to the target's reference point, which is the
+//! middle of a plate, the corner of a dihedral or trihedral, the pole of a mirror, and the surface under the radar of a round
+//! body. The radar sends and listens with one antenna of unit field in every direction.
+
+pub mod bistatic_path;
+pub mod closed_form;
+pub mod dense;
+pub mod edge;
+pub mod endpoint;
+pub mod facet;
+pub mod images;
+pub mod mie;
+mod problem;
+
+use std::f64::consts::{FRAC_PI_4, TAU};
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use thiserror::Error;
+
+use crate::em::image::Wall;
+use crate::geometry::Surface;
+use crate::paths::EnvironmentError;
+use bistatic_path::BistaticPath;
+pub use closed_form::{Known, known};
+use endpoint::Endpoint;
+pub use problem::{Outcome, Problem};
+
+/// Outline of a trihedral's faces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outline {
+    /// Right triangles.
+    Triangular,
+    /// Squares.
+    Square,
+}
+
+/// Target. Axes are the target's own: see each kind.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Target {
+    /// A flat rectangle that looks along +x, width along y, height along z; reflects on either side.
+    Plate {
+        /// Along y, m.
+        width_m: f64,
+        /// Along z, m.
+        height_m: f64,
+    },
+    /// Two square faces that meet on the z axis and open towards +x and +y.
+    Dihedral {
+        /// Across the edge, m.
+        width_m: f64,
+        /// Along the edge, m.
+        height_m: f64,
+    },
+    /// Three square faces that meet at the origin, edges on the positive axes.
+    Trihedral {
+        /// Length of the edges that meet, m.
+        edge_m: f64,
+        /// Triangles or squares.
+        outline: Outline,
+    },
+    /// A sphere about the origin.
+    Sphere {
+        /// Radius, m.
+        radius_m: f64,
+    },
+    /// The side of a cylinder about the z axis, without lids.
+    Cylinder {
+        /// Radius, m.
+        radius_m: f64,
+        /// Along z, m.
+        height_m: f64,
+    },
+    /// An ellipsoid about the origin.
+    Ellipsoid {
+        /// Semi-axes along x, y, z, m.
+        semi_axes_m: DVec3,
+    },
+    /// A concave spherical mirror that looks along +x, its pole at the origin.
+    Mirror {
+        /// Radius of curvature, m.
+        radius_m: f64,
+        /// Diameter of the aperture, m.
+        aperture_m: f64,
+    },
+    /// Any surface.
+    Surface {
+        /// Triangles with normals.
+        surface: Surface,
+    },
+}
+
+impl Target {
+    /// Whence ranges are measured, for a radar in this direction.
+    pub fn reference_point(&self, towards: DVec3) -> DVec3 {
+        match self {
+            Target::Sphere { radius_m } => towards * *radius_m,
+            Target::Cylinder { radius_m, .. } => {
+                DVec3::new(towards.x, towards.y, 0.0).normalize_or(DVec3::X) * *radius_m
+            }
+            Target::Ellipsoid { semi_axes_m } => towards / (towards / *semi_axes_m).length(),
+            Target::Surface { surface } => {
+                let (low, high) = surface.bounds();
+                0.5 * (low + high)
+            }
+            _ => DVec3::ZERO,
+        }
+    }
+
+    /// The direction from which a target is usually looked at, azimuth and elevation, rad: its axis.
+    pub fn axis(&self) -> (f64, f64) {
+        match self {
+            Target::Dihedral { .. } => (FRAC_PI_4, 0.0),
+            Target::Trihedral { .. } => (FRAC_PI_4, (1.0 / 3f64.sqrt()).asin()),
+            _ => (0.0, 0.0),
+        }
+    }
+}
+
+/// Direction of the radar's electric field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Polarisation {
+    /// Direction as near to z as it can be.
+    Vertical,
+    /// Across z.
+    Horizontal,
+}
+
+/// From where and with what a target is looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setup {
+    /// Frequency, Hz.
+    pub frequency_hz: f64,
+    /// Range to the target's reference point, m; `None` infinitely far.
+    pub range_m: Option<f64>,
+    /// Azimuth of the radar from the x axis towards y, rad.
+    pub azimuth_rad: f64,
+    /// Elevation of the radar from the x-y plane towards z, rad.
+    pub elevation_rad: f64,
+    /// Direction of the field.
+    pub polarisation: Polarisation,
+    /// Material of the target.
+    pub boundary: Wall,
+}
+
+impl Setup {
+    /// Unit vector from the target to the radar.
+    pub fn towards(&self) -> DVec3 {
+        let ((sa, ca), (se, ce)) = (self.azimuth_rad.sin_cos(), self.elevation_rad.sin_cos());
+        DVec3::new(ce * ca, ce * sa, se)
+    }
+
+    /// Wavelength, m.
+    pub fn wavelength_m(&self) -> f64 {
+        SPEED_OF_LIGHT_M_PER_S / self.frequency_hz
+    }
+
+    /// Wave number, 1/m.
+    pub fn wavenumber_per_m(&self) -> f64 {
+        TAU / self.wavelength_m()
+    }
+
+    /// The radar, for a target's reference point.
+    pub fn path(&self, reference_point: DVec3) -> BistaticPath {
+        let d = self.towards();
+        let vertical = DVec3::Z.reject_from_normalized(d).normalize_or(-DVec3::X);
+        let polarisation = match self.polarisation {
+            Polarisation::Vertical => vertical,
+            Polarisation::Horizontal => d.cross(vertical),
+        };
+        let end = match self.range_m {
+            Some(range_m) => Endpoint::Near(reference_point + d * range_m),
+            None => Endpoint::Far(d),
+        };
+        BistaticPath::monostatic(end, polarisation)
+    }
+
+    /// Cross-section of a physical-optics integral, m^2: `4 pi (k/2 pi)^2 |I|^2`, times `R^4` near.
+    pub fn cross_section_m2(&self, integral: Complex64) -> f64 {
+        let k = self.wavenumber_per_m();
+        let ranges = self.range_m.map_or(1.0, |r| r.powi(4));
+        k * k / std::f64::consts::PI * integral.norm_sqr() * ranges
+    }
+
+    /// Cross-section of a far aperture that sends everything back, m^2: `4 pi A^2/lambda^2`.
+    fn aperture_m2(&self, area_m2: f64) -> f64 {
+        2.0 * TAU * (area_m2 / self.wavelength_m()).powi(2)
+    }
+
+    /// Power reflected at normal incidence.
+    fn normal_reflection(&self) -> f64 {
+        self.boundary.reflection(self.wavenumber_per_m(), 1.0).te.norm_sqr()
+    }
+
+    /// Power reflected by a plane met at this cosine, in a principal plane of the target's axes; `None` outside, where both
+    /// polarisations mix.
+    fn plane_reflection(&self, cosine: f64) -> Option<f64> {
+        let coefficients = self.boundary.reflection(self.wavenumber_per_m(), cosine);
+        if self.boundary == Wall::Conductor {
+            return Some(1.0);
+        }
+        let (level, upright) = (self.elevation_rad.abs() < 1e-12, self.azimuth_rad.abs() < 1e-12);
+        match (level, upright, self.polarisation) {
+            (true, _, Polarisation::Vertical) | (_, true, Polarisation::Horizontal) => Some(coefficients.te.norm_sqr()),
+            (true, _, Polarisation::Horizontal) | (_, true, Polarisation::Vertical) => Some(coefficients.tm.norm_sqr()),
+            _ => None,
+        }
+    }
+}
+
+/// Method by which a cross-section is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// Stationary phase on the exact shape: round bodies.
+    Specular,
+    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes.
+    Skin,
+    /// Physical optics over facets, cut until the phase is straight inside each.
+    Facets,
+    /// Images by every sequence of plane faces, physical optics on the last: corners.
+    Images,
+    /// Physical optics summed over a grid of patches of constant phase: the slow reference.
+    Dense,
+}
+
+impl Method {
+    /// Every method.
+    pub const ALL: [Method; 5] = [Method::Specular, Method::Skin, Method::Facets, Method::Images, Method::Dense];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Specular => "specular",
+            Method::Skin => "skin",
+            Method::Facets => "facets",
+            Method::Images => "images",
+            Method::Dense => "dense",
+        }
+    }
+
+    /// Whether it can be asked of a target.
+    pub fn suits(self, target: &Target) -> bool {
+        match self {
+            Method::Specular => matches!(target, Target::Sphere { .. } | Target::Ellipsoid { .. }),
+            Method::Skin => match target {
+                Target::Sphere { .. } | Target::Ellipsoid { .. } => true,
+                Target::Surface { surface } => surface.is_smooth(),
+                _ => false,
+            },
+            Method::Images => match target {
+                Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Plate { .. } => true,
+                Target::Surface { surface } => few_flat_faces(surface),
+                _ => false,
+            },
+            _ => !matches!(target, Target::Dihedral { .. } | Target::Trihedral { .. }),
+        }
+    }
+
+    /// The one that suits a target best, as exact shape or as a mesh.
+    pub fn automatic(target: &Target, mesh: bool) -> Self {
+        match target {
+            Target::Plate { .. } | Target::Cylinder { .. } | Target::Mirror { .. } => Method::Facets,
+            Target::Dihedral { .. } | Target::Trihedral { .. } => Method::Images,
+            Target::Sphere { .. } | Target::Ellipsoid { .. } if !mesh => Method::Specular,
+            Target::Surface { surface } if few_flat_faces(surface) => Method::Images,
+            Target::Surface { surface } if !surface.is_smooth() => Method::Facets,
+            _ => Method::Skin,
+        }
+    }
+}
+
+/// Whether a surface is a handful of plane faces: corners and boxes.
+fn few_flat_faces(surface: &Surface) -> bool {
+    surface.triangles.len() <= MOST_FACES
+        && (0..surface.triangles.len()).filter_map(|t| surface.corners(t)).all(|[a, b, c]| {
+            let normal = (b.0 - a.0).cross(c.0 - a.0).normalize_or_zero();
+            [a, b, c].iter().all(|corner| corner.1.dot(normal) > 1.0 - 1e-9)
+        })
+}
+
+/// Faces between which every sequence is followed, at most.
+const MOST_FACES: usize = 64;
+
+/// Error in a problem that cannot be solved.
+#[derive(Debug, Error)]
+pub enum RcsError {
+    /// A quantity is no number or out of range.
+    #[error("{what} is {value} {unit}\n\nhint: it must lie between {low} and {high} {unit}")]
+    OutOfRange {
+        /// The quantity.
+        what: &'static str,
+        /// Value that was given.
+        value: f64,
+        /// Its unit.
+        unit: &'static str,
+        /// Least allowed.
+        low: f64,
+        /// Most allowed.
+        high: f64,
+    },
+    /// The radar would stand inside the target.
+    #[error(
+        "a range of {range_m} m puts the radar into the target, which reaches {reach_m:.3} m from its reference point\n\nhint: choose a longer range, or none for the far field"
+    )]
+    Inside {
+        /// Range that was given.
+        range_m: f64,
+        /// Least range.
+        reach_m: f64,
+    },
+    /// The method does not suit the target.
+    #[error(
+        "the method {method} cannot be asked of this target\n\nhint: it can be asked {suitable}, or leave the choice to the program"
+    )]
+    Unsuitable {
+        /// Method that was asked for.
+        method: &'static str,
+        /// Methods that are suitable.
+        suitable: String,
+    },
+    /// A mesh would be too fine.
+    #[error(
+        "edges of {edge_m} m would make about {triangles:.1e} triangles\n\nhint: at most {most:.0e} are made; ask for longer edges"
+    )]
+    TooFine {
+        /// Edge length that was asked for.
+        edge_m: f64,
+        /// Number of triangles that this takes.
+        triangles: f64,
+        /// Greatest number that is allowed.
+        most: f64,
+    },
+    /// A skin is solid.
+    #[error(
+        "a closed smooth body is solid: it has no thickness\n\nhint: leave the thickness out, or choose another method"
+    )]
+    NotSolid,
+    /// The target's faces cannot be those of a room.
+    #[error(transparent)]
+    Faces(#[from] EnvironmentError),
+    /// There is nothing to look at.
+    #[error("the surface has no triangle with an area\n\nhint: check the file and its unit, which must be metres")]
+    Empty,
+}

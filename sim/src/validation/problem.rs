@@ -1,0 +1,409 @@
+//! A target made ready for one method, and its solution.
+
+use std::f64::consts::PI;
+
+use glam::{DMat3, DVec3};
+use num_complex::Complex64;
+
+use super::bistatic_path::{BistaticPath, transverse};
+use super::endpoint::Endpoint;
+use super::facet::{self, Accuracy, Integral};
+use super::images::{self, Images};
+use super::{Method, Outline, RcsError, Setup, Target, dense};
+use crate::echo::error_budget::IntegrationSettings;
+use crate::echo::still::{StillSkin, StillView};
+use crate::em::Phasor3;
+use crate::em::curved_triangle::Integrator;
+use crate::em::image::Wall;
+use crate::em::specular::Ellipsoid;
+use crate::geometry::{Surface, polygon, shape};
+
+/// More triangles than this are not made; of a skin, which is put in order patch by patch, fewer.
+const MOST_TRIANGLES: f64 = 4e6;
+const MOST_OF_SKIN: f64 = 1e6;
+/// Phases that bend less than this, rad, are straight but for rounding.
+const STRAIGHT_RAD: f64 = 1e-9;
+/// Bounces between plane faces, at most.
+const MOST_BOUNCES: usize = 3;
+/// Where far is, in sizes of a round body.
+const FAR: f64 = 1e7;
+/// Sines of the angles from the specular point up to which all of a skin counts and from which nothing would. One body alone is asked
+/// for more than people are ([`IntegrationSettings::for_tolerance`]): its window is wider. Where a body is bent within a few wavelengths the
+/// first Fresnel zone ends at such angles; with nothing from 0.97 on a limb's end has 0.26 dB too little.
+const WINDOW: [f64; 2] = [0.5, 1.2];
+/// And its rules of quadrature are this much more exact.
+const EASE: f32 = 0.5;
+/// A conductor, to those who know permittivities alone.
+const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
+/// Most times that facets are halved for the sake of a tolerance.
+const ROUNDS: usize = 7;
+
+/// A target made ready for one method.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    setup: Setup,
+    method: Method,
+    path: BistaticPath,
+    shape: Shape,
+}
+
+/// A closed smooth surface, and the same with every triangle cut into four.
+#[derive(Debug, Clone)]
+struct Skin {
+    surface: Surface,
+    levels: [StillSkin; 2],
+    permittivity: Complex64,
+}
+
+#[derive(Debug, Clone)]
+enum Shape {
+    Faces(Box<Images>),
+    Body(Ellipsoid),
+    Surface(Surface),
+    Skin(Box<Skin>),
+}
+
+/// Solution and its cost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outcome {
+    /// Cross-section, m^2.
+    pub sigma_m2: f64,
+    /// The method's own estimate of its numerical error, dB; `None` where it has none.
+    pub estimate_db: Option<f64>,
+    /// Facets (patches, triangles, specular points) that were evaluated.
+    pub facets: usize,
+}
+
+fn check(what: &'static str, value: f64, unit: &'static str, low: f64, high: f64) -> Result<(), RcsError> {
+    if value >= low && value <= high { Ok(()) } else { Err(RcsError::OutOfRange { what, value, unit, low, high }) }
+}
+
+fn check_length(what: &'static str, value: f64) -> Result<(), RcsError> {
+    check(what, value, "m", 1e-4, 100.0)
+}
+
+impl Problem {
+    /// Makes a target ready. Without an edge length meshes are as coarse as the shape allows, and facets follow the shape by
+    /// their normals.
+    ///
+    /// # Errors
+    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target, the method does not suit the target, or
+    /// the mesh would be empty or too fine.
+    pub fn new(target: &Target, setup: &Setup, method: Method, mesh_edge_m: Option<f64>) -> Result<Self, RcsError> {
+        check("the frequency", setup.frequency_hz, "Hz", 1e8, 1e12)?;
+        check("the azimuth", setup.azimuth_rad, "rad", -10.0, 10.0)?;
+        check("the elevation", setup.elevation_rad, "rad", -0.5 * PI - 1e-12, 0.5 * PI + 1e-12)?;
+        let reach_m = check_sizes(target)?;
+        if let Some(range_m) = setup.range_m {
+            check("the range", range_m, "m", 1e-3, 1e6)?;
+            if range_m <= reach_m {
+                return Err(RcsError::Inside { range_m, reach_m });
+            }
+        }
+        if !method.suits(target) {
+            let suitable: Vec<&str> = Method::ALL.iter().filter(|m| m.suits(target)).map(|m| m.name()).collect();
+            return Err(RcsError::Unsuitable { method: method.name(), suitable: suitable.join(", ") });
+        }
+        let path = setup.path(target.reference_point(setup.towards()));
+        let shape = match (method, target) {
+            (Method::Images, _) => {
+                let faces = faces(target);
+                let bounces = faces.len().min(MOST_BOUNCES);
+                Shape::Faces(Box::new(Images::new(faces, setup.boundary, path, setup.wavenumber_per_m(), bounces)?))
+            }
+            (Method::Specular, &Target::Sphere { radius_m }) => Shape::Body(body(DVec3::splat(radius_m))),
+            (Method::Specular, &Target::Ellipsoid { semi_axes_m }) => Shape::Body(body(semi_axes_m)),
+            (Method::Skin, _) => Shape::Skin(Box::new(Skin::new(mesh(target, mesh_edge_m)?, setup.boundary)?)),
+            _ => Shape::Surface(mesh(target, mesh_edge_m)?),
+        };
+        Ok(Problem { setup: *setup, method, path, shape })
+    }
+
+    /// Triangles of the mesh, if there is one.
+    pub fn triangles(&self) -> usize {
+        match &self.shape {
+            Shape::Surface(surface) => surface.triangles.len(),
+            Shape::Skin(skin) => skin.surface.triangles.len(),
+            _ => 0,
+        }
+    }
+
+    /// Solves to a tolerance, on the calling thread.
+    ///
+    /// # Errors
+    /// [`RcsError::OutOfRange`] for a tolerance that is not 0.0001 to 20 dB.
+    pub fn solve(&self, tolerance_db: f64) -> Result<Outcome, RcsError> {
+        check("the tolerance", tolerance_db, "dB", 1e-4, 20.0)?;
+        Ok(match &self.shape {
+            Shape::Body(body) => self.specular_point(body),
+            Shape::Faces(images) => self.refined(tolerance_db, |accuracy| {
+                let mut all = Integral::default();
+                for integral in images.ways().iter().map(|way| images.integrate(way, accuracy)) {
+                    all.value += integral.value;
+                    all.facets += integral.facets;
+                    all.bend_rad = all.bend_rad.max(integral.bend_rad);
+                }
+                all
+            }),
+            Shape::Skin(skin) => self.skin(skin, tolerance_db),
+            Shape::Surface(surface) => match self.method {
+                Method::Dense => self.dense(surface, tolerance_db),
+                _ => self.refined(tolerance_db, |accuracy| self.facets(surface, accuracy)),
+            },
+        })
+    }
+
+    fn facets(&self, surface: &Surface, accuracy: Accuracy) -> Integral {
+        let k = accuracy.wavenumber_per_m;
+        let boundary = self.setup.boundary;
+        facet::integrate(surface, accuracy, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
+    }
+
+    fn outcome(&self, integral: &Integral, estimate_db: Option<f64>) -> Outcome {
+        Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets }
+    }
+
+    /// Facets by the tolerance, then with a quarter of their bending until the result stays where it is; the last change is the
+    /// estimate.
+    fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
+        let at =
+            |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
+        let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
+        let mut coarse = at(4.0 * tolerance_rad);
+        let mut facets = coarse.facets;
+        let mut estimate_db = 0.0;
+        for _ in 0..ROUNDS {
+            // Where nothing bends there is nothing to cut: flat faces seen from far are exact.
+            if coarse.bend_rad < STRAIGHT_RAD {
+                break;
+            }
+            // Finer than what the last one happened to be, or nothing would be learnt.
+            tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
+            let fine = at(tolerance_rad);
+            facets += fine.facets;
+            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
+            coarse = fine;
+            // No number where everything is dark: that will not change.
+            if estimate_db <= tolerance_db || estimate_db.is_nan() {
+                break;
+            }
+        }
+        let estimate = Some(estimate_db).filter(|e| e.is_finite());
+        Outcome { facets, ..self.outcome(&coarse, estimate) }
+    }
+
+    /// Patches of a wavelength and less, halved until the result stays.
+    fn dense(&self, surface: &Surface, tolerance_db: f64) -> Outcome {
+        let k = self.setup.wavenumber_per_m();
+        let boundary = self.setup.boundary;
+        let at = |patch_m: f64| {
+            dense::integrate(surface, k, patch_m, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
+        };
+        let mut patch_m = 0.5 * self.setup.wavelength_m();
+        let mut coarse = at(patch_m);
+        let mut facets = coarse.facets;
+        let mut estimate_db = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            patch_m *= 0.5;
+            let fine = at(patch_m);
+            facets += fine.facets;
+            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
+            coarse = fine;
+            // No number where everything is dark: that will not change.
+            if estimate_db <= tolerance_db || estimate_db.is_nan() {
+                break;
+            }
+        }
+        Outcome { facets, ..self.outcome(&coarse, Some(estimate_db).filter(|e| e.is_finite())) }
+    }
+
+    /// Patches of a skin, whose triangles are cut into four until the result stays.
+    fn skin(&self, skin: &Skin, tolerance_db: f64) -> Outcome {
+        let (low, high) = skin.surface.bounds();
+        let (setup, antenna) = self.near((high - low).length());
+        let polarisation = self.path.tx_polarisation;
+        let field = |at: DVec3| Phasor3::real(transverse(polarisation, (at - antenna).normalize_or_zero()));
+        let ease = EASE * IntegrationSettings::for_tolerance(tolerance_db).ease;
+        let view = StillView {
+            antenna,
+            field: &field,
+            wavelength_m: setup.wavelength_m(),
+            permittivity: skin.permittivity,
+            settings: IntegrationSettings { window: WINDOW, ease },
+        };
+        let integrator = Integrator::default();
+        let [coarse, fine] = skin.levels.each_ref();
+        let mut facets = coarse.triangles() + fine.triangles();
+        let (mut before, mut value) = (coarse.integral(&integrator, &view), fine.integral(&integrator, &view));
+        let change_db = |a: Complex64, b: Complex64| (20.0 * (a.norm() / b.norm()).log10()).abs();
+        let mut surface: Option<Surface> = None;
+        while change_db(before, value) > tolerance_db {
+            let finer = surface.as_ref().map_or_else(|| skin.surface.halved().halved(), Surface::halved);
+            if finer.triangles.len() as f64 > MOST_OF_SKIN {
+                break;
+            }
+            let still = StillSkin::new(&finer);
+            facets += still.triangles();
+            (before, value) = (value, still.integral(&integrator, &view));
+            surface = Some(finer);
+        }
+        let estimate_db = Some(change_db(before, value)).filter(|change| change.is_finite());
+        Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db, facets }
+    }
+
+    /// The radar, and where it stands: from infinitely far it is far in sizes of a body.
+    fn near(&self, size_m: f64) -> (Setup, DVec3) {
+        match self.path.tx {
+            Endpoint::Near(radar) => (self.setup, radar),
+            Endpoint::Far(towards) => {
+                let range_m = FAR * size_m;
+                (Setup { range_m: Some(range_m), ..self.setup }, towards * range_m)
+            }
+        }
+    }
+
+    /// Stationary phase on the exact shape.
+    fn specular_point(&self, body: &Ellipsoid) -> Outcome {
+        let (setup, radar) = self.near(body.semi_axes_m.max_element());
+        let Some(h) = body.specular_point(radar, radar, None) else {
+            return self.outcome(&Integral::default(), None);
+        };
+        let k = setup.wavenumber_per_m();
+        let path = BistaticPath::monostatic(Endpoint::Near(radar), self.path.tx_polarisation);
+        let sample = path.sample(h.point, h.normal, false, &setup.boundary, k);
+        let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
+        let integral = Integral { value, facets: 1, bend_rad: 0.0 };
+        Outcome { sigma_m2: setup.cross_section_m2(integral.value), ..self.outcome(&integral, None) }
+    }
+}
+
+impl Skin {
+    fn new(surface: Surface, boundary: Wall) -> Result<Self, RcsError> {
+        let permittivity = match boundary {
+            Wall::Conductor => CONDUCTOR,
+            Wall::HalfSpace { permittivity } => permittivity,
+            Wall::Slab { .. } | Wall::Open => return Err(RcsError::NotSolid),
+        };
+        let triangles = 4.0 * surface.triangles.len() as f64;
+        if triangles > MOST_OF_SKIN {
+            return Err(RcsError::TooFine { edge_m: 0.5 * surface.mean_edge_m(), triangles, most: MOST_OF_SKIN });
+        }
+        let levels = [StillSkin::new(&surface), StillSkin::new(&surface.halved())];
+        Ok(Skin { surface, levels, permittivity })
+    }
+}
+
+fn body(semi_axes_m: DVec3) -> Ellipsoid {
+    Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m }
+}
+
+/// Outlines of a target's plane faces, counter-clockwise seen from where they reflect.
+fn faces(target: &Target) -> Vec<Vec<DVec3>> {
+    match *target {
+        Target::Dihedral { width_m, height_m } => images::dihedral(width_m, height_m),
+        Target::Trihedral { edge_m, outline } => images::trihedral(edge_m, outline == Outline::Square),
+        Target::Plate { width_m, height_m } => {
+            let (w, h) = (0.5 * width_m, 0.5 * height_m);
+            let corners: Vec<DVec3> =
+                [(-w, -h), (w, -h), (w, h), (-w, h)].iter().map(|&(y, z)| DVec3::new(0.0, y, z)).collect();
+            let back = corners.iter().rev().copied().collect();
+            vec![corners, back]
+        }
+        Target::Surface { ref surface } => {
+            let triangles = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
+            let sides = if surface.two_sided { 2 } else { 1 };
+            let both =
+                triangles.flat_map(|[a, b, c]| [vec![a.0, b.0, c.0], vec![c.0, b.0, a.0]].into_iter().take(sides));
+            both.filter(|corners| polygon::normal(corners) != DVec3::ZERO).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Checks a target's sizes; how far it reaches towards a radar.
+fn check_sizes(target: &Target) -> Result<f64, RcsError> {
+    match *target {
+        Target::Plate { width_m, height_m } => {
+            check_length("the width", width_m)?;
+            check_length("the height", height_m)?;
+            Ok(0.0)
+        }
+        Target::Dihedral { width_m, height_m } => {
+            check_length("the width", width_m)?;
+            check_length("the height", height_m)?;
+            Ok(width_m.hypot(0.5 * height_m))
+        }
+        Target::Trihedral { edge_m, .. } => {
+            check_length("the edge", edge_m)?;
+            Ok(edge_m)
+        }
+        Target::Sphere { radius_m } => {
+            check_length("the radius", radius_m)?;
+            Ok(0.0)
+        }
+        Target::Cylinder { radius_m, height_m } => {
+            check_length("the radius", radius_m)?;
+            check_length("the height", height_m)?;
+            Ok(0.0)
+        }
+        Target::Ellipsoid { semi_axes_m } => {
+            for axis in semi_axes_m.to_array() {
+                check_length("a semi-axis", axis)?;
+            }
+            Ok(0.0)
+        }
+        Target::Mirror { radius_m, aperture_m } => {
+            check_length("the radius", radius_m)?;
+            check_length("the aperture", aperture_m)?;
+            check("the aperture", aperture_m, "m", 1e-4, 2.0 * radius_m)?;
+            Ok(radius_m - (radius_m * radius_m - 0.25 * aperture_m * aperture_m).max(0.0).sqrt())
+        }
+        Target::Surface { ref surface } => {
+            let largest = (0..surface.triangles.len())
+                .filter_map(|t| surface.corners(t))
+                .map(|[a, b, c]| (b.0 - a.0).cross(c.0 - a.0).length())
+                .fold(0.0, f64::max);
+            if !(largest > 0.0 && largest.is_finite()) {
+                return Err(RcsError::Empty);
+            }
+            let middle = target.reference_point(DVec3::X);
+            Ok(surface.vertices.iter().map(|v| v.distance(middle)).fold(0.0, f64::max))
+        }
+    }
+}
+
+fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
+    if let Some(edge_m) = edge_m {
+        check("the edge of the mesh", edge_m, "m", 1e-5, 10.0)?;
+    }
+    let fine_enough = |area_m2: f64, default_m: f64| {
+        let edge_m = edge_m.unwrap_or(default_m);
+        let triangles = area_m2 / (0.433 * edge_m * edge_m);
+        if triangles > MOST_TRIANGLES {
+            return Err(RcsError::TooFine { edge_m, triangles, most: MOST_TRIANGLES });
+        }
+        Ok(edge_m)
+    };
+    Ok(match *target {
+        Target::Plate { width_m, height_m } => {
+            shape::plate(width_m, height_m, fine_enough(width_m * height_m, width_m.max(height_m))?)
+        }
+        Target::Sphere { radius_m } => {
+            shape::ellipsoid(DVec3::splat(radius_m), fine_enough(4.0 * PI * radius_m * radius_m, 0.1 * radius_m)?)
+        }
+        Target::Ellipsoid { semi_axes_m } => {
+            let [low, high] = [semi_axes_m.min_element(), semi_axes_m.max_element()];
+            shape::ellipsoid(semi_axes_m, fine_enough(4.0 * PI * high * high, 0.1 * low)?)
+        }
+        Target::Cylinder { radius_m, height_m } => {
+            shape::cylinder(radius_m, height_m, fine_enough(2.0 * PI * radius_m * height_m, 0.1 * radius_m)?)
+        }
+        Target::Mirror { radius_m, aperture_m } => {
+            let edge_m = fine_enough(PI * aperture_m * aperture_m, (0.1 * radius_m).min(aperture_m / 80.0))?;
+            shape::mirror(radius_m, 0.5 * aperture_m, edge_m)
+        }
+        Target::Surface { ref surface } => surface.clone(),
+        // Corners are faces, never meshes.
+        Target::Dihedral { .. } | Target::Trihedral { .. } => Surface::default(),
+    })
+}
