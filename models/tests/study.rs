@@ -1,5 +1,6 @@
 //! Studies on made-up maps: shards, interruptions, failures.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::SystemTime;
@@ -165,6 +166,36 @@ fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
         assert_eq!(epochs, [1, 2], "{}", cell.variant);
         assert!(cell.curve.iter().all(|point| point.validation.is_some_and(|of| of.count == 2)), "{cell:?}");
     }
+}
+
+/// A study that is stopped has the scores under every condition of each training that it has.
+#[test]
+fn conditions_are_judged_as_soon_as_a_training_is_done() {
+    let (maps, spec) = (maps(), spec());
+    let folder = tempfile::tempdir().expect("a folder");
+    let conditions = [condition("same", dataset(FEW)), strangers()];
+    let study = Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens").with_conditions(&conditions);
+    let study = study.expect("like maps");
+    let [compared, judged] = [const { Cell::new(0) }; 2];
+    let ran = study.run(&|| compared.get() < 1, &mut |progress| match progress {
+        Progress::Done(outcome) => {
+            let rates = study.chosen_rates().expect("rates");
+            let is_compared = rates.get(&outcome.job.variant) == Some(&outcome.job.learning_rate);
+            compared.set(compared.get() + usize::from(is_compared && outcome.job.label_fraction == 1.0));
+        }
+        Progress::Judged(_) => judged.set(judged.get() + 1),
+        _ => {}
+    });
+    ran.expect("runs");
+    let report = study.report().expect("a report");
+    assert!(report.done < report.planned, "it was not stopped");
+    let whole: usize =
+        report.cells.iter().filter(|cell| cell.label_fraction == 1.0).map(|cell| cell.scores.len()).sum();
+    assert!(whole > 0);
+    for condition in &report.conditions {
+        assert_eq!(condition.done, whole, "{}", condition.name);
+    }
+    assert_eq!(judged.get(), whole * conditions.len());
 }
 
 /// A study that is whole gets conditions: no file of a training changes. A dataset that changes is judged anew, and no other.

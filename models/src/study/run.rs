@@ -42,7 +42,8 @@ pub enum Progress<'a> {
     Epoch(&'a EpochReport),
     /// End of the job.
     Done(&'a Outcome),
-    /// Maps of a condition are put to the model of the job: name of the condition, number of this work, and of all such work.
+    /// Maps of a condition are put to the model of the job: name of the condition, number
+    /// of this work, and of all such work that is done in turn.
     Judging(&'a Job, &'a str, usize, usize),
     /// End of that.
     Judged(&'a Judgement),
@@ -121,8 +122,8 @@ impl<'a> Study<'a> {
         Ok(Study { conditions, ..self })
     }
 
-    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and puts the conditions to their models. Returns all
-    /// outcomes that exist.
+    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and puts the conditions to the model of each as soon as
+    /// it is trained. Returns all outcomes that exist.
     ///
     /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it first. The
     /// learning rates that a shard needs and another has not tried yet are tried by it, or waited for.
@@ -146,6 +147,8 @@ impl<'a> Study<'a> {
         if chosen.len() == self.spec.variants.len() {
             let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
             let jobs = of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard);
+            let trained: Vec<Job> = jobs.iter().filter(|job| self.has_result(job)).cloned().collect();
+            self.work(&self.judgings(&trained), go_on, tell)?;
             self.work(&trainings(&jobs), go_on, tell)?;
             self.work(&self.judgings(&jobs), go_on, tell)?;
         }
@@ -323,6 +326,7 @@ impl<'a> Study<'a> {
                     let outcome = self.train(job, tell)?;
                     write_json(&self.result_path(job), &outcome)?;
                     tell(Progress::Done(&outcome));
+                    self.judge_at_once(job, tell)?;
                 }
                 Some(condition) => {
                     tell(Progress::Judging(job, &condition.name, number, count));
@@ -334,6 +338,22 @@ impl<'a> Study<'a> {
         }
         // Whoever opened the file before it was removed finds the result. One that stays does no harm.
         let _ = std::fs::remove_file(self.claim_path(task));
+        Ok(())
+    }
+
+    /// Puts the conditions to the model of a job that has just been trained, so that a study that is stopped has all scores of
+    /// the trainings that it has.
+    fn judge_at_once(&self, job: &Job, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
+        let tasks = self.judgings(std::slice::from_ref(job));
+        // A rate that only is tried is not compared.
+        if tasks.is_empty() || self.chosen_rates()?.get(&job.variant) != Some(&job.learning_rate) {
+            return Ok(());
+        }
+        for (index, task) in tasks.iter().enumerate() {
+            if let Some(_claim) = self.claim(*task)? {
+                self.finish(*task, (index + 1, tasks.len()), tell)?;
+            }
+        }
         Ok(())
     }
 
