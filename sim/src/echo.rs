@@ -1,4 +1,4 @@
-//! Echoes of people: specular points of their segments by every audible pair of images, at key times.
+//! Echoes of people: specular points of their body segments for every audible pair of images, at key times.
 
 mod audible;
 pub mod dense;
@@ -43,23 +43,23 @@ use crate::prepared_scene::PreparedScene;
 
 /// Distances below this are clamped in amplitudes (never in delays), m.
 pub const LEAST_DISTANCE_M: f64 = 0.1;
-/// Half of the interval over which velocities are taken, s.
+/// Half of the interval of the central differences that give velocities, s.
 const VELOCITY_STEP_S: f64 = 2e-4;
 
-/// Somebody at one key time.
+/// Pose of a person at one key time.
 #[derive(Debug, Clone)]
 pub struct Snapshot {
-    /// The body now, a little before and a little after.
+    /// Body segments at this time.
     pub body: [Ellipsoid; SEGMENTS],
     before: [Ellipsoid; SEGMENTS],
     after: [Ellipsoid; SEGMENTS],
-    /// Obstacle to other paths.
+    /// Column that stands for the whole body as an obstacle to other paths.
     pub column: Column,
     trunk: Column,
 }
 
 impl Snapshot {
-    /// Somebody at a time.
+    /// Computes the pose of a person at a time.
     pub fn new(motion: &Motion, time_s: f64) -> Self {
         let body = motion.body(time_s);
         let middle = 0.5 * (body[CHEST].centre + body[PELVIS].centre);
@@ -75,7 +75,7 @@ impl Snapshot {
         }
     }
 
-    /// Middle of a segment, m, its velocity, m/s, and its acceleration, m/s^2.
+    /// Returns the centre of a segment, m, its velocity, m/s, and its acceleration, m/s^2.
     pub fn centre(&self, segment: usize) -> (DVec3, DVec3, DVec3) {
         let of = |body: &[Ellipsoid; SEGMENTS]| body.get(segment).map_or(DVec3::ZERO, |ellipsoid| ellipsoid.centre);
         let (before, now, after) = (of(&self.before), of(&self.body), of(&self.after));
@@ -89,19 +89,19 @@ impl Snapshot {
     }
 }
 
-/// Counts what happened while echoes were computed.
+/// Counters of the computation of echoes.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EchoReport {
-    /// Paths (segments times image pairs) that were evaluated.
+    /// Number of evaluated paths (segments times image pairs).
     pub paths: usize,
-    /// Patches of skins that are strong enough to be heard, and so were synthesised.
+    /// Number of skin patches that exceed the audibility threshold and were synthesised.
     pub synthesised: usize,
-    /// Amplitudes whose distance was clamped, or whose antenna lay inside a body.
+    /// Number of amplitudes with a clamped distance or with an antenna inside a body.
     pub clamped: usize,
 }
 
-/// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`, then what a person at a desk has besides. Paths
-/// that do not exist have amplitude zero.
+/// Appends all echoes of a person at one key time: `[pair][segment][rx]`, then the extra echoes of a person at a desk.
+/// Paths that do not exist have amplitude zero.
 pub fn echoes(
     prepared: &PreparedScene,
     motion: &Motion,
@@ -117,38 +117,39 @@ pub fn echoes(
     }
 }
 
-/// A pair of images of the antennas.
+/// Pair of antenna images: one of the transmitter, one of the receivers.
 struct Pair {
     there: Way,
     back: Way,
-    /// The receivers' images.
+    /// Image positions of the receivers.
     sinks: Vec<DVec3>,
-    /// Signs of the axes of both images, there and back.
+    /// Signs of the axes of both images, outbound and return.
     signs: [[f64; 3]; 2],
-    /// Numbers of both images among those of all pairs.
+    /// Indices of both images in the list of the images of all pairs.
     images: [usize; 2],
 }
 
-/// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
-/// heard, then what a person at a desk has besides. In rooms of plane faces they are those of one frame: which edges are beside them
-/// is found out once.
+/// Paths of a person, traced one by one or in batches. Their order is `[pair][segment]`, with the audible segments of
+/// each pair, then the extra paths of a person at a desk. In rooms of plane faces the paths are valid for one frame,
+/// because the edges near each path are determined once.
 pub struct Paths<'a> {
     prepared: &'a PreparedScene,
     motion: &'a Motion,
     me: usize,
     pairs: Vec<Pair>,
-    /// Number of images that pairs are made of.
+    /// Number of distinct images in the pairs.
     images: usize,
-    /// Number of the pair and segment of each specular point, in order.
+    /// Pair index and segment of each specular point, in path order.
     specular_points: Vec<(usize, usize)>,
-    /// Instructions for paths side by side.
+    /// Instruction set of the vectorised kernels.
     level: KernelLevel,
-    /// In rooms of plane faces, edges beside the ways to each segment, once they are known: `[image][segment]`.
+    /// Edges near the one-way path to each segment in rooms of plane faces, filled on first use: `[image][segment]`.
     beside: RefCell<Vec<EdgesBeside>>,
 }
 
 impl<'a> Paths<'a> {
-    /// By these pairs of images, of which the direct one is the first: pairs of indices for all segments, or [`AudiblePair`]s.
+    /// Builds the paths of these pairs of images, of which the first is the direct one. The pairs are pairs of indices
+    /// for all segments, or [`AudiblePair`]s.
     pub fn new<P: Copy + Into<AudiblePair>>(
         prepared: &'a PreparedScene,
         motion: &'a Motion,
@@ -166,7 +167,7 @@ impl<'a> Paths<'a> {
             let there = Way { image: p, source, antenna: prepared.tx.position };
             let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
             let signs = [p, q].map(|image| BoxRoom::image_vector(image, DVec3::ONE).to_array());
-            // Every image of a pair is among them.
+            // The list holds every image of the pairs.
             let numbers = [p, q].map(|image| images.binary_search(&image).unwrap_or_default());
             Pair { there, back, sinks, signs, images: numbers }
         };
@@ -185,7 +186,7 @@ impl<'a> Paths<'a> {
         Paths { prepared, motion, me, pairs, images, specular_points, level, beside }
     }
 
-    /// Number of paths.
+    /// Returns the number of paths.
     pub fn count(&self) -> usize {
         let besides = self.motion.person.at_desk.as_ref().map_or(0, |desk| {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
@@ -194,8 +195,9 @@ impl<'a> Paths<'a> {
         self.specular_points.len() + besides
     }
 
-    /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
-    /// where on its segment it was met a little earlier or later; where it is met now is returned.
+    /// Traces one path at one time and appends a path sample for each receiver, of amplitude zero where the path does
+    /// not exist. `near` is the specular point on the unit sphere of the segment at a neighbouring time. Returns the
+    /// specular point at this time.
     pub fn trace(
         &self,
         path: usize,
@@ -208,7 +210,7 @@ impl<'a> Paths<'a> {
         self.trace_at(path, &mut instant, near, out, report)
     }
 
-    /// The same at an instant at which ways may be shared.
+    /// Traces one path as [`Self::trace`] does, at an instant whose one-way paths may be shared.
     fn trace_at(
         &self,
         path: usize,
@@ -233,7 +235,7 @@ impl<'a> Paths<'a> {
         met
     }
 
-    /// The specular point of a segment by a pair of images.
+    /// Traces the path over the specular point of a segment for a pair of images.
     fn specular_point(
         &self,
         pair: &Pair,
@@ -262,7 +264,7 @@ impl<'a> Paths<'a> {
         let weight = inside_room(prepared, h.point)
             * left_there
             * left_back
-            // Grazing specular points fade: forward scattering is not theirs to tell.
+            // Fade out grazing specular points: geometrical optics does not describe forward scattering.
             * smooth_step((h.cosine - 0.2) / 0.1);
         let reflected = reflect_at_skin(there, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
@@ -286,7 +288,8 @@ impl<'a> Paths<'a> {
         Some(h.unit)
     }
 
-    /// Fields of both antennas' images at a point of a segment, each with the part of it that people leave.
+    /// Returns the fields of both antenna images at a point of a segment, each with the factor that people in the path
+    /// leave.
     fn seen(&self, pair: &Pair, segment: usize, point: DVec3, instant: &mut Instant) -> Option<[(Phasor3, f64); 2]> {
         let (prepared, people) = (self.prepared, instant.people);
         let first_rx = prepared.rx.first()?;
@@ -299,7 +302,7 @@ impl<'a> Paths<'a> {
             return Some([shared(there)?, shared(back)?]);
         }
         let fields = [there, back].map(|(element, way, _)| prepared.room.illuminate(element, way.image, point).field);
-        // Where no path leads, nobody can be in its way.
+        // Without an incident field, the obstruction by people does not matter.
         let is_lit = fields.iter().all(|field| field.magnitude() > 0.0);
         let left = |way: &Way| if is_lit { visibility(prepared, people, self.me, segment, way, point) } else { 0.0 };
         let [of_there, of_back] = fields;
@@ -307,17 +310,17 @@ impl<'a> Paths<'a> {
     }
 }
 
-/// Everybody at an instant at which somebody's paths are met.
+/// People at the instant at which paths are traced.
 struct Instant<'a> {
     people: &'a [Snapshot],
-    /// Person by way of whom the paths go.
+    /// Person whose echoes are traced.
     own: &'a Snapshot,
-    /// Obstructions of the ways to segments, where specular points share them: in rooms of plane faces.
+    /// Obstructions of the one-way paths to segments, shared by specular points in rooms of plane faces.
     ways: Option<SharedWays<'a>>,
 }
 
 impl Instant<'_> {
-    /// Whether nothing of one of the images is known to arrive at a segment.
+    /// Returns whether one of the images is known to be fully obstructed at a segment.
     fn is_dark(&mut self, pair: &Pair, segment: usize) -> bool {
         let Some(ways) = &mut self.ways else { return false };
         let ends = [(pair.images[0], pair.there.image), (pair.images[1], pair.back.image)];
@@ -325,15 +328,15 @@ impl Instant<'_> {
     }
 }
 
-/// An echo that goes to a person, back to the radar's board or the desk under it, to the person again and home, from the
-/// direct one.
+/// Computes the double-bounce echo from the direct one: the wave travels to the person, to the radar's board or the
+/// desk under it, to the person again and back.
 fn double_bounce(prepared: &PreparedScene, desk: &AtDesk, segment: usize, direct: &PathSample) -> PathSample {
     let delay_s = 2.0 * (direct.delay_s + desk.double_bounce_offset_m / SPEED_OF_LIGHT_M_PER_S);
     let delay_rate = 2.0 * direct.delay_rate;
     let once = prepared.filters.response(prepared.chirp.beat_hz(direct.delay_s, direct.delay_rate));
     let twice = prepared.filters.response(prepared.chirp.beat_hz(delay_s, delay_rate));
-    // The direct echo has passed the filters at its own beat.
-    // Only the chest is broad enough to be seen in the small mirror that the board is.
+    // The amplitude of the direct echo contains the filter response at its own beat frequency. Only the chest is broad
+    // enough to reflect a relevant field back to the small board.
     let amplitude = if once.norm_sqr() > 0.0 && segment == CHEST {
         direct.amplitude * (twice / once) * desk.double_bounce
     } else {
@@ -342,8 +345,8 @@ fn double_bounce(prepared: &PreparedScene, desk: &AtDesk, segment: usize, direct
     PathSample { delay_s, delay_rate, amplitude }
 }
 
-/// An echo of a shoulder, an arm or the lap, which no smooth ellipsoid has: a key for each receiver. It fades behind the chest's
-/// nearest place.
+/// Appends the echo of a shoulder, an arm or the lap, which the ellipsoids do not model: a path sample for each
+/// receiver. It decays with the distance behind the nearest point of the chest.
 fn body_point(
     prepared: &PreparedScene,
     desk: &AtDesk,
@@ -380,8 +383,9 @@ fn body_point(
     }
 }
 
-/// 1 in a box room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall. Always 1
-/// where the field at the point has the walls in it: that of polygons, and of boxes whose walls let waves through.
+/// Returns 1 in a box room and 0 outside, with a smooth transition over the first 10 cm behind the planes of the walls.
+/// A wall thus hides a person behind a door. The factor is always 1 where the field itself includes the walls: in rooms of
+/// polygons, and in boxes whose walls transmit.
 pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
     let Surroundings::Box(room) = &prepared.room else { return 1.0 };
     if room.transmission {
@@ -392,7 +396,7 @@ pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
     smooth_step((depth + 0.05) / 0.05)
 }
 
-/// Field reflected by skin: TE and TM with their own coefficients at the true incidence.
+/// Computes the field that skin reflects, with separate TE and TM coefficients at the true angle of incidence.
 pub fn reflect_at_skin(incident: Phasor3, direction: DVec3, normal: DVec3) -> Phasor3 {
     let cosine = (-direction.dot(normal)).clamp(0.0, 1.0);
     let skin = half_space(SKIN_PERMITTIVITY, cosine);

@@ -1,11 +1,12 @@
-//! Tones to samples: what the ADC sees of many paths in one chirp.
+//! Synthesis of ADC samples from tones: the sum of many paths in one chirp.
 //!
-//! Within a chirp a path is a tone: phase and frequency at the middle of the chirp, constant amplitude. Its frequency is the
-//! true beat, `S tau + (f0 + S t_c - S tau) tau'`, and real sampling folds what lies beyond half the sample rate. What
-//! is left out is the chirp's own curvature by Doppler, `S tau' (t - t_c)^2`: 6 mrad at the ends at 2.5 m/s.
+//! Within a chirp a path is a tone: phase and frequency at the middle of the chirp, constant amplitude. Its frequency
+//! is the true beat, `S tau + (f0 + S t_c - S tau) tau'`; real sampling folds frequencies beyond half the sample rate.
+//! The quadratic phase due to Doppler, `S tau' (t - t_c)^2`, is neglected: 6 mrad at the ends at 2.5 m/s.
 //!
 //! [`Synthesiser`] grids tones with a type-1 NUFFT (kernel of exponential of semicircle, width 6, twofold oversampling:
-//! Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019) and an inverse real FFT; [`exact_chirp`] sums them one by one.
+//! Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019) and an inverse real FFT; [`exact_chirp`] sums
+//! them one by one.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -29,7 +30,7 @@ pub use held::{HeldEcho, HeldEchoes};
 pub use rates::{RUN, RateGrids, Run};
 pub use spread::{CHIRPS, Grids, Places};
 
-/// One path during one chirp.
+/// Path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tone {
     /// Phase at the middle of the chirp (sample N/2), cycles.
@@ -40,7 +41,7 @@ pub struct Tone {
     pub amplitude: Complex<f32>,
 }
 
-/// `Re sum a exp(j 2 pi (phase + frequency (n - N/2)))`, one sample at a time in f64: the reference.
+/// Computes `Re sum a exp(j 2 pi (phase + frequency (n - N/2)))`, one sample at a time in f64, as the reference.
 pub fn exact_chirp(tones: &[Tone], samples: usize) -> Vec<f64> {
     let middle = (samples / 2) as f64;
     (0..samples)
@@ -62,9 +63,9 @@ pub fn exact_chirp(tones: &[Tone], samples: usize) -> Vec<f64> {
 const WIDTH: usize = 6;
 /// Steepness of the kernel for twofold oversampling.
 const BETA: f64 = 2.30 * WIDTH as f64;
-/// Coefficients of the polynomial for each of the kernel's taps.
+/// Number of polynomial coefficients of each of the kernel's taps.
 const DEGREE: usize = 8;
-/// Taps rounded up to a vector's width; the last are zero.
+/// Number of taps, rounded up to a vector's width; the last are zero.
 const LANES: usize = 8;
 
 fn kernel(x: f64) -> f64 {
@@ -73,21 +74,21 @@ fn kernel(x: f64) -> f64 {
     if inside < 0.0 { 0.0 } else { (BETA * (inside.sqrt() - 1.0)).exp() }
 }
 
-/// The fast way from tones to samples, for one number of samples.
+/// Fast synthesis of samples from tones, for one number of samples.
 #[derive(Clone)]
 pub struct Synthesiser {
     samples: usize,
-    /// Cells of the frequency grid.
+    /// Number of cells of the frequency grid.
     cells: usize,
-    /// `[power][tap]`, in the fraction of a cell mapped to -1..1.
+    /// Coefficients `[power][tap]` of the taps in the fraction of a cell, mapped to -1..1.
     taps: [[f32; LANES]; DEGREE],
-    /// Taps of the kernel at places between cells.
+    /// Taps of the kernel at quantised positions between cells.
     taps_by_place: Vec<[f32; LANES]>,
-    /// Taps of echoes that are held in their places.
+    /// Taps of held echoes.
     rate_taps: RateTaps,
-    /// Compensates the kernel's own transform, for samples in order.
+    /// Compensation of the kernel's transform, for samples in order.
     correction: Vec<f32>,
-    /// Instructions that [`Synthesiser::spread`] uses; the processor has them.
+    /// Instruction set of [`Synthesiser::spread`], available on this processor.
     level: KernelLevel,
     inverse: Arc<dyn ComplexToReal<f32>>,
 }
@@ -98,7 +99,7 @@ impl std::fmt::Debug for Synthesiser {
     }
 }
 
-/// A frequency grid with margins, on which tones are laid down.
+/// Frequency grid with margins, to which tones are added.
 #[derive(Debug, Clone, Default)]
 pub struct Grid {
     cells: Vec<Complex<f32>>,
@@ -113,7 +114,7 @@ pub struct SynthesisScratch {
 }
 
 impl Grid {
-    /// Everything to zero.
+    /// Sets all cells to zero.
     pub fn clear(&mut self) {
         self.cells.fill(Complex::default());
     }
@@ -125,7 +126,7 @@ impl Grid {
         }
     }
 
-    /// `self = a (1 - w) + b w`.
+    /// Sets the grid to `a (1 - w) + b w`.
     pub fn blend(&mut self, a: &Grid, b: &Grid, w: f32) {
         for ((x, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
             *x = a + (b - a) * w;
@@ -134,7 +135,7 @@ impl Grid {
 }
 
 impl Synthesiser {
-    /// For chirps of this many samples.
+    /// Creates a synthesiser for chirps of this many samples.
     pub fn new(samples: usize) -> Self {
         let cells = 2 * samples.max(WIDTH);
         let mut taps = [[0f32; LANES]; DEGREE];
@@ -177,19 +178,19 @@ impl Synthesiser {
         }
     }
 
-    /// An empty grid.
+    /// Returns an empty grid.
     pub fn grid(&self) -> Grid {
         Grid { cells: vec![Complex::default(); self.cells + LANES] }
     }
 
-    /// Lays a tone on a grid.
+    /// Adds a tone to a grid.
     #[inline]
     pub fn add(&self, tone: &Tone, grid: &mut Grid) {
         let a = tone.amplitude * phasor(tone.phase_cycles);
         self.add_at(tone.cycles_per_sample, a, grid);
     }
 
-    /// Lays a phasor (amplitude with phase at the middle of the chirp) of a frequency on a grid.
+    /// Adds a tone to a grid, given by its frequency and its phasor (amplitude with phase at the middle of the chirp).
     #[inline]
     pub fn add_at(&self, cycles_per_sample: f64, phasor: Complex<f32>, grid: &mut Grid) {
         let position = on_circle(cycles_per_sample) * self.cells as f64;
@@ -211,8 +212,8 @@ impl Synthesiser {
         }
     }
 
-    /// Multiplies every tone on a grid by a factor, and samples it later by a part of a sample: a tone of `f` cycles per sample
-    /// (taken within half a cycle of zero) turns by `f` times that in cycles.
+    /// Multiplies every tone on a grid by a factor, and delays sampling by a part of a sample. A tone of `f` cycles per
+    /// sample (taken within half a cycle of zero) rotates by `f` times that in cycles.
     pub fn turn(&self, factor: Complex<f32>, late_samples: f64, grid: &mut Grid) {
         if late_samples == 0.0 {
             grid.cells.iter_mut().for_each(|cell| *cell *= factor);
@@ -225,7 +226,7 @@ impl Synthesiser {
         }
     }
 
-    /// Samples of what lies on a grid, added to `out`.
+    /// Adds the samples of a grid's tones to `out`.
     pub fn transform(&self, grid: &Grid, out: &mut [f32], scratch: &mut SynthesisScratch) {
         let cells = self.cells;
         // Margin: cell `i` of the buffer is cell `i - WIDTH/2` of the circle.
@@ -233,7 +234,7 @@ impl Synthesiser {
         let at = |k: usize| {
             let i = k + margin;
             let mut sum = grid.cells.get(i).copied().unwrap_or_default();
-            // Both ends of the buffer are other turns of the circle.
+            // Both ends of the buffer wrap around the circle.
             if i >= cells {
                 sum += grid.cells.get(i - cells).copied().unwrap_or_default();
             }
@@ -267,23 +268,25 @@ impl Synthesiser {
     }
 }
 
-/// 1.5 times 2^52: a number of at most 2^51 loses its fraction when this is added, and is found in the sum's last bits.
+/// 1.5 times 2^52. Adding it to a number of at most 2^51 removes the fraction and leaves the integer in the sum's last
+/// bits.
 const SHIFT: f64 = 6_755_399_441_055_744.0;
 
-/// Nearest integer of a number below 2^51, without the library call that baseline x86-64 needs for `round`.
+/// Returns the nearest integer of a number below 2^51, without the library call that baseline x86-64 needs for `round`.
 #[inline(always)]
 fn nearest_integer(x: f64) -> f64 {
     (x + SHIFT) - SHIFT
 }
 
-/// The part of a number of turns that is left of whole ones, 0..1.
+/// Returns the fractional part of a number of turns, 0..1.
 #[inline(always)]
 fn on_circle(turns: f64) -> f64 {
     let nearest = turns - nearest_integer(turns);
     if nearest < 0.0 { nearest + 1.0 } else { nearest }
 }
 
-/// `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its doubling.
+/// Computes `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its
+/// doubling.
 #[inline(always)]
 pub(crate) fn phasor(cycles: f64) -> Complex<f32> {
     let y = ((cycles - nearest_integer(cycles)) * std::f64::consts::PI) as f32;
@@ -299,7 +302,7 @@ pub(crate) fn phasor(cycles: f64) -> Complex<f32> {
     Complex::new(1.0 - 2.0 * sine * sine, 2.0 * sine * cosine)
 }
 
-/// Polynomial through a function at Chebyshev points of -1..1, by powers.
+/// Returns the polynomial through a function at Chebyshev points of -1..1, by powers.
 fn fit(f: impl Fn(f64) -> f64) -> [f64; DEGREE] {
     let n = DEGREE as f64;
     // Chebyshev coefficients, then their polynomials by recurrence.
@@ -398,7 +401,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// On a cell, at zero, at half the rate, at its multiples, and a hair to either side.
+        /// Covers frequencies on a cell, at zero, at half the rate, at its multiples, and slightly to either side.
         #[test]
         fn frequencies_at_the_seams_of_the_grid() {
             for f in [0.0, 0.5, 1.0, -0.5, 1.0 / 512.0, 1e-12, -1e-12, 0.5 - 1e-12, 1.0 - 1e-15, 0.25] {

@@ -1,4 +1,4 @@
-//! Walls of rooms of any shape that throw in all directions: the facets that rays from the antenna meet.
+//! Diffusely scattering walls of rooms of any shape: the facets that rays from the antenna meet.
 
 use glam::DVec3;
 use rand::Rng;
@@ -6,18 +6,18 @@ use rand::Rng;
 use super::points::{Place, Walls, mean_power};
 use crate::paths::{FacetId, PolygonRoom};
 
-/// Places are looked at from this far before their facets, m.
+/// Offset of points before their facets in visibility tests, m.
 const BEFORE_M: f64 = 1e-4;
 
 /// Facets with the triangles that cover them.
 pub(super) struct FacetWalls<'a> {
     room: &'a PolygonRoom,
-    /// Area of all triangles before and with each, m^2, the facet and the corners, m.
+    /// Cumulative area including each triangle, m^2, its facet, and its corners, m.
     triangles: Vec<(f64, FacetId, [DVec3; 3])>,
 }
 
 impl<'a> FacetWalls<'a> {
-    /// The facets of a room that rays met: what they did not meet gives little, and gets little.
+    /// Collects the facets of a room that rays met; the others contribute little.
     pub fn new(room: &'a PolygonRoom) -> Self {
         let mut triangles = Vec::new();
         let mut area_m2 = 0.0;
@@ -74,7 +74,7 @@ mod tests {
     use crate::em::image::{BoxRoom, Element, Wall};
     use crate::em::pattern::Pattern;
 
-    /// Facets of a box throw what the box does: power by length of the way at a place, over many seeds.
+    /// Facets of a box scatter like the box: the power at a point by path length agrees over many seeds.
     #[test]
     fn facets_of_a_box_throw_what_its_sides_do() {
         let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
@@ -107,7 +107,7 @@ mod tests {
         let found = by_length(&|seed| points(&facets, diffuse, &antenna, &[], 10_000 + seed));
         let whole: f64 = expected.iter().sum();
         for (bin, (expected, found)) in expected.iter().zip(&found).enumerate() {
-            // Bins that hold little have few points.
+            // Bins of low power have few points.
             if *expected > 0.05 * whole {
                 assert!((found / expected - 1.0).abs() < 0.15, "{bin}: {found} {expected}");
             }

@@ -1,4 +1,4 @@
-//! Points of walls that throw in all directions, and the walks from wall to wall that end at them.
+//! Diffusely scattering points of walls, and the random walks from wall to wall that end at them.
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,33 +15,33 @@ use crate::random::{Purpose, generator};
 /// Diffuse reflection of a room's walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Diffuse {
-    /// Share of the power that falls on a wall.
+    /// Share of the incident power that a wall scatters.
     pub share: f64,
-    /// Points.
+    /// Number of points.
     pub points: usize,
-    /// Walls that a walk from an antenna to a point meets at most, its own included.
+    /// Largest number of walls on a walk from an antenna to a point, including its own.
     pub bounces: u32,
-    /// Up to so many walls, image antennas stand for what is mirrored at each.
+    /// Number of walls up to which image antennas represent specular reflection at each wall.
     pub mirrored: u32,
 }
 
-/// A point of a wall.
+/// Scattering point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
     pub(crate) position: DVec3,
-    /// Into the room.
+    /// Unit normal into the room.
     pub(crate) normal: DVec3,
-    /// Transmitter to point, by whatever walls: length, m, and what of a unit field the point throws out, times m, but for the
-    /// cosine on its way out.
+    /// Path from transmitter to point, over any walls: length, m, and the scattered field for a unit field, times m,
+    /// without the cosine of departure.
     pub(crate) there: (f64, f64),
-    /// The same for the way from the point to each receiver.
+    /// Length and scattered field of the path from the point to each receiver.
     pub(crate) back: Vec<(f64, f64)>,
     pub(crate) phase: Complex64,
-    /// Number of the point by which what came by this one goes back.
+    /// Index of the point used on the return path of echoes that arrive over this one.
     pub(crate) partner: usize,
 }
 
-/// A place on a wall of a room.
+/// Position on a wall of a room.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub(super) wall: usize,
@@ -49,21 +49,21 @@ pub(super) struct Place {
     pub(super) normal: DVec3,
 }
 
-/// Walls that throw in all directions what falls on them.
+/// Walls that scatter incident power in all directions.
 pub(super) trait Walls {
-    /// Area of all of them, m^2.
+    /// Returns the total area, m^2.
     fn area_m2(&self) -> f64;
 
-    /// A place drawn where so much area, m^2, comes before.
+    /// Draws a position on the wall at the cumulative area `at_m2`, m^2.
     fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place;
 
-    /// Share of the power on a wall that it reflects; `None` where there is no wall.
+    /// Returns the share of the incident power that a wall reflects; `None` where there is no wall.
     fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
 
-    /// Place at which a ray from a wall meets another one; `None` where it leaves the room.
+    /// Returns the point at which a ray from a wall meets another one; `None` where it leaves the room.
     fn met(&self, from: &Place, direction: DVec3) -> Option<Place>;
 
-    /// Part of an antenna's field that comes straight to a place.
+    /// Returns the part of an antenna's field that reaches a position directly.
     fn seen(&self, antenna: DVec3, place: &Place) -> f64;
 }
 
@@ -108,7 +108,7 @@ impl Walls for BoxRoom {
     }
 }
 
-/// Area of a side of a box, m^2; none where there is no wall.
+/// Returns the area of a side of a box, m^2; zero where there is no wall.
 fn side_m2(room: &BoxRoom, wall: usize) -> f64 {
     let size = room.size_m.to_array();
     match room.walls.get(wall) {
@@ -117,7 +117,7 @@ fn side_m2(room: &BoxRoom, wall: usize) -> f64 {
     }
 }
 
-/// Power that a reflection leaves, of both polarisations the mean.
+/// Returns the reflected power, averaged over both polarisations.
 pub(super) fn mean_power(reflection: Reflection) -> f64 {
     0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr())
 }
@@ -128,9 +128,9 @@ impl Place {
         Place { wall, position, normal }
     }
 
-    /// Draws the next place of a ray that leaves here by Lambert's law, and the cosine of the angle at which it leaves.
+    /// Draws the next point of a ray that leaves here by Lambert's law, and the cosine of its incidence there.
     fn thrown(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
-        // A point of the unit sphere about the tip of the normal.
+        // A point of the unit sphere around the tip of the normal gives Lambert's law.
         let z: f64 = rng.random_range(-1.0..1.0);
         let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
         let ring = (1.0 - z * z).max(0.0).sqrt();
@@ -141,13 +141,14 @@ impl Place {
     }
 }
 
-/// Number of walls of a walk and how many walks there are for each such: half meet one, a quarter two, and so on. `at` is 0 to 1.
+/// Returns the number of walls of a walk and its statistical weight: half of the walks meet one wall, a quarter two,
+/// and so on. `at` is 0 to 1.
 fn bounces(at: f64, most: u32) -> (u32, f64) {
     let count = (1..most).find(|&n| at < 1.0 - 0.5f64.powi(n as i32)).unwrap_or(most.max(1));
     (count, 2f64.powi(count.min(most.saturating_sub(1)) as i32))
 }
 
-/// The points of walls.
+/// Generates the scattering points of walls.
 pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
     let Diffuse { share, points: count, .. } = diffuse;
     let whole = walls.area_m2();
@@ -157,12 +158,12 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
     let mut rng = generator(seed, Purpose::WallPoints, [0, 0]);
     let mut points = Vec::with_capacity(count);
     for index in 0..count {
-        // One in each of as many equal parts of the walls.
+        // One point in each of `count` equal parts of the walls.
         let at_m2 = (index as f64 + rng.random::<f64>()) / count as f64 * whole;
         let first = walls.place(at_m2, &mut rng);
         let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
         let walk = Walk::from(first, walls, diffuse, tx.position, index, seed);
-        // Lambert: of the power density S on dA goes `share S dA cos_in cos_out / (pi r^2)` out.
+        // Lambert's law: a power density S on dA scatters `share S dA cos_in cos_out / (pi r^2)`.
         let leg = |element: &Element| {
             let offset = first.position - element.position;
             let length_m = offset.length().max(LEAST_LEG_M);
@@ -176,7 +177,7 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
         let back = rx.iter().map(leg).collect();
         points.push(WallPoint { position, normal, there: leg(tx), back, phase, partner: index });
     }
-    // Everyone with another, in one ring.
+    // Each point's partner is its neighbour in one random ring.
     let mut ring: Vec<usize> = (0..count).collect();
     ring.shuffle(&mut rng);
     for (place, &index) in ring.iter().enumerate() {
@@ -188,28 +189,29 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
     points
 }
 
-/// State of a walk from wall to wall.
+/// Result of a walk from wall to wall.
 struct Walk {
     end: Place,
-    /// From its first wall on.
+    /// Length from the first wall on, m.
     length_m: f64,
-    /// Share of the power on the first wall that the last one scatters in all directions, times the walks for which it stands.
+    /// Share of the power on the first wall that the last one scatters in all directions, times the statistical weight
+    /// of the walk.
     left: f64,
 }
 
 impl Walk {
     fn from(first: Place, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
-        // Walks of each number of walls from all over the room: multiples of the golden ratio fall everywhere.
+        // Multiples of the golden ratio distribute the walks of each number of walls over the whole room.
         let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
         let (count, weight) = bounces(at.fract(), diffuse.bounces);
-        // A wall gives no more than it gets: what it throws in all directions it does not mirror.
+        // Energy conservation: scattered power is not available for specular reflection.
         let mirrored_at = |place: &Place, cosine: f64| {
             Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))?.min(1.0 - diffuse.share))
         };
         let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
         let (mut end, mut length_m) = (first, 0.0);
-        // Of all that fell on the first wall: what was mirrored at every wall, and what left it in whatever way.
+        // Parts of the power on the first wall: reflected specularly at every wall, and leaving it in any way.
         let mut mirrored = mirrored_at(&first, cosine).unwrap_or(0.0);
         let mut all = mirrored + diffuse.share;
         for _ in 1..count {
@@ -219,7 +221,7 @@ impl Walk {
             };
             length_m += next.position.distance(end.position);
             end = next;
-            // What comes to an opening is gone.
+            // Power that reaches an opening is lost.
             let here = mirrored_at(&end, cosine);
             mirrored *= here.unwrap_or(0.0);
             all *= here.map_or(0.0, |here| here + diffuse.share);
@@ -234,7 +236,7 @@ mod tests {
     use super::*;
     use crate::em::pattern::Pattern;
 
-    /// Power at a place by way of the points is on average that from all pieces of the walls.
+    /// The mean power at a point over the scattering points equals the integral over all pieces of the walls.
     #[test]
     fn points_throw_what_walls_do() {
         let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
@@ -287,7 +289,7 @@ mod tests {
     fn walks(diffuse: Diffuse, walls: [Wall; 6]) -> (BoxRoom, Vec<Walk>) {
         let room = BoxRoom::new(DVec3::new(6.0, 3.5, 2.5), walls, 1257.0, false);
         let from = DVec3::new(0.3, 1.6, 1.5);
-        // Lambert's walk falls equally often on equal parts of the walls, so it may begin at any.
+        // A Lambertian walk is uniform over the walls, so it may start anywhere.
         let mut rng = generator(7, Purpose::WallPoints, [0, 0]);
         let begin = |index: usize| {
             let mut place = Place::new(4, DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0));
@@ -300,8 +302,8 @@ mod tests {
         (room, walks)
     }
 
-    /// Between two walls lies on average 4 V / S, whatever the room's shape (Kosten, Acustica 10, 1960): the way of a diffuse
-    /// field.
+    /// The mean free path between two walls is 4 V / S, whatever the room's shape (Kosten, Acustica 10, 1960), for a
+    /// diffuse field.
     #[test]
     fn walls_are_a_mean_free_path_apart() {
         let diffuse = Diffuse { share: 0.1, points: 1, bounces: 2, mirrored: 2 };
@@ -314,7 +316,8 @@ mod tests {
         assert!((mean / exact - 1.0).abs() < 0.02, "{mean} {exact}");
     }
 
-    /// Conductors lose nothing: by any number of walls all comes through, less what images stand for; by openings, nothing.
+    /// Conductors are lossless: over any number of walls all power remains, minus the part of the images; openings
+    /// leave no power.
     #[test]
     fn walks_carry_what_walls_leave_and_images_do_not() {
         let mean = |diffuse, walls| {

@@ -1,9 +1,9 @@
-//! Selection of a person's echoes that may be heard, before any of them is traced.
+//! Selection of a person's echoes that may be audible, before any of them is traced.
 //!
-//! Specular points of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
-//! images' fields over all of the segment ([`BoxRoom::most_field`]), of the specular point's strength ([`Ellipsoid::bound`]), of skin and
-//! clothes, and of the filters. In rooms of plane faces counts, too, what is in the way of a segment. What it leaves out is nowhere
-//! as loud as a path that is followed through a frame.
+//! For each pair of images and each segment, the amplitude is bounded by a product. Its factors bound both images'
+//! fields over the segment ([`BoxRoom::most_field`]), the strength of the specular point ([`Ellipsoid::bound`]), skin
+//! and clothes, and the filters. In rooms of plane faces the bound includes the obstruction of the segment. A rejected
+//! path is weaker throughout the frame than any path that is followed through it.
 //!
 //! [`BoxRoom::most_field`]: crate::em::image::BoxRoom::most_field
 
@@ -24,20 +24,20 @@ use crate::people::body::{CHEST, SEGMENTS};
 use crate::people::motion::Motion;
 use crate::prepared_scene::PreparedScene;
 
-/// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
+/// Bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
 const BODY_BOUND_M: f64 = 0.25;
-/// No part of a body is farther from its trunk's middle, m.
+/// Largest distance of any part of a body from the middle of its trunk, m.
 const BODY_REACH_M: f64 = 1.2;
-/// Segments weaker than this part of the threshold of a path alone are not traced: as weak as those that key times ask for.
+/// Part of the threshold of a single path below which segments are not traced. Path sampling uses the same limit.
 pub const HEARD: f64 = 0.5;
-/// Behind a straight edge no more than this part of a field is left.
+/// Largest part of a field that remains behind a straight edge.
 const MOST_IN_SHADOW: f64 = 0.5;
-/// Largest factor by which the field in an edge's shadow grows within a frame, where rays do not come there.
+/// Largest factor by which the field in an edge's shadow grows within a frame, where no ray arrives.
 const MOVING: f64 = 2.0;
-/// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
+/// Largest speed of any part of a body along a path, m/s. It limits the Doppler shift in the filter response.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
 
-/// A pair of images of the antennas, and the segments of somebody whose specular points it may make heard.
+/// Pair of antenna images, and the segments of a person that may be audible through it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AudiblePair {
     /// Images of the transmitter and of the receivers.
@@ -47,21 +47,21 @@ pub struct AudiblePair {
 }
 
 impl AudiblePair {
-    /// Whether a segment may be heard.
+    /// Returns whether a segment may be audible.
     pub fn has(&self, segment: usize) -> bool {
         (self.segments >> segment) & 1 == 1
     }
 }
 
 impl From<(ImageIndex, ImageIndex)> for AudiblePair {
-    /// The pair with all segments.
+    /// Returns the pair with all segments.
     fn from(pair: (ImageIndex, ImageIndex)) -> Self {
         AudiblePair { pair, segments: (1 << SEGMENTS) - 1 }
     }
 }
 
-/// Image pairs with the segments of somebody whose specular points they may make heard at some of these instants. The direct pair is the
-/// first, whatever it makes heard.
+/// Selects image pairs, with the segments of a person that may be audible through them at any of these instants. The
+/// direct pair is the first and is always kept.
 pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
     let pairs = pairs_of(prepared, &bodies);
@@ -81,19 +81,19 @@ pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f6
     all
 }
 
-/// Image pairs by which somebody with these bodies may be seen, the direct pair first.
+/// Returns the image pairs that may reach these bodies of a person, the direct pair first.
 fn pairs_of<'a>(prepared: &'a PreparedScene, bodies: &[[Ellipsoid; SEGMENTS]]) -> Cow<'a, [(ImageIndex, ImageIndex)]> {
     let middle = bodies.get(bodies.len() / 2).map_or(DVec3::ZERO, |body| body[CHEST].centre);
     let reach = |e: &Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
     prepared.pairs_near(middle, bodies.iter().flatten().map(reach).fold(0.0, f64::max))
 }
 
-/// All images that pairs are made of.
+/// Distinct images of all pairs.
 struct Images {
     indices: Vec<ImageIndex>,
-    /// Numbers of both images of each pair of the scene.
+    /// Indices of both images of each pair of the scene.
     pairs: Vec<[usize; 2]>,
-    /// Distance of the farthest receiver from the transmitter, m, which stands for all antennas.
+    /// Distance of the farthest receiver from the transmitter, m. The transmitter stands for all antennas.
     apart_m: f64,
 }
 
@@ -102,7 +102,7 @@ impl Images {
         let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
         indices.sort_unstable();
         indices.dedup();
-        // Every image of a pair is among them.
+        // The list holds every image of the pairs.
         let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
         let pairs = pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
         let apart_m = prepared.rx.iter().map(|rx| rx.position.distance(prepared.tx.position)).fold(0.0, f64::max);
@@ -110,32 +110,32 @@ impl Images {
     }
 }
 
-/// Bound on how strongly an image lights a segment.
+/// Bound on the field of an image at a segment.
 struct Lit {
     source: DVec3,
-    /// From the segment's middle, m.
+    /// Distance from the middle of the segment, m.
     distance_m: f64,
-    /// Field over distance, at most, 1/m.
+    /// Upper bound of field over distance, 1/m.
     most_per_m: f64,
 }
 
 /// Bounds of a segment's echoes at some instants.
 struct SegmentBound {
-    /// The segment at each of them.
+    /// The segment at each instant.
     at: Vec<Ellipsoid>,
     /// Largest strength of any of its sides, m.
     flattest_m: f64,
-    /// By image.
+    /// Bounds of the incident field by image.
     lit: Vec<Lit>,
-    /// Factor of an amplitude, LSB m.
+    /// Common factor of the amplitudes, LSB m.
     lsb_m: f64,
-    /// Distance of any point of the segment at any instant from its middle at the middle one, m.
+    /// Largest distance of any point of the segment at any instant from its centre at the middle instant, m.
     reach_m: f64,
     apart_m: f64,
 }
 
 impl SegmentBound {
-    /// `None` for no instant.
+    /// Computes the bounds; `None` if there is no instant.
     fn new(
         prepared: &PreparedScene,
         motion: &Motion,
@@ -154,7 +154,7 @@ impl SegmentBound {
         let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * aperture * cloth;
         if let Surroundings::Polygons(room) = &prepared.room {
             let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
-            // Weaker images are not heard even beside the strongest, and need not be looked for.
+            // Weaker images are inaudible even when paired with the strongest; skip their obstruction.
             let by_edges = room.paths().most_by_edges();
             let least_per_m = HEARD * prepared.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
             for (lit, &index) in lit.iter_mut().zip(&images.indices) {
@@ -175,14 +175,14 @@ impl SegmentBound {
         let passed = passed(prepared, length_m - 2.0 * self.reach_m, length_m + 2.0 * self.reach_m);
         let per_m = self.lsb_m * there.most_per_m * back.most_per_m * passed;
         let threshold_lsb = HEARD * prepared.threshold_lsb;
-        // Enough for most: no side of the segment is flat enough.
+        // This cheap test rejects most paths: even the flattest side of the segment is too weak.
         if per_m * self.flattest_m <= threshold_lsb {
             return false;
         }
         self.at.iter().any(|ellipsoid| {
             let Some(bound) = ellipsoid.bound(there.source, back.source, self.apart_m) else { return false };
             let amplitude = per_m * bound.strength_m;
-            // Skin reflects most where it is met at the flattest angle, and there the field across the plane of incidence.
+            // The reflection coefficient of skin is largest at the smallest cosine of incidence, for TE.
             let skin = || half_space(SKIN_PERMITTIVITY, bound.least_cosine.clamp(0.0, 1.0)).te.norm();
             amplitude > threshold_lsb && amplitude * skin() > threshold_lsb
         })
@@ -190,7 +190,7 @@ impl SegmentBound {
 }
 
 impl Lit {
-    /// All that comes within a distance of a place where nothing is in the way.
+    /// Bounds the unobstructed field within a distance of a point.
     fn new(prepared: &PreparedScene, index: ImageIndex, middle: DVec3, reach_m: f64) -> Self {
         let source = prepared.room.image_position(index, prepared.tx.position);
         let offset = middle - source;
@@ -208,9 +208,9 @@ impl Lit {
     }
 }
 
-/// Part of an image's field that what is in the way leaves at some of these segments, or at one at some of these instants, at
-/// most. Specular points of frames are past the same ([`SharedWays`](super::obstruction::SharedWays)). Less than a part of the field is
-/// not heard.
+/// Bounds the part of an image's field that obstructions leave, at any of these segments or instants. Specular points
+/// of frames have the same obstructions ([`SharedWays`](super::obstruction::SharedWays)). Fields below the part `least`
+/// are inaudible.
 fn left(
     prepared: &PreparedScene,
     room: &PolygonRoom,
@@ -220,7 +220,7 @@ fn left(
     least: f64,
 ) -> f64 {
     let antenna = prepared.tx.position;
-    // In the middle first: what rays come to there need not be asked for again.
+    // Start with the middle, whose rays have already been traced.
     let middle = at.len() / 2;
     let mut all = at.iter().skip(middle).chain(at.iter().take(middle));
     if all.any(|ellipsoid| room.is_lit(index, antenna, facing(ellipsoid, source))) {
@@ -233,7 +233,7 @@ fn left(
     at.get(middle).map_or(0.0, |ellipsoid| MOVING * in_shadow(ellipsoid))
 }
 
-/// Largest response of the filters to a path of a length in this range, m.
+/// Returns the largest filter response to a path with a length in this range, m.
 fn passed(prepared: &PreparedScene, low_m: f64, high_m: f64) -> f64 {
     let hz_per_m = prepared.chirp.slope_hz_per_s.abs() / SPEED_OF_LIGHT_M_PER_S;
     let doppler_hz = 2.0 * MOST_SPEED_M_PER_S / prepared.wavelength_m;
@@ -241,7 +241,7 @@ fn passed(prepared: &PreparedScene, low_m: f64, high_m: f64) -> f64 {
     (prepared.filters.high_pass_power(high_hz) * prepared.filters.anti_alias_power(low_hz)).sqrt()
 }
 
-/// Image pairs through which somebody may be heard, by a bound at the trunk.
+/// Selects the image pairs through which a person may be audible, by a bound at the trunk.
 pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
     let body = motion.body(time_s);
     let centre = body[CHEST].centre;
@@ -252,7 +252,7 @@ pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64
             let i = room.illuminate(&prepared.tx, index, centre);
             (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
         }
-        // The trunk may be hidden where an arm is not.
+        // An arm may be visible where the trunk is hidden.
         Surroundings::Polygons(room) => {
             let source = prepared.room.image_position(index, prepared.tx.position);
             let offset = centre - source;
@@ -277,8 +277,8 @@ pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64
     numbered.filter(|&(pair, &numbers)| audible(pair, numbers)).map(|(pair, _)| *pair).collect()
 }
 
-/// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest
-/// first, each with that strength, LSB.
+/// Selects the image pairs whose echoes, approximated by ellipsoids, are together above the threshold. Returns them
+/// with that strength, LSB, the strongest first.
 pub fn loud_pairs(
     prepared: &PreparedScene,
     motion: &Motion,

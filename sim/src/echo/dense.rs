@@ -1,8 +1,10 @@
-//! Echoes of a skin the slow way: physical optics over all of it that is lit, anew in every chirp, in double precision.
+//! Reference echoes of a skin: physical optics over its whole lit surface, recomputed in every chirp in double
+//! precision.
 //!
-//! The same surface, fields and shadows as [`super::skin`] has, but nothing of its short cuts: no window, no key times, no
-//! choice of cuts, no patches; strengths are computed wherever a flat piece has a corner, and every piece has a path and a
-//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once.
+//! Surface, fields and shadows are those of [`super::skin`], but none of its approximations is used: no window, no key
+//! times, no choice of quadrature rules, no patches. Strengths are computed at every corner of the flat pieces, and
+//! every piece has its own path and frequency. Only exact zeros are skipped, and quantities shared by several pairs of
+//! images are computed once.
 
 use std::f64::consts::TAU;
 
@@ -21,12 +23,13 @@ use crate::math::smooth_step;
 use crate::people::skin::PosedSkin;
 use crate::prepared_scene::PreparedScene;
 
-/// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
+/// Number of pieces per edge, each 2.5 mm long. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
 const PIECES: usize = 8;
-/// Tones of a chirp are this part of a cell of the range axis apart; what lies between two is shared out.
+/// Tones of a chirp per cell of the range axis. A frequency between two tones is split between them by linear
+/// interpolation.
 const TONES_PER_CELL: f64 = 400.0;
 
-/// Samples of one chirp at every receiver, LSB: `[receiver][sample]`.
+/// Computes the samples of one chirp at every receiver, LSB: `[receiver][sample]`.
 pub fn chirp(
     prepared: &PreparedScene,
     person: &SkinnedPerson,
@@ -60,12 +63,12 @@ pub fn chirp(
     tones.samples()
 }
 
-/// Antennas behind an image.
+/// Image of the antennas.
 struct Image {
     index: ImageIndex,
     source: DVec3,
     sinks: Vec<DVec3>,
-    /// Factors of people and limbs on the field at each vertex.
+    /// Factors of obstruction by people and limbs on the field at each vertex.
     weights: Vec<f64>,
 }
 
@@ -88,20 +91,20 @@ impl Image {
     }
 }
 
-/// An even cut of a triangle into flat pieces.
+/// Regular subdivision of a triangle into flat pieces.
 struct Grid {
-    /// Weights of the corners at the pieces' corners.
+    /// Barycentric coordinates of the pieces' corners.
     nodes: Vec<[f64; 3]>,
-    /// Factors at the middles of the pieces' edges.
+    /// Barycentric coordinates of the middles of the pieces' edges.
     between: Vec<[f64; 3]>,
-    /// Corners of each piece, then the middles of its edges.
+    /// Corners of each piece, then the middles of its edges, as indices.
     pieces: Vec<([usize; 3], [usize; 3])>,
 }
 
 impl Grid {
     fn new(cuts: usize) -> Self {
         let place = |i: usize, j: usize, n: usize| [(n - i - j) as f64, j as f64, i as f64].map(|w| w / n as f64);
-        // Rows grow shorter.
+        // Each row has one node fewer than the row before.
         let number = |[i, j]: [usize; 2], n: usize| i * (2 * n + 3 - i) / 2 + j;
         let all = |n: usize| (0..=n).flat_map(move |i| (0..=n - i).map(move |j| place(i, j, n))).collect();
         let mut pieces = Vec::new();
@@ -122,7 +125,7 @@ impl Grid {
     }
 }
 
-/// A triangle of the skin at all places that are needed.
+/// Triangle of the skin at all nodes.
 #[derive(Default)]
 struct Surface {
     corners: [u32; 3],
@@ -163,33 +166,33 @@ impl Surface {
     }
 }
 
-/// The same allocation with something else in it.
+/// Refills a list and keeps its allocation.
 fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
     list.clear();
     list.extend(with);
 }
 
-/// A triangle as the antennas behind an image see it.
+/// Triangle seen from the antennas of an image.
 #[derive(Default)]
 struct ImageView {
-    /// Whether there is anything to see.
+    /// Whether any part of the triangle is visible with a nonzero weight.
     lit: bool,
-    /// Factors of limbs and people at the corners.
+    /// Factors of obstruction by limbs and people at the corners.
     weights: [f64; 3],
-    /// By the transmitter and by the first receiver, at the pieces' corners; `None` where they face away.
+    /// Fields of the transmitter and of the first receiver at the pieces' corners; `None` where they face away.
     there: Vec<Option<Illumination>>,
     home: Vec<Option<Illumination>>,
     tx: Legs,
     rx: Vec<Legs>,
 }
 
-/// Ways to an antenna.
+/// Path lengths to an antenna.
 #[derive(Default)]
 struct Legs {
     /// Lengths from the middles of the flat pieces, m, and their rates, m/s.
     lengths_m: Vec<f64>,
     rates_m_per_s: Vec<f64>,
-    /// Excess length at the corners of each piece, and on the mean of the middles of its edges, m.
+    /// Excess length at the corners of each piece, and its mean over the middles of the edges, m.
     corners_m: Vec<[f64; 3]>,
     beside_m: Vec<f64>,
 }
@@ -236,7 +239,7 @@ impl ImageView {
     }
 }
 
-/// Adds what a triangle sends from one image to another.
+/// Adds the echo of a triangle from one image to another.
 fn add_triangle(
     prepared: &PreparedScene,
     surface: &Surface,
@@ -275,7 +278,8 @@ fn add_triangle(
         if strengths == [Complex64::ZERO; 3] {
             continue;
         }
-        // Strength is linear over a piece, and its path but for a mean: within millimetres that is the same for all receivers.
+        // Over a piece the strength is linear, and so is the path except for a mean offset. Within millimetres the
+        // offset is the same for all receivers.
         let longer = [0, 1, 2].map(|i| out.tx.corners_m[piece][i] + first.corners_m[piece][i]);
         let bend = out.tx.beside_m[piece] + first.beside_m[piece] - (longer[0] + longer[1] + longer[2]) / 3.0;
         let [a, b, c] = longer.map(|l| -k * (l + bend));
@@ -289,13 +293,13 @@ fn add_triangle(
     }
 }
 
-/// Tones of a chirp, close together.
+/// Amplitudes of closely spaced tones of a chirp.
 struct Tones<'a> {
     prepared: &'a PreparedScene,
     samples: usize,
     /// Distance between tones, Hz.
     step_hz: f64,
-    /// Number of the first: their frequency is their number times the step.
+    /// Index of the first tone. A tone's frequency is its index times the step.
     first: i64,
     /// Amplitudes at the middle of the chirp, before gain and filters: `[receiver][tone]`.
     amplitudes: Vec<Vec<Complex64>>,
@@ -307,7 +311,7 @@ impl<'a> Tones<'a> {
         Tones { prepared, samples, step_hz, first: 0, amplitudes: vec![Vec::new(); prepared.rx.len()] }
     }
 
-    /// Adds a field, but for the phase of its path.
+    /// Adds a field given without the phase of its path.
     fn add(&mut self, rx: usize, field: Complex64, delay_s: f64, delay_rate: f64) {
         let chirp = &self.prepared.chirp;
         let cycles = chirp.phase_cycles(delay_s);
@@ -322,7 +326,7 @@ impl<'a> Tones<'a> {
         }
     }
 
-    /// Index of a tone, after making room for it and the next.
+    /// Returns the position of a tone after making room for it and the next.
     fn place(&mut self, number: i64) -> usize {
         let len = self.amplitudes.first().map_or(0, Vec::len);
         if len == 0 {
@@ -340,7 +344,7 @@ impl<'a> Tones<'a> {
         (number - self.first) as usize
     }
 
-    /// Their sum at the ADC: `[receiver][sample]`.
+    /// Returns the sum of the tones at the ADC: `[receiver][sample]`.
     fn samples(&self) -> Vec<Vec<f64>> {
         let middle = (self.samples / 2) as f64;
         let of_receiver = |(rx, all): (usize, &Vec<Complex64>)| {
@@ -350,7 +354,7 @@ impl<'a> Tones<'a> {
                 let cycles = beat_hz / self.prepared.chirp.sample_rate_hz;
                 let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
                 let amplitude = amplitude * self.prepared.at_adc(rx, Complex64::ONE, beat_hz);
-                // Four samples side by side.
+                // Four samples are computed in parallel.
                 let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * turn(i as f64 - middle));
                 let step = turn(4.0);
                 for chunk in out.chunks_mut(4) {

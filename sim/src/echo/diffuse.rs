@@ -1,8 +1,8 @@
-//! Somebody's echoes by way of the walls' points.
+//! Echoes of a person by paths over the scattering points of walls.
 //!
-//! All echoes of a segment are made of few legs: between it and each antenna, and between it and each point. A leg has a length
-//! with two derivatives by time and a field; a way adds and multiplies those of its two legs. Receivers beside the first differ
-//! in the leg that ends at them.
+//! All echoes of a segment consist of few legs: between it and each antenna, and between it and each point. A leg has a
+//! length with two time derivatives, and a field; a path adds the lengths and multiplies the fields of its two legs.
+//! The paths to further receivers differ only in the leg that ends at them.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -20,39 +20,42 @@ use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::OTHERS;
 
-/// Paths weaker than this over the threshold of a path alone are not heard even together.
+/// Part of the threshold of a single path below which paths are inaudible even together.
 const HEARD: f64 = 0.1;
-/// Points are looked at from this far before their walls, m.
+/// Offset of points before their walls in visibility tests, m.
 const BEFORE_M: f64 = 1e-4;
-/// A segment takes at least so many points, if there are as many: fewer and stronger echoes stand out of maps one by one, as
-/// a second person's do.
+/// Smallest number of points for a segment, if there are as many. Fewer and stronger echoes would appear in maps as
+/// individual detections, like a second person.
 const LEAST_POINTS: usize = 64;
-/// Fraction of the golden ratio: its multiples fall evenly between 0 and 1.
+/// Fractional part of the golden ratio, whose multiples are evenly distributed between 0 and 1.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB, a quarter at 1 dB.
+/// Returns the number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB,
+/// a quarter at 1 dB.
 pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
     let part = (0.5 / tolerance_db).powi(2);
     ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points)
 }
 
-/// Numbers of the points that a segment takes: evenly spread over all, and others for each segment.
+/// Returns the indices of the points that a segment takes: evenly spread over all, with another offset for each
+/// segment.
 fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item = usize> {
     let shift = (segment as f64 * GOLDEN).fract();
     (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
 }
 
-/// Surface of an ellipsoid, m^2 (Knud Thomsen's formula, good to 1 %).
+/// Computes the surface area of an ellipsoid, m^2 (Knud Thomsen's formula, accurate to 1 %).
 fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
     const P: f64 = 1.6075;
     let [a, b, c] = ellipsoid.semi_axes_m.to_array().map(|v| v.powf(P));
     4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
 }
 
-/// Adds somebody's diffuse echoes to those of each stretch of a frame: `own` is that person at the ends of the stretches. Each
-/// segment of the body takes so many of the points, whose echoes are the stronger for it: the mean power does not change.
+/// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
+/// intervals. Each segment of the body takes `points_a_segment` of the points, with echoes scaled so that the mean
+/// power does not depend on that number.
 pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
-    /// Ways by a point.
+    /// Number of paths over a point.
     const WAYS: usize = 3;
     let points = &prepared.wall_points;
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
@@ -62,7 +65,7 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
     stretches.iter_mut().for_each(|stretch| stretch.reserve(most));
     let audible = audible(prepared, own, &segments);
     let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
-    // One pair of points of as many as there are points.
+    // One pair of points stands for as many pairs as there are points.
     let weight = (points.len() as f64).sqrt();
     for (number, segment) in segments.iter().enumerate() {
         legs.clear(points.len(), own.len());
@@ -101,8 +104,8 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
     }
 }
 
-/// By point, whether its echoes may be heard at all by the ways point and antenna, antenna and point, point and partner: a bound
-/// from the distance of the whole body.
+/// Returns, for each point, whether its echoes may be audible on each of three paths: point and antenna, antenna and
+/// point, point and partner. The bound uses the distance of the whole body.
 fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 3]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
@@ -116,7 +119,8 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
     let near_tx = near(prepared.tx.position);
     let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
     let points = &prepared.wall_points;
-    // A point that is hidden from the middle of the body stays so for a frame: echoes by it are left out or not, but do not change.
+    // Visibility from the middle of the body is decided once per frame, so that echoes over a point do not switch
+    // within it.
     let middle = own.get(own.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
     let seen = |point: &WallPoint| {
         let before = point.position + point.normal * BEFORE_M;
@@ -133,24 +137,24 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
     points.iter().zip(&near_points).map(bound).collect()
 }
 
-/// One side of a way: between an antenna or a point and the middle of a segment, at a time.
+/// Leg between an antenna or a point and the middle of a segment, at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Leg {
-    /// Length, m, and its first and second derivative by time.
+    /// Length, m, and its first and second time derivative.
     length: [f64; 3],
-    /// Field at the segment of a unit field at 1 m.
+    /// Field at the segment for a unit field at 1 m.
     field: f64,
 }
 
 impl Leg {
-    /// From a position that sends a field, times m, in a direction.
+    /// Computes a leg from a position that radiates a field, times m, in a direction.
     fn new(lit: &Scatterer, from: DVec3, sends: impl Fn(DVec3) -> f64) -> Self {
         let offset = lit.centre - from;
         let distance_m = offset.length();
         let direction = offset / distance_m.max(1e-9);
         let least_m = distance_m.max(LEAST_LEG_M);
         let rate = direction.dot(lit.velocity);
-        // What moves across a leg makes it longer ever faster.
+        // Transverse motion increases the second derivative.
         let across = (lit.velocity.length_squared() - rate * rate) / least_m;
         let length = [distance_m, rate, direction.dot(lit.acceleration) + across];
         Leg { length, field: sends(direction) / least_m }
@@ -167,14 +171,14 @@ impl Leg {
     }
 }
 
-/// A segment at a time.
+/// Motion of a segment at one time.
 struct Scatterer {
     centre: DVec3,
     velocity: DVec3,
     acceleration: DVec3,
 }
 
-/// A segment at the ends of a frame's stretches.
+/// Segment at the ends of a frame's intervals.
 struct Segment {
     lit: Vec<Scatterer>,
     /// Amplitude of its echo at an antenna for unit fields on both legs, by time.
@@ -183,11 +187,12 @@ struct Segment {
     tx: Vec<Leg>,
     /// Leg to each receiver: `[receiver][time]`.
     rx: Vec<Vec<Leg>>,
-    /// Gain of each receiver over the first's.
+    /// Gain of each receiver relative to the first.
     gains: Vec<f64>,
 }
 
-/// Legs between a segment and the walls' points: each is computed once, although a point is also another's partner.
+/// Legs between a segment and the walls' points. Each is computed once, although a point is also the partner of
+/// another.
 #[derive(Default)]
 struct PointLegs {
     /// `[point][time]`.
@@ -197,7 +202,7 @@ struct PointLegs {
 }
 
 impl PointLegs {
-    /// None of so many points at so many times.
+    /// Resets to no legs, for a number of points and times.
     fn clear(&mut self, points: usize, times: usize) {
         const NONE: Leg = Leg { length: [0.0; 3], field: 0.0 };
         self.legs.resize(points * times, NONE);
@@ -206,7 +211,7 @@ impl PointLegs {
         self.times = times;
     }
 
-    /// Computes those of a point, unless they are known.
+    /// Computes the legs of a point, unless they are known.
     fn find(&mut self, segment: &Segment, index: usize, point: &WallPoint) {
         let Some(is_known) = self.is_known.get_mut(index).filter(|known| !**known) else { return };
         *is_known = true;
@@ -216,19 +221,19 @@ impl PointLegs {
         }
     }
 
-    /// Those of a point, by time.
+    /// Returns the legs of a point, by time.
     fn of(&self, index: usize) -> &[Leg] {
         self.legs.get(index * self.times..(index + 1) * self.times).unwrap_or(&[])
     }
 }
 
-/// Difference of a way to another receiver from that to the first.
+/// Difference of the path to another receiver from that to the first.
 struct Beside {
     length_m: f64,
     ratio: f64,
 }
 
-/// Difference between what a point sends to a receiver and to the first one.
+/// Returns the difference of the path from a point to a receiver from that to the first receiver.
 fn beside_by_point(point: &WallPoint, receiver: usize) -> Beside {
     match (point.back.first(), point.back.get(receiver)) {
         (Some(first), Some(own)) if first.1 > 0.0 => Beside { length_m: own.0 - first.0, ratio: own.1 / first.1 },
@@ -236,19 +241,19 @@ fn beside_by_point(point: &WallPoint, receiver: usize) -> Beside {
     }
 }
 
-/// A way from antenna to antenna by a segment.
+/// Path from antenna to antenna over a segment.
 struct Way<'a> {
-    /// Its legs at the segment, each by time.
+    /// Legs at the segment, each by time.
     legs: [&'a [Leg]; 2],
-    /// Length between points and antennas, m.
+    /// Length of the path between points and antennas, m.
     behind_m: f64,
-    /// Product of what its points throw out of unit fields, times m.
+    /// Product of the fields that its points scatter for unit fields, times m.
     thrown: f64,
     phase: Complex64,
 }
 
 impl Segment {
-    /// A segment of somebody whose echoes are this much stronger each, since fewer stand for all.
+    /// Builds a segment of a person. `share` is the amplitude factor that compensates for the reduced number of points.
     fn new(prepared: &PreparedScene, own: &[&Snapshot], segment: usize, share: f64) -> Self {
         let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
         let aperture = prepared.aperture_m();
@@ -258,7 +263,7 @@ impl Segment {
         };
         let strength = |now: &&Snapshot| {
             let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
-            // Of what is thrown in all directions an antenna takes one polarisation.
+            // An antenna receives one polarisation of the diffuse field.
             share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(prepared, now.centre(segment).0)
         };
         let lit: Vec<Scatterer> = own.iter().map(lit).collect();
@@ -273,7 +278,7 @@ impl Segment {
         }
     }
 
-    /// Difference between the legs to a receiver and to the first one at a time.
+    /// Returns the difference of the leg to a receiver from that to the first receiver at a time.
     fn beside(&self, receiver: usize, time: usize) -> Beside {
         let leg = |receiver: usize| self.rx.get(receiver).and_then(|legs| legs.get(time));
         match (leg(0), leg(receiver)) {
@@ -284,7 +289,8 @@ impl Segment {
         }
     }
 
-    /// Adds what comes back by a way, if it can be heard at any of the times; `beside` is the difference of a receiver at a time.
+    /// Adds the echo of a path if it is audible at any of the times. `beside` is the difference of a receiver at a
+    /// time.
     fn add(
         &self,
         prepared: &PreparedScene,
@@ -297,7 +303,7 @@ impl Segment {
         let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
         let legs = || way.legs[0].iter().zip(way.legs[1]);
         let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.thrown;
-        // The filters let through no more than what there is.
+        // The filters only attenuate, so this bound precedes their evaluation.
         if self.strength.iter().zip(legs()).map(strength).all(|field| lsb * field < least) {
             return;
         }
@@ -359,7 +365,7 @@ mod tests {
         assert!((bend - (after - 2.0 * now + before) / (h * h)).abs() < 1e-5, "{bend}");
     }
 
-    /// A sphere is its own average; of a needle nothing is left but its side.
+    /// The formula is exact for a sphere, and close for an elongated ellipsoid.
     #[test]
     fn surfaces_are_those_of_known_shapes() {
         let of = |axes: [f64; 3]| {

@@ -1,4 +1,5 @@
-//! Obstruction of a path by people: their own limbs and trunk, and everybody who stands beside one of its legs.
+//! Obstruction of a path by people: by the limbs and trunk of the person that reflects it, and by other people near its
+//! legs.
 
 use std::cell::RefCell;
 
@@ -13,12 +14,12 @@ use crate::paths::{EdgesBeside, Obstruction, PolygonRoom, Surroundings};
 use crate::people::body::SEGMENTS;
 use crate::prepared_scene::PreparedScene;
 
-/// Segment that may hide a limb: the same limb of the other side.
+/// Returns the segment that may hide a limb: the same limb of the other side.
 pub(super) fn opposite(segment: usize) -> Option<usize> {
     (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
 }
 
-/// A limb as an upright column.
+/// Approximates a limb by an upright column.
 pub(super) fn limb_column(limb: &Ellipsoid) -> Column {
     Column {
         x: limb.centre.x,
@@ -28,7 +29,7 @@ pub(super) fn limb_column(limb: &Ellipsoid) -> Column {
     }
 }
 
-/// One way of a path: between a specular point and an antenna by one of its images.
+/// One-way path between a specular point and an image of an antenna.
 pub(super) struct Way {
     pub(super) image: ImageIndex,
     /// Position of the image.
@@ -37,7 +38,7 @@ pub(super) struct Way {
     pub(super) antenna: DVec3,
 }
 
-/// Field left on the way between a point on somebody's segment and an antenna.
+/// Returns the factor of obstruction on the one-way path between a point on a person's segment and an antenna.
 pub(super) fn visibility(
     prepared: &PreparedScene,
     people: &[Snapshot],
@@ -51,8 +52,9 @@ pub(super) fn visibility(
         * past_people(prepared, people, me, way.image, way.antenna, point)
 }
 
-/// Field that somebody's own trunk and limbs leave on the way between a point of a segment and an image: on the leg that touches
-/// the body, in the unfolded room (long enough: bodies are far smaller than rooms).
+/// Returns the factor of obstruction by the person's own trunk and limbs on the one-way path between a point of a
+/// segment and an image. It is evaluated along the unfolded path, which is valid because bodies are far smaller than
+/// rooms.
 pub(super) fn past_own(prepared: &PreparedScene, own: &Snapshot, segment: usize, source: DVec3, point: DVec3) -> f64 {
     if segment < 3 {
         return 1.0;
@@ -65,8 +67,8 @@ pub(super) fn past_own(prepared: &PreparedScene, own: &Snapshot, segment: usize,
         .product()
 }
 
-/// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
-/// own body before the last wall.
+/// Returns the factor of obstruction by other people on the one-way path between a point of a person's body and an
+/// image of an antenna. The own body counts on all legs but the last.
 pub(super) fn past_people(
     prepared: &PreparedScene,
     people: &[Snapshot],
@@ -86,13 +88,13 @@ pub(super) fn past_people(
     }
 }
 
-/// The same on a way with these corners, from an antenna to the point.
+/// Returns the same factor for a path with these corners, from an antenna to the point.
 fn past_along(prepared: &PreparedScene, people: &[Snapshot], me: usize, way: &[DVec3]) -> f64 {
     let (last, others) = (way.len().saturating_sub(2), Others { prepared, people, me });
     way.windows(2).enumerate().map(|(leg, ends)| others.past(leg == last, ends[0], ends[1])).product()
 }
 
-/// People who may stand beside a leg.
+/// People that may obstruct a leg.
 struct Others<'a> {
     prepared: &'a PreparedScene,
     people: &'a [Snapshot],
@@ -100,44 +102,45 @@ struct Others<'a> {
 }
 
 impl Others<'_> {
-    /// Field that they leave on a leg: on the last one, that touches the body, all but the own body.
+    /// Returns the factor of obstruction on a leg. The own body is excluded on the last leg, which ends at it.
     fn past(&self, is_last: bool, from: DVec3, to: DVec3) -> f64 {
         let others = self.people.iter().enumerate().filter(|(i, _)| *i != self.me || !is_last);
         others.map(|(_, other)| diffraction::past(from, to, &other.column, self.prepared.wavelength_m)).product()
     }
 }
 
-/// Point of a segment that stands for all of it where it is asked what is in the way to an image: where a plane wave from there
-/// would be mirrored back. Specular points lie within the segment's own radius of it, and first Fresnel zones are as wide.
+/// Returns the point of a segment that represents it in obstruction tests towards an image: the specular point for a
+/// monostatic plane wave from there. The actual specular points lie within the segment's own radius of it, and first
+/// Fresnel zones are as wide.
 pub(super) fn facing(segment: &Ellipsoid, source: DVec3) -> DVec3 {
     let normal = segment.axes.transpose() * (source - segment.centre);
     segment.surface((normal * segment.semi_axes_m).normalize_or_zero())
 }
 
-/// Obstruction of the way between an image and a segment.
+/// Obstruction of the one-way path between an image and a segment.
 pub(super) struct SharedWay<'a> {
-    /// Facets, edges and walls.
+    /// Obstruction by facets, edges and walls.
     pub(super) obstruction: Obstruction<'a>,
-    /// Part of the field that people leave.
+    /// Factor of obstruction by people.
     pub(super) past_people: f64,
 }
 
-/// Obstructions of the ways between images and somebody's segments at an instant, in a room of plane faces. Where no edge is beside the
-/// way it is asked for once for all specular points of a segment and for all antennas, which are some millimetres apart; beside edges
-/// it changes within a segment, and every specular point has its own.
+/// Obstructions of the one-way paths between images and a person's segments at an instant, in a room of plane faces.
+/// Away from edges, one result serves all specular points of a segment and all antennas, which are some millimetres
+/// apart. Near edges the obstruction varies within a segment, so every specular point has its own.
 pub(super) struct SharedWays<'a> {
     prepared: &'a PreparedScene,
     room: &'a PolygonRoom,
     people: &'a [Snapshot],
     me: usize,
-    /// `[image][segment]`: edges beside the ways at any instant.
+    /// Edges near the paths at any instant: `[image][segment]`.
     beside: &'a RefCell<Vec<EdgesBeside>>,
-    /// `[image][segment]`; none before it is asked for.
+    /// Obstructions computed so far: `[image][segment]`.
     known: Vec<Option<SharedWay<'a>>>,
 }
 
 impl<'a> SharedWays<'a> {
-    /// None are known yet, of as many images and segments as there are edges for.
+    /// Creates an empty store with an entry for each image and segment in `beside`.
     pub(super) fn new(
         prepared: &'a PreparedScene,
         room: &'a PolygonRoom,
@@ -149,7 +152,8 @@ impl<'a> SharedWays<'a> {
         SharedWays { prepared, room, people, me, beside, known }
     }
 
-    /// The way between a segment and an image of a number; `None` where nothing arrives by it.
+    /// Returns the obstruction of the one-way path between a segment and an image with an index; `None` if it is
+    /// complete.
     pub(super) fn of(&mut self, number: usize, image: ImageIndex, segment: usize) -> Option<&SharedWay<'a>> {
         let body = &self.people.get(self.me)?.body;
         let (ellipsoid, slot) = (body.get(segment)?, self.known.get_mut(number * SEGMENTS + segment)?);
@@ -165,7 +169,7 @@ impl<'a> SharedWays<'a> {
         slot.as_ref().filter(|way| way.obstruction.left() > 0.0)
     }
 
-    /// Field of an image of an element at a point of a segment, and the part of it that people leave.
+    /// Returns the field of an element's image at a point of a segment, and the factor of obstruction by people.
     pub(super) fn field(
         &mut self,
         (number, image): (usize, ImageIndex),
@@ -188,21 +192,21 @@ impl<'a> SharedWays<'a> {
     }
 }
 
-/// Added to distances at which columns are left out, for rounding, m.
+/// Margin for rounding on distances beyond which columns are ignored, m.
 const ROUNDING_M: f64 = 1e-6;
 
-/// A column on the ground plan of the unfolded room, where it has an image in every cell of the lattice that a way leads through.
+/// Column on the ground plan of the unfolded room, with an image in every lattice cell that a path crosses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Standing {
     axis: DVec2,
-    /// Square of the distance from its axis beyond which a way is left alone, m^2.
+    /// Square of the distance from its axis beyond which a path is unaffected, m^2.
     reach_m2: f64,
-    /// True if it stands in the way only before the last mirror plane above or below.
+    /// Whether the column obstructs only the part of the path before the last mirror plane above or below.
     is_own: bool,
 }
 
 impl Standing {
-    /// Whether a straight way on the ground plan comes near.
+    /// Returns whether a straight path on the ground plan comes near.
     fn is_near(&self, from: DVec2, way: DVec2) -> bool {
         let offset = self.axis - from;
         let (along, square) = (offset.dot(way), way.length_squared());
@@ -218,18 +222,19 @@ impl Standing {
     }
 }
 
-/// Columns that may stand in the ways between images and somebody's body at an instant, image by image as they are asked for.
+/// Columns that may obstruct the paths between images and a person's body at an instant, computed for each image on
+/// first use.
 pub(super) struct Bystanders<'a> {
     prepared: &'a PreparedScene,
     room: &'a BoxRoom,
     people: &'a [Snapshot],
     me: usize,
-    /// Columns of each image; empty before it is asked for, as there are always some.
+    /// Columns of each image; empty before first use, as the result is never empty.
     of_images: Vec<Vec<Standing>>,
 }
 
 impl<'a> Bystanders<'a> {
-    /// None are known yet of so many images of a box.
+    /// Creates an empty store for a number of images of a box.
     pub(super) fn new(
         prepared: &'a PreparedScene,
         room: &'a BoxRoom,
@@ -255,12 +260,13 @@ impl<'a> Bystanders<'a> {
         all
     }
 
-    /// The same as [`past_people`], which is asked only where somebody stands near the way. `number` is that of the image.
+    /// Returns the same factor as [`past_people`], which is evaluated only if a person is near the path. `number` is
+    /// the index of the image.
     pub(super) fn past(&mut self, number: usize, way: &Way, point: DVec3) -> f64 {
         let (prepared, people, me) = (self.prepared, self.people, self.me);
         let exact = || past_people(prepared, people, me, way.image, way.antenna, point);
         let size_m = self.room.size_m;
-        // Ways to points outside of the room may lead beyond them before they are folded.
+        // Paths to points outside of the room may leave these cells before they are folded.
         if !(point.cmpge(DVec3::ZERO).all() && point.cmple(size_m).all()) {
             return exact();
         }
@@ -270,7 +276,7 @@ impl<'a> Bystanders<'a> {
         }
         let Some(standing) = self.of_images.get(number) else { return exact() };
         let (from, all) = (way.source.truncate(), (point - way.source).truncate());
-        // Part of the way before the last mirror plane above or below.
+        // Part of the path before the last mirror plane above or below.
         let before = match way.image[2] {
             0 => None,
             planes => {
@@ -299,7 +305,7 @@ mod tests {
     use crate::random::{Purpose, generator};
     use crate::scene::Scene;
 
-    /// Two people anywhere in rooms: ways are shaded as they are where everybody is asked.
+    /// For two people anywhere in rooms, the shortcut gives the same obstruction as the full computation.
     #[test]
     fn bystanders_leave_what_all_people_leave() {
         let mut rng = generator(5, Purpose::Build, [0, 0]);

@@ -1,6 +1,6 @@
-//! Triangles of a skin that hang together, as one tone in every chirp.
+//! Patch of connected skin triangles, summed to one tone per chirp.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
@@ -14,27 +14,28 @@ use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{EchoWay, phasor};
 
-/// Places of the antennas behind an image.
+/// Positions of the antennas' images, m.
 pub(super) struct Place {
-    /// Middle of transmitter and receivers: what they are lit by and what hides them is taken to be the same.
+    /// Midpoint of transmitter and receivers. Illumination and obstruction are evaluated here for all antennas.
     pub(super) middle: DVec3,
     pub(super) tx: DVec3,
     pub(super) rx: Vec<DVec3>,
 }
 
-/// Times of a frame's keys and chirps.
+/// Key times and chirp times of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameTimes {
-    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's, s.
+    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the
+    /// last's, s.
     pub keys_s: Vec<f64>,
     /// Middles of the chirps, s.
     pub chirps_s: Vec<f64>,
-    /// Chirps by the stretch between keys that they are in.
+    /// Chirps grouped by the interval between key times that contains them.
     stretches: Vec<StretchChirps>,
 }
 
 impl FrameTimes {
-    /// From keys and the middles of chirps, s.
+    /// Builds the times from key times and the middles of chirps, s.
     pub fn new(keys_s: Vec<f64>, chirps_s: Vec<f64>) -> Self {
         let first_s = keys_s.first().copied().unwrap_or_default();
         let length_s = keys_s.last().copied().unwrap_or_default() - first_s;
@@ -43,13 +44,13 @@ impl FrameTimes {
         FrameTimes { keys_s, chirps_s, stretches }
     }
 
-    /// With keys half-way between as well.
+    /// Returns the same times with additional key times half-way between.
     pub(super) fn halved(&self) -> Self {
         let between = self.keys_s.windows(2).flat_map(|pair| [pair[0], 0.5 * (pair[0] + pair[1])]);
         FrameTimes::new(between.chain(self.keys_s.last().copied()).collect(), self.chirps_s.clone())
     }
 
-    /// Between keys, s.
+    /// Returns the interval between key times, s.
     pub(super) fn step_s(&self) -> f64 {
         match self.keys_s.as_slice() {
             [first, second, ..] => second - first,
@@ -58,24 +59,24 @@ impl FrameTimes {
     }
 }
 
-/// Triangles that hang together, as one moving place.
+/// Connected triangles, treated as one moving point.
 pub(super) struct Patch {
-    /// At each key.
+    /// Position at each key time.
     places: Vec<PatchPlace>,
 }
 
-/// Place of a patch at a key: means over its triangles by power.
+/// Position of a patch at a key time: means over its triangles, weighted by power.
 #[derive(Clone, Copy)]
 struct PatchPlace {
     place: DVec3,
-    /// Path there by the antennas' middles, m, and its rate, m/s.
+    /// Length of the path by the antennas' midpoints, m, and its rate, m/s.
     length_m: f64,
     rate_m_per_s: f64,
 }
 
 impl Patch {
-    /// Sums the triangles in every chirp, on their way from one image to another; `None` where there is nothing. Places of
-    /// triangles are from `origin`.
+    /// Sums the triangles in every chirp on the path from one image to another. Returns `None` if the total power is
+    /// not positive and finite. Triangle positions are relative to `origin`.
     pub(super) fn new(
         keys: &[PatchField],
         origin: DVec3,
@@ -84,7 +85,7 @@ impl Patch {
         wavelength_m: f64,
         sums: &mut PatchSums,
     ) -> Option<Self> {
-        // The same weights at all keys, so that the place moves smoothly.
+        // The weights are the same at all key times, so that the patch position moves smoothly.
         let mut weights = [0f32; LANES];
         for key in keys {
             let powers = key.powers();
@@ -95,7 +96,7 @@ impl Patch {
             return None;
         }
         weights.iter_mut().for_each(|weight| *weight /= total);
-        // They sum to one but for rounding, which lengths would show.
+        // Rounding makes the sum of the weights differ from one, which would be visible in path lengths.
         let whole = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>();
         let place = |key: &PatchField| {
             let mean = |row: &Row| f64::from((0..LANES).map(|l| row[l] * weights[l]).sum::<f32>());
@@ -121,7 +122,7 @@ impl Patch {
         Some(Patch { places })
     }
 
-    /// Ways by which each receiver hears it between two images, and by the reverse if it is both.
+    /// Computes the echo of the patch at each receiver between two images. If `is_both`, the reverse path is included.
     pub(super) fn ways(
         &self,
         prepared: &PreparedScene,
@@ -167,37 +168,38 @@ impl PatchPlace {
         self.length_m / SPEED_OF_LIGHT_M_PER_S
     }
 
-    /// Response of the filters to its field, as it multiplies `exp(+j ...)`.
+    /// Returns the filter response at the patch's beat frequency, as a factor of `exp(+j ...)`.
     fn response(&self, prepared: &PreparedScene) -> Complex<f32> {
         let beat_hz = prepared.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
         let response = prepared.filters.response(beat_hz);
         Complex::new(response.re as f32, response.im as f32)
     }
 
-    /// Excess length of the way from the transmitter over that by the antennas' middles there and back, m: a receiver's own
-    /// distance is to be added.
+    /// Returns the path length by the transmitter minus that by the antennas' midpoints, both ways, m. The distance to
+    /// the individual receiver must be added.
     fn detour_but_for_receiver_m(&self, [out, back]: [&Place; 2]) -> f64 {
         let by_middles_m = out.middle.distance(self.place) + back.middle.distance(self.place);
         out.tx.distance(self.place) - by_middles_m
     }
 
-    /// The phasor of a path that is so much longer.
+    /// Returns the phasor of the phase by which a path longer by `longer_m` differs.
     fn turn(&self, prepared: &PreparedScene, longer_m: f64) -> Complex<f32> {
         let (delay_s, later_s) = (self.delay_s(), longer_m / SPEED_OF_LIGHT_M_PER_S);
         phasor(prepared.chirp.phase_cycles(delay_s + later_s) - prepared.chirp.phase_cycles(delay_s))
     }
 }
 
-/// Gradient of the excess length of a way by the transmitter and the middle of the receivers over that by the middles of both:
-/// between an image and itself not at all, otherwise by up to a tenth of a radian over a patch.
+/// Returns the gradient of the excess length of the path by the transmitter and the receivers' midpoint over the path
+/// by both midpoints. It vanishes between an image and itself; otherwise the phase varies by up to a tenth of a radian
+/// over a patch.
 fn detour_gradient([out, back]: [&Place; 2], place: DVec3) -> DVec3 {
     let away = |antenna: DVec3| (place - antenna).normalize_or_zero();
     let receivers = 2.0 * back.middle - back.tx;
     away(out.tx) - away(out.middle) + away(receivers) - away(back.middle)
 }
 
-/// Through values at the first, the middle and the last key, the last of which has this number, as powers of the chirp's number: keys
-/// span the chirps.
+/// Returns the parabola through values at the first, middle and last key time, as powers of the chirp number. `last` is
+/// the index of the last key time; key times span the chirps.
 fn parabola([a, b, c]: [Complex<f32>; 3], last: usize, chirps: usize) -> [Complex<f32>; 3] {
     let n = chirps as f32;
     if last < 2 {
@@ -206,7 +208,8 @@ fn parabola([a, b, c]: [Complex<f32>; 3], last: usize, chirps: usize) -> [Comple
     [a, (b * 4.0 - a * 3.0 - c) / n, (a + c - b * 2.0) * (2.0 / (n * n))]
 }
 
-/// Triangles at a key as one end of a stretch of so many seconds, with lengths from the patch's.
+/// Converts the triangles at a key time to one end of an interval of `step_s` seconds, with lengths relative to the
+/// patch's length.
 fn track_rows(
     key: &PatchField,
     patch: &PatchPlace,
@@ -238,7 +241,8 @@ fn track_rows(
     rows
 }
 
-/// Squares of what cubics between keys miss of triangles' fields when every second key is left out, and of the fields.
+/// Returns the squared error of cubic interpolation of the triangles' fields when every second key time is left out,
+/// and the squared fields.
 pub(super) fn missed_between_keys(
     level: KernelLevel,
     keys: &[PatchField],
@@ -277,7 +281,7 @@ fn missed_body([a, b, c]: [&PatchField; 3], step_s: f64, wavelength_m: f64) -> (
     (sum(missed), sum(b.powers()))
 }
 
-/// An antenna in the middle of transmitter and receivers.
+/// Returns an antenna at the midpoint of transmitter and receivers.
 pub(super) fn middle_antenna(prepared: &PreparedScene) -> Element {
     let rx: DVec3 = prepared.rx.iter().map(|rx| rx.position).sum::<DVec3>() / prepared.rx.len().max(1) as f64;
     let position = if prepared.rx.is_empty() { prepared.tx.position } else { 0.5 * (prepared.tx.position + rx) };

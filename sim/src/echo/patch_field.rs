@@ -1,6 +1,7 @@
-//! A patch's triangles at a key: from moments and strengths at their corners to fields, paths and the rates of both.
+//! Fields of a patch's triangles at a key time: fields, path lengths and their rates, computed from moments and
+//! strengths at the corners.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use super::patch_pose::{PatchPose, at_corners};
@@ -14,18 +15,18 @@ pub(super) struct StrengthRows {
     pub(super) rates: (Row, Row),
 }
 
-/// A patch's triangles at a key. In lanes without a triangle fields are zero.
+/// Fields of a patch's triangles at a key time. Fields are zero in lanes without a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PatchField {
-    /// Middles from the patch's origin, m.
+    /// Middles relative to the patch's origin, m.
     pub(super) middles: Row3,
-    /// Path by the antennas' middles, m, and its rate, m/s.
+    /// Length of the path by the antennas' midpoints, m, and its rate, m/s.
     pub(super) length_m: [f64; LANES],
     pub(super) rate_m_per_s: Row,
     /// Integral of the field relative to the path by the middle, real and imaginary part, and its rate.
     pub(super) field: [Row; 2],
     pub(super) field_rate: [Row; 2],
-    /// Moment of the field about that path: integral of the field times how much longer its own path is, m.
+    /// Moment of the field about that path: integral of the field times the excess length of its own path, m.
     pub(super) moment: [Row; 2],
 }
 
@@ -44,7 +45,7 @@ impl Default for PatchField {
 }
 
 impl PatchField {
-    /// Squares of the fields.
+    /// Returns the squared magnitudes of the fields.
     #[inline(always)]
     pub(super) fn powers(&self) -> Row {
         let mut powers = [0.0; LANES];
@@ -58,7 +59,7 @@ impl PatchField {
 /// Inputs of the integral.
 pub(super) struct Parts<'a> {
     pub(super) posed: &'a PatchPose,
-    /// Places in the list of images.
+    /// Indices in the list of images.
     pub(super) images: [usize; 2],
     pub(super) moments: &'a MomentRows,
     pub(super) corners: &'a [[usize; 3]; LANES],
@@ -67,7 +68,7 @@ pub(super) struct Parts<'a> {
 }
 
 compiled_for_levels! {
-    /// Every triangle of a patch at a key.
+    /// Computes the fields of all triangles of a patch at a key time.
     pub(super) fn patch_field(parts: &Parts) -> PatchField = body;
 }
 
@@ -98,17 +99,17 @@ fn body(parts: &Parts) -> PatchField {
         let (sideways, turning) = (dot(&both, &against[corner]), dot(d, velocity));
         let (along_t, along_r) = (dot(&away_t, d), dot(&away_r, d));
         for l in 0..LANES {
-            // How fast the path by the corner grows against that by the middle.
+            // Rate of the path length by the corner relative to that by the middle.
             let rate = sideways[l]
                 + (turning[l] - along_t[l] * speeds[0][l]) * views[0].inverse_m[l]
                 + (turning[l] - along_r[l] * speeds[1][l]) * views[1].inverse_m[l];
             let turn = wavenumber_per_m * rate;
             let (x, y) = (re[corner][l], im[corner][l]);
-            // The strength's own rate, and minus j k times the path's.
+            // The strength's own rate, minus j k times the rate of the path.
             let (u, v) = (rate_re[corner][l] + turn * y, rate_im[corner][l] - turn * x);
             let (a, b) = (moments.re[corner][l], moments.im[corner][l]);
             let (field_re, field_im) = (x * a - y * b, x * b + y * a);
-            // About the path by the middle, which the corner's is longer than by this.
+            // Excess length of the path by the corner over that by the middle.
             let longer = along_t[l] + along_r[l];
             keys.field[0][l] += field_re;
             keys.field[1][l] += field_im;

@@ -1,4 +1,4 @@
-//! A patch of a skin in a pose, side by side in lanes: what is known of it whichever antennas look at it.
+//! Pose of a skin patch in lanes: quantities that do not depend on the pair of antennas.
 
 use glam::DVec3;
 use radome_dsp::KernelLevel;
@@ -12,26 +12,26 @@ use crate::lanes::{LANES, Row, Row3};
 use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 use crate::prepared_scene::PreparedScene;
 
-/// The rule of quadrature of each half of the lanes; none where nothing is to be integrated.
+/// Index of the quadrature rule of each half of the lanes; `None` where no integral is needed.
 pub(super) type Rules = [Option<usize>; HALVES];
 
-/// A patch in a pose.
+/// Pose of a skin patch, with its views from image antennas.
 pub(super) struct PatchPose {
     pub(super) vertices: VertexRows,
     pub(super) triangles: TriangleRows,
-    /// Velocities of the triangles' middles, m/s, and of their corners against those.
+    /// Velocities of the triangles' middles, m/s, and of their corners relative to these.
     pub(super) velocity: Row3,
     pub(super) against: [Row3; 3],
-    /// By image antenna; those that were asked for.
+    /// Directions and distances of the vertices by image antenna, valid for the requested images.
     pub(super) lights: Vec<LightRows>,
     pub(super) views: Vec<ViewRows>,
-    /// Places of each rule in each half of the lanes, and whether they have been found.
+    /// Nodes of each rule in each half of the lanes, and whether they have been computed.
     nodes: Vec<[(bool, Nodes); HALVES]>,
-    /// No places.
+    /// Empty node list.
     none: Nodes,
 }
 
-/// Places of vertices from `origin`, and normals.
+/// Returns the positions of vertices relative to `origin`, m, and their normals.
 pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -> [Row3; 2] {
     let mut rows = [[[0.0; LANES]; 3]; 2];
     for (l, &v) in patch.vertices.iter().enumerate() {
@@ -43,7 +43,7 @@ pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -
     rows
 }
 
-/// A vector of vertices at every corner of triangles: `[corner]`.
+/// Gathers a vector quantity of vertices at every corner of triangles: `[corner]`.
 pub(super) fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
     let mut rows: [Row3; 3] = Default::default();
     for axis in 0..3 {
@@ -54,7 +54,7 @@ pub(super) fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [R
 }
 
 impl PatchPose {
-    /// With places for what is seen by so many images.
+    /// Creates an empty pose with room for a number of images.
     pub(super) fn new(images: usize, integrator: &Integrator) -> Self {
         let zero: Row3 = Default::default();
         let vertices = VertexRows { places: zero, normals: zero, left: [0.0; LANES], narrowing: [1.0; LANES] };
@@ -72,7 +72,7 @@ impl PatchPose {
         }
     }
 
-    /// Takes a patch's pose. `cloth` is what clothes leave of the strength at every vertex of the skin.
+    /// Computes the pose of a patch. `cloth` is the amplitude factor of clothes at every vertex of the skin.
     #[allow(clippy::too_many_arguments)]
     pub(super) fn pose(
         &mut self,
@@ -108,14 +108,14 @@ impl PatchPose {
         self.nodes.iter_mut().flatten().for_each(|(found, _)| *found = false);
     }
 
-    /// Computes how an image antenna sees it.
+    /// Computes directions and distances from an image antenna.
     pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
         let from_origin = (antenna - origin).as_vec3().to_array();
         self.lights[image] = light_rows(level, from_origin, &self.vertices.places);
         self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
     }
 
-    /// Finds the places of each half's rule.
+    /// Computes the nodes of each half's rule, if they are not yet known.
     pub(super) fn find_nodes(&mut self, rules: Rules, integrator: &Integrator) {
         for (half, rule) in rules.into_iter().enumerate() {
             let Some((rule, nodes)) = rule.and_then(|rule| Some((rule, self.nodes.get_mut(rule)?))) else { continue };
@@ -128,14 +128,14 @@ impl PatchPose {
         }
     }
 
-    /// Places that have been found.
+    /// Returns the nodes computed by [`Self::find_nodes`].
     pub(super) fn nodes(&self, rules: Rules) -> [&Nodes; HALVES] {
         let of_half = |half: usize| rules[half].map_or(&self.none, |rule| &self.nodes[rule][half].1);
         std::array::from_fn(of_half)
     }
 }
 
-/// A quantity of vertices at every corner of triangles.
+/// Gathers a scalar quantity of vertices at every corner of triangles.
 #[inline(always)]
 pub(super) fn at_corners(of: &Row, corners: &[[usize; 3]; LANES]) -> [Row; 3] {
     let mut rows: [Row; 3] = Default::default();

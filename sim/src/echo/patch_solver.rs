@@ -1,5 +1,5 @@
-//! Solver of a skin's patches, one after the other: posed at the keys, integrated between pairs of images, and laid down
-//! as tones.
+//! Solver of a skin's patches, one after the other. It poses a patch at the key times, integrates it between pairs of
+//! images, and adds it to the grids as tones.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -19,78 +19,79 @@ use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
 
-/// A patch whose triangles the wave runs across by more than this is quieter than one in phase, in proportion, rad: measured, by
-/// leaving out what this says is not heard.
+/// Phase span across a triangle above which a patch is taken to be weaker than one in phase, in proportion, rad. The
+/// value was measured: the patches it rejects are inaudible.
 const RUN_RAD: f32 = 0.8;
 
-/// Two images between which somebody is heard, whichever of them sends.
+/// Two images between which a person's echo is audible, in both directions.
 pub(super) struct Pair {
-    /// Places in the list of images.
+    /// Indices in the list of images.
     pub(super) images: [usize; 2],
     pub(super) loudness_lsb: f64,
     pub(super) settings: IntegrationSettings,
 }
 
-/// Inputs that are the same for all patches.
+/// Inputs shared by all patches.
 pub(super) struct Work<'a> {
     pub(super) prepared: &'a PreparedScene,
     pub(super) integrator: &'a Integrator,
     pub(super) skin: &'a Skin,
-    /// Factor of clothes on amplitude at each vertex.
+    /// Factor of clothes on the amplitude at each vertex.
     pub(super) cloth: &'a [f64],
-    /// Keys, and keys half-way between as well.
+    /// Key times, and the same with additional key times half-way between.
     pub(super) times: [&'a FrameTimes; 2],
-    /// Middle of the body: single precision counts from here.
+    /// Centre of the body: origin of single-precision coordinates.
     pub(super) origin: DVec3,
     pub(super) antenna: Element,
     pub(super) indices: Vec<ImageIndex>,
     pub(super) places: Vec<Place>,
     pub(super) pairs: Vec<Pair>,
-    /// At the finer keys.
+    /// Poses at the finer key times.
     pub(super) posed: Vec<PosedSkin>,
-    /// Factors of people and limbs on light, `[image][key][vertex]`, at some of the finer keys by their numbers.
+    /// Factors of obstruction by people and limbs, `[image][key][vertex]`, at some of the finer key times, given by
+    /// their indices.
     pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
-    /// Part of a patch's own field that may be missed between keys.
+    /// Relative interpolation error of a patch that is allowed between key times.
     pub(super) missed_between_keys: f64,
 }
 
-/// A patch at one of the finer keys.
+/// Patch at one of the finer key times.
 struct Pose {
     patch: PatchPose,
-    /// By image.
+    /// Field rows by image.
     fields: Vec<FieldRows>,
     weights: Vec<Row>,
-    /// Whether it has been looked at.
+    /// Whether fields and weights have been computed, by image.
     is_seen: Vec<bool>,
-    /// Between the images that are being worked on.
+    /// Strengths between the current pair of images.
     strengths: (Row, Row),
     moments: MomentRows,
 }
 
-/// A patch on the solver.
+/// Solver that holds the patch being processed.
 pub(super) struct PatchSolver {
     poses: Vec<Pose>,
-    /// Whether it has been posed half-way between keys.
+    /// Whether the patch has been posed half-way between key times.
     between: bool,
     images: Vec<usize>,
-    /// Fields of those around it.
+    /// Expansions of these images' fields around the patch.
     around: Vec<FieldAround>,
-    /// Triangles at the keys that they were found to need, and which those are.
+    /// Triangle fields at the key times of the current level.
     keys: Vec<PatchField>,
     level: usize,
     sums: PatchSums,
-    /// Ways by which each receiver hears a patch.
+    /// Echo factors for each receiver.
     ways: Vec<EchoWay>,
     /// Area of the patch in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
     least: f32,
-    /// Sum of the squares of those that were.
+    /// Sum of the squares of the omitted fields.
     left_out: f64,
 }
 
 impl PatchSolver {
-    /// An empty one, for patches of which fields below `least` are left out.
+    /// Creates an empty solver that leaves out patches with fields below `least`.
     pub(super) fn new(work: &Work, least: f32) -> Self {
         let images = work.indices.len();
         let pose = |_: &PosedSkin| Pose {
@@ -116,13 +117,13 @@ impl PatchSolver {
         }
     }
 
-    /// Sum of the squares of the fields that were left out.
+    /// Returns the sum of the squares of the omitted fields.
     pub(super) fn left_out(&self) -> f64 {
         self.left_out
     }
 
-    /// Poses a patch at the keys, as the images of the pairs by which it shines see it. Returns how many of their distances are
-    /// less than amplitudes are made for.
+    /// Poses a patch at the key times and evaluates it for the images of the pairs `shining`, for which it is near a
+    /// specular point. Returns the number of clamped distances.
     pub(super) fn pose(&mut self, work: &Work, patch: &SkinPatch, shining: &[usize]) -> usize {
         self.images.clear();
         self.images.extend(shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images));
@@ -141,8 +142,8 @@ impl PatchSolver {
         clamped
     }
 
-    /// Fields of its images around a patch in the middle of the frame: patterns and walls change little over a patch and a frame,
-    /// and that by a slope.
+    /// Expands the fields of the images around a patch in the middle of the frame. A linear expansion suffices, because
+    /// patterns and walls change little over a patch and a frame.
     fn fields_around(&self, work: &Work, patch: &SkinPatch) -> Vec<FieldAround> {
         let Some(middle) = work.posed.get(work.posed.len() / 2) else { return Vec::new() };
         let centre = patch.vertices.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / LANES as f64;
@@ -157,8 +158,8 @@ impl PatchSolver {
         pose.is_seen.fill(false);
     }
 
-    /// Looks at a patch that is posed at a key from one of the images around it, if that has not been done. Returns how many of the
-    /// distances are less than amplitudes are made for.
+    /// Computes directions, fields and weights of a posed patch for one of the images, once per pose. Returns the
+    /// number of clamped distances.
     fn look(&mut self, work: &Work, patch: &SkinPatch, key: usize, image: usize) -> usize {
         let level = work.integrator.level;
         let around = self.images.binary_search(&image).ok().and_then(|number| self.around.get(number));
@@ -172,7 +173,8 @@ impl PatchSolver {
         pose.patch.lights[image].clamped()
     }
 
-    /// Finds the patch's triangles between two images at as many keys as they need. Whether there is anything.
+    /// Integrates the patch between two images, with as many key times as accuracy requires. Returns whether the patch
+    /// may be audible.
     pub(super) fn integrate(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair) -> bool {
         let [out, back] = pair.images;
         let mut strongest = 0f32;
@@ -191,8 +193,8 @@ impl PatchSolver {
         let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
         let lanes_live = (0..patch.triangles.len()).filter(|&l| corners_live(l));
         let least = lanes_live.clone().map(|l| spans[l]).fold(f32::INFINITY, f32::min);
-        // A wave that runs across a triangle leaves less than two over its span, and of a patch still less: what is not heard
-        // even so needs no integral.
+        // The integral over a triangle with a large phase span is at most two over the span, and that over a patch is
+        // smaller still. If even this bound is inaudible, skip the integral.
         if strongest == 0.0 || strongest.sqrt() * self.area_m2 * (RUN_RAD / least).min(1.0) < self.least {
             return false;
         }
@@ -200,7 +202,7 @@ impl PatchSolver {
         self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rules));
         self.find_keys(work, patch, pair, 0);
         let (missed, power) = self.missed_between_keys(work);
-        // Cubics err with the fourth power of the step.
+        // The error of cubic interpolation grows with the fourth power of the step.
         if missed.sqrt() / 16.0 > f64::from(self.least).max(work.missed_between_keys * power.sqrt()) {
             if !self.between {
                 for key in (1..self.poses.len()).step_by(2) {
@@ -222,7 +224,7 @@ impl PatchSolver {
         true
     }
 
-    /// Every triangle at the keys of a level.
+    /// Computes the triangles' fields at the key times of a level.
     fn find_keys(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, level: usize) {
         self.level = level;
         let of_keys: Vec<&Pose> = self.poses.iter().step_by(2 - level).collect();
@@ -233,13 +235,14 @@ impl PatchSolver {
         }));
     }
 
-    /// Squares of what is missed between the keys of the patch's level and of the fields.
+    /// Returns the squared interpolation error between the key times of the patch's level, and the squared fields.
     fn missed_between_keys(&self, work: &Work) -> (f64, f64) {
         let step_s = work.times[self.level].step_s();
         missed_between_keys(work.integrator.level, &self.keys, step_s, work.prepared.wavelength_m)
     }
 
-    /// Adds what is missed of a pair that has been integrated: between keys, and in the middle of the frame against a coarser field.
+    /// Adds the errors of a pair that has been integrated: between key times, and against a coarser field in the middle
+    /// of the frame.
     pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
         let coarse = &pair.settings.coarser();
         let [out, back] = pair.images;
@@ -253,14 +256,14 @@ impl PatchSolver {
         missed.add_integration(fine, &pose.keys(work, patch, pair, &strengths), work.prepared.wavelength_m);
     }
 
-    /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
+    /// Adds the echo of the patch between two images in every chirp. Returns whether it was strong enough to be added.
     pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
         let (prepared, times) = (work.prepared, work.times[self.level]);
         let in_phase = |keys: &PatchField| keys.powers().into_iter().map(f32::sqrt).sum::<f32>();
         let is_both = pair.images[0] != pair.images[1];
         let ways = if is_both { 2.0 } else { 1.0 };
         if self.keys.iter().map(in_phase).fold(0.0, f32::max) < self.least {
-            // As if its triangles had nothing to do with each other.
+            // The power is summed as for triangles with independent phases.
             let power = |keys: &PatchField| keys.powers().into_iter().sum::<f32>();
             self.left_out += ways * f64::from(self.keys.iter().map(power).fold(0.0, f32::max));
             return false;
@@ -317,7 +320,7 @@ impl Pose {
     }
 }
 
-/// The rule for the widest span of phase among these lanes, rad, in each half of all.
+/// Selects the quadrature rule for the widest phase span among these lanes, rad, for each half of all lanes.
 pub(super) fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
     let mut widest: [Option<f32>; HALVES] = [None; HALVES];
     for l in lanes {
@@ -328,7 +331,7 @@ pub(super) fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f
     widest.map(|span| span.map(|span| rule_for(span, ease)))
 }
 
-/// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.
+/// Interpolates an image's weights at a patch's vertices linearly between the key times at which they are known.
 fn weights_at(known: &[(f64, Vec<f64>)], key: f64, patch: &SkinPatch) -> Row {
     let next = known.iter().position(|(at, _)| *at >= key).unwrap_or(known.len().saturating_sub(1));
     let Some((end, after)) = known.get(next) else { return [1.0; LANES] };
@@ -343,7 +346,8 @@ fn weights_at(known: &[(f64, Vec<f64>)], key: f64, patch: &SkinPatch) -> Row {
     weights
 }
 
-/// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
+/// Computes rates of strengths by differences over equal steps. They are central differences; at the ends they are
+/// those of the parabola through three key times.
 fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
     let last = poses.len().saturating_sub(1);
     let step_s = match times_s {
@@ -368,21 +372,21 @@ fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
     rates
 }
 
-/// Path lengths that are told apart where a field is compared to a coarser one, m: about a cell of the range axis.
+/// Resolution in path length of the comparison with a coarser field, m: about a cell of the range axis.
 const APART_M: f64 = 0.15;
 
-/// Farthest path lengths in that, as their number: what is longer is not told apart.
+/// Largest index of path length in that comparison; longer paths share it.
 const MOST_APART: usize = 4096;
 
-/// Difference to a coarser field, and the field itself.
+/// Difference from a coarser field, and the field itself.
 type Difference = [Complex64; 2];
 
-/// Sum of the errors of a pair's field.
+/// Accumulated errors of a pair's field.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
-    /// Squares of what is missed and of the fields.
+    /// Sums of the squared interpolation errors and of the squared fields.
     between_keys: [f64; 2],
-    /// By path length: far from specular points neighbours cancel, and what is left of each must not be counted by itself.
+    /// Errors by path length. Far from specular points neighbours cancel, so their errors must be summed coherently.
     by_integration: Vec<Difference>,
 }
 
@@ -411,12 +415,12 @@ impl Tally {
         }
     }
 
-    /// Relative to the field.
+    /// Returns the errors relative to the field.
     pub(super) fn missed(&self) -> Missed {
         let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
         let add = |[a, b]: [f64; 2], [apart, sum]: &Difference| [a + apart.norm_sqr(), b + sum.norm_sqr()];
         let by_integration = self.by_integration.iter().fold([0.0; 2], add);
-        // Cubics err with the fourth power of the step.
+        // The error of cubic interpolation grows with the fourth power of the step.
         Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
     }
 }

@@ -1,11 +1,11 @@
-//! Echoes of a patch between two keys, and their sums chirp by chirp.
+//! Echoes of a patch between two key times, and their sum in each chirp.
 //!
-//! Each of them is a field that changes as a cubic between the keys and turns by the length of its path, which is a cubic as well.
-//! All are counted from one path that moves with the patch, so that their sum is slow: over a stretch between keys it turns by
-//! little more than its members' paths grow apart. Where that is a cycle or two, the sum is computed at a few places of the
-//! stretch and is the polynomial through those in every chirp.
+//! Each echo is a field that is cubic in time between the key times, with the phase of a path length that is cubic as
+//! well. Path lengths are relative to a common path that moves with the patch, so the sum varies slowly. Over an
+//! interval between key times its phase changes by little more than the members' paths diverge. If that is a cycle or
+//! two, the sum is computed at a few nodes of the interval. The polynomial through them gives the sum in every chirp.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use radome_dsp::KernelLevel;
@@ -13,33 +13,35 @@ use radome_dsp::KernelLevel;
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::synthesis::{CHIRPS, EchoChirps};
 
-/// Places between keys at which sums are computed where echoes hardly turn against each other, and where they turn more.
+/// Number of nodes per interval for small and for larger relative phase rates of the echoes.
 const FEW: usize = 8;
 const MANY: usize = 16;
-/// Rates against the common path up to which these do, cycles per stretch: the polynomial misses less than a thousandth.
+/// Largest phase rates relative to the common path for these node counts, cycles per interval. The polynomial error is
+/// below a thousandth.
 const FEW_TURNS: f32 = 0.5;
 const MANY_TURNS: f32 = 2.4;
 
-/// Small echoes at one end of a stretch between keys, side by side. Lengths in wavelengths, slopes over the whole stretch.
+/// Small echoes at one end of an interval between key times, one per lane. Lengths are in wavelengths, slopes are per
+/// interval.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TrackRows {
     /// Length of the path beyond the patch's own.
     pub length: [f64; LANES],
-    /// Its slope.
+    /// Slope of the length.
     pub length_slope: Row,
-    /// Field but for `exp(-j 2 pi length)`, real and imaginary part.
+    /// Field without `exp(-j 2 pi length)`, real and imaginary part.
     pub field: [Row; 2],
-    /// Its slope.
+    /// Slope of the field.
     pub field_slope: [Row; 2],
-    /// Moment of the field about its own length: integral of the field times how much longer its paths are. It changes so little
-    /// that it is linear between the ends.
+    /// Moment of the field about its own length: integral of the field times the excess length of its paths. It is
+    /// interpolated linearly between the ends, because it changes little.
     pub moment: [Row; 2],
-    /// Phase by which this field is later by the antennas themselves than by their middles, rad; on the
-    /// reverse way it is as much earlier. That of the first end counts.
+    /// Phase lag of this field with the actual antennas instead of their midpoints, rad. The reverse path has the
+    /// opposite sign. The value of the first end is used.
     pub detour_rad: Row,
 }
 
-/// Small echoes between two keys, side by side, by powers.
+/// Polynomial coefficients of small echoes between two key times, one echo per lane.
 #[derive(Debug, Clone, Copy, Default)]
 struct CubicRows {
     length: [Row; 4],
@@ -48,20 +50,20 @@ struct CubicRows {
     detour_rad: Row,
 }
 
-/// A block of chirps in a stretch between keys.
+/// Block of chirps in an interval between key times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct ChirpRow {
-    /// Its number.
+    /// Index of the block.
     row: usize,
-    /// First chirp that is in this stretch.
+    /// First chirp of the block in this interval.
     begin: usize,
-    /// Places (0..1) between the ends.
+    /// Positions (0..1) in the interval.
     places: [f32; CHIRPS],
-    /// 1 for those that are in this stretch, 0 for others.
+    /// 1 for chirps in this interval, 0 for others.
     inside: [f32; CHIRPS],
 }
 
-/// The chirps of a stretch between keys.
+/// Chirps of an interval between key times.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StretchChirps {
     rows: Vec<ChirpRow>,
@@ -69,15 +71,16 @@ pub struct StretchChirps {
     many: Nodes<MANY>,
 }
 
-/// Places between keys, and what a sum at each of them weighs in the chirps: nothing in those outside of the stretch.
+/// Interpolation nodes in an interval, and the weights of their values in the chirps. Weights are zero for chirps
+/// outside of the interval.
 #[derive(Debug, Clone, PartialEq)]
 struct Nodes<const N: usize> {
     places: [f32; N],
-    /// By row of chirps.
+    /// Weights by block of chirps.
     weights: Vec<[[f32; CHIRPS]; N]>,
 }
 
-/// Chebyshev's places between 0 and 1, through which polynomials are well-behaved.
+/// Returns Chebyshev nodes between 0 and 1, which keep polynomial interpolation well-conditioned.
 fn nodes<const N: usize>() -> [f64; N] {
     std::array::from_fn(|k| 0.5 - 0.5 * ((k as f64 + 0.5) * std::f64::consts::PI / N as f64).cos())
 }
@@ -85,7 +88,7 @@ fn nodes<const N: usize>() -> [f64; N] {
 impl<const N: usize> Nodes<N> {
     fn new(rows: &[ChirpRow]) -> Self {
         let places = nodes::<N>();
-        // Lagrange's polynomials.
+        // Weights are Lagrange polynomials.
         let below = places.map(|own| others(&places, own).map(|other| own - other).product::<f64>());
         let weights = |row: &ChirpRow| -> [[f32; CHIRPS]; N] {
             std::array::from_fn(|k| {
@@ -101,22 +104,23 @@ impl<const N: usize> Nodes<N> {
     }
 }
 
-/// All places but one.
+/// Returns all nodes but one.
 fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
     places.iter().copied().filter(move |place| *place != own)
 }
 
-/// The chirps of each of so many stretches of equal length, of which times are fractions of the whole, in their order.
+/// Divides chirps into `stretches` intervals of equal length. Chirp times are fractions of the whole, in ascending
+/// order.
 pub fn stretches_of(chirps: &[f64], stretches: usize) -> Vec<StretchChirps> {
     let last = stretches.saturating_sub(1);
-    // Those before the first key and after the last go with the stretch that is next to them.
+    // Chirps before the first key time or after the last belong to the nearest interval.
     let stretch_of = |chirp: f64| ((chirp * stretches as f64).max(0.0) as usize).min(last);
     let in_stretch = |stretch: usize| {
         let in_row = |(row, chirps): (usize, &[f64])| {
             let begin = chirps.iter().position(|&chirp| stretch_of(chirp) == stretch)?;
             let (mut places, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
             for i in 0..CHIRPS {
-                // What is left of the last block goes on as its last chirp.
+                // An incomplete last block is padded with its last chirp.
                 let Some(&chirp) = chirps.get(i).or(chirps.last()) else { continue };
                 places[i] = (chirp * stretches as f64 - stretch as f64) as f32;
                 inside[i] = if i < chirps.len() && stretch_of(chirp) == stretch { 1.0 } else { 0.0 };
@@ -129,7 +133,7 @@ pub fn stretches_of(chirps: &[f64], stretches: usize) -> Vec<StretchChirps> {
     (0..stretches).map(in_stretch).collect()
 }
 
-/// Sums over one patch, chirp by chirp.
+/// Sums of the echoes of one patch in each chirp.
 #[derive(Debug)]
 pub struct PatchSums {
     level: KernelLevel,
@@ -137,30 +141,30 @@ pub struct PatchSums {
 }
 
 impl PatchSums {
-    /// For a level of instructions that the processor has.
+    /// Creates empty sums for an instruction set. The portable one is used if the processor lacks it.
     pub fn new(level: KernelLevel) -> Self {
         let level = if level.is_available() { level } else { KernelLevel::Portable };
         PatchSums { level, sums: Vec::new() }
     }
 
-    /// Everything to zero.
+    /// Resets all sums to zero for a number of chirps.
     pub fn clear(&mut self, chirps: usize) {
         self.sums.clear();
         self.sums.resize(chirps.div_ceil(CHIRPS), EchoChirps::default());
     }
 
-    /// Sets the path from which lengths are counted in the chirps of a stretch of so many seconds, given as its length, m, and rate,
-    /// m/s, at the ends. Stretches come in their order.
+    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `stretch_s` seconds. `ends`
+    /// are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
     pub fn follow(&mut self, ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps) {
         follow(self.level, ends, stretch_s, chirps, &mut self.sums);
     }
 
-    /// Adds echoes in the chirps of a stretch, from what they are at its ends.
+    /// Adds echoes in the chirps of an interval, from their values at its ends.
     pub fn add(&mut self, ends: [&TrackRows; 2], chirps: &StretchChirps) {
         add(self.level, ends, chirps, &mut self.sums);
     }
 
-    /// The largest field of any chirp.
+    /// Returns the largest field magnitude of any chirp.
     pub fn loudest(&self) -> f32 {
         let mut loudest = [0f32; CHIRPS];
         for sums in &self.sums {
@@ -172,7 +176,7 @@ impl PatchSums {
         loudest.into_iter().fold(0.0, f32::max).sqrt()
     }
 
-    /// Fields, moments and what detours make of them in all chirps, by blocks.
+    /// Returns fields, moments and detour-weighted fields in all chirps, by blocks.
     pub fn chirps(&self) -> &[EchoChirps] {
         &self.sums
     }
@@ -194,7 +198,7 @@ fn follow_body(ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps, su
             let u = f64::from(places[i]);
             let length_m = begin_m + u * (first + u * (square + u * cube));
             let rate_m_per_s = ((first + u * (2.0 * square + u * (3.0 * cube))) * per_s) as f32;
-            // What follows in the block is set once more by its own stretch.
+            // Later intervals overwrite the rest of the block.
             let is_ahead = i >= *begin;
             sums.length_m[i] = if is_ahead { length_m } else { sums.length_m[i] };
             sums.rate_m_per_s[i] = if is_ahead { rate_m_per_s } else { sums.rate_m_per_s[i] };
@@ -219,7 +223,7 @@ fn add_body(ends: [&TrackRows; 2], chirps: &StretchChirps, sums: &mut [EchoChirp
     }
     let live = &live[..count];
     let (turns, rows) = (cubics.most_turns(live), chirps.rows.len());
-    // Sums at the places cost as much as one block, or two; what is left is for the polynomial.
+    // The sums at the nodes cost as much as one or two blocks; evaluating the polynomial costs little more.
     if turns <= FEW_TURNS && rows > 1 {
         add_through(&cubics, live, &chirps.few, &chirps.rows, sums);
     } else if turns <= MANY_TURNS && rows > 3 {
@@ -240,7 +244,7 @@ fn add_body(ends: [&TrackRows; 2], chirps: &StretchChirps, sums: &mut [EchoChirp
     }
 }
 
-/// Adds what echoes are together by way of their sums at a few places.
+/// Adds the sum of echoes by interpolation between a few nodes.
 #[inline(always)]
 fn add_through<const N: usize>(
     cubics: &CubicRows,
@@ -261,7 +265,7 @@ fn add_through<const N: usize>(
     }
 }
 
-/// Adds the polynomial through values at nodes.
+/// Adds the polynomial through the node values.
 #[inline(always)]
 fn add_weighted<const N: usize>(values: &[f32; N], weights: &[[f32; CHIRPS]; N], out: &mut [f32; CHIRPS]) {
     let mut row = [0f32; CHIRPS];
@@ -276,7 +280,7 @@ fn add_weighted<const N: usize>(values: &[f32; N], weights: &[[f32; CHIRPS]; N],
 }
 
 impl CubicRows {
-    /// Hermite's cubics by powers.
+    /// Computes the Hermite cubics as power series.
     #[inline(always)]
     fn between([a, b]: [&TrackRows; 2]) -> Self {
         let mut rows = CubicRows { detour_rad: a.detour_rad, ..CubicRows::default() };
@@ -303,7 +307,7 @@ impl CubicRows {
         rows
     }
 
-    /// The fastest rate of a length at the ends and in the middle, cycles per stretch.
+    /// Returns the largest rate of a length at the ends and in the middle, cycles per interval.
     #[inline(always)]
     fn most_turns(&self, live: &[usize]) -> f32 {
         let [_, first, square, cube] = &self.length;
@@ -319,7 +323,7 @@ impl CubicRows {
     }
 }
 
-/// Fields, their moments and what detours make of them, of echoes that are there, at places between the ends.
+/// Sums the fields, moments and detour-weighted fields of the live echoes at positions between the ends.
 #[inline(always)]
 fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], places: &[f32; N]) -> [[f32; N]; 6] {
     let mut rows = [[0f32; N]; 6];
@@ -359,7 +363,7 @@ mod tests {
     use super::*;
     use crate::random::{Purpose, generator};
 
-    /// Echoes whose paths grow apart by up to so many cycles over the stretch.
+    /// Returns echoes whose paths diverge by up to `turns` cycles over the interval.
     fn ends(turns: f32) -> [TrackRows; 2] {
         let mut rng = generator(5, Purpose::Noise, [0, 0]);
         let mut row = |limit: f32| -> Row { std::array::from_fn(|_| rng.random_range(-limit..limit)) };
@@ -374,17 +378,17 @@ mod tests {
         let (mut first, mut second) = (end(), end());
         first.length = row(20.0).map(f64::from);
         for l in 0..LANES {
-            // About as far as the rates at the ends say.
+            // The length step is consistent with the rates at the ends.
             second.length[l] = first.length[l] + 0.5 * f64::from(first.length_slope[l] + second.length_slope[l]);
         }
-        // A lane without a triangle.
+        // One lane has no triangle.
         for part in 0..2 {
             (first.field[part][3], second.field[part][3]) = (0.0, 0.0);
         }
         [first, second]
     }
 
-    /// Field, moment and what detours make of it by the cubic and its turn in double precision, one echo after the other.
+    /// Computes the field, moment and detour-weighted field in double precision, one echo after the other.
     fn exact([a, b]: &[TrackRows; 2], u: f64) -> [Complex64; 3] {
         let hermite = |y0: f64, m0: f64, y1: f64, m1: f64| {
             let [a, b, c, d] = [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1];
@@ -408,7 +412,7 @@ mod tests {
         sums
     }
 
-    /// By way of a few places, of many, and chirp by chirp.
+    /// Covers few nodes, many nodes, and direct sums in each chirp.
     #[test]
     fn sums_are_those_of_double_precision_at_every_level() {
         const COUNT: usize = 61;
@@ -436,7 +440,7 @@ mod tests {
         }
     }
 
-    /// The path in every chirp is the cubic of its stretch, and goes on to the end of the last block.
+    /// The path in every chirp is the cubic of its interval, and continues to the end of the last block.
     #[test]
     fn paths_are_followed_through_all_stretches() {
         let (count, stretches, span_s) = (45, 3, 0.06);
@@ -458,7 +462,7 @@ mod tests {
         }
     }
 
-    /// Every chirp is in one stretch, at the place that its time says; those beyond the ends too.
+    /// Every chirp is in exactly one interval, at the position of its time; so are chirps beyond the ends.
     #[test]
     fn every_chirp_is_in_one_stretch() {
         let chirps: Vec<f64> = (0..45).map(|i| -0.01 + f64::from(i) / 43.0).collect();

@@ -1,7 +1,7 @@
-//! Echoes of paths side by side, by way of one segment each: fields that leave the antennas, what skin reflects of them, and what
-//! receivers hear. Lane by lane it is what [`super::Paths::trace`] makes of one path.
+//! Vectorised echoes of paths over one segment each: fields of the antennas, reflection by skin, and received signals.
+//! Each lane gives the same result as [`super::Paths::trace`] for one path.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use num_complex::Complex64;
@@ -14,30 +14,30 @@ use crate::lanes::vector::{Vector, add, choose, cross, dot, normalized, scale, s
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 use crate::prepared_scene::PreparedScene;
 
-/// Fields side by side.
+/// Complex field vectors, one per lane.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct WideFields {
     pub(super) re: WideRow3,
     pub(super) im: WideRow3,
 }
 
-/// Echo at a receiver of paths side by side.
+/// Echoes at one receiver, one path per lane.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct HeardRows {
     pub(super) delay_s: WideRow,
     pub(super) delay_rate: WideRow,
-    /// At the ADC, LSB: real and imaginary part.
+    /// Amplitude at the ADC, LSB: real and imaginary part.
     pub(super) amplitude: [WideRow; 2],
 }
 
-/// Motion of the material of a segment: velocity of its centre, m/s, and velocities by the components of a place on the unit
+/// Motion of the surface of a segment: velocity of its centre, m/s, and velocity per component of a point on the unit
 /// sphere.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Drift(pub(super) [Vector; 4]);
 
 compiled_for_levels! {
-    /// Computes what an antenna's images send to points that see them in these directions, before any wall. `signs` are those of
-    /// the images' axes.
+    /// Computes the fields of an antenna's images at points in the given directions, before any wall. `signs` are the
+    /// signs of the images' axes.
     pub(super) fn launched(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) = launched_body;
 }
 
@@ -58,8 +58,8 @@ fn launched_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field:
 }
 
 compiled_for_levels! {
-    /// Computes amplitudes of paths but for their phases, real and imaginary part: fields of both antennas at the specular points, skin
-    /// between them, spreading, and a factor of each path.
+    /// Computes path amplitudes without phase, real and imaginary part. They combine the fields of both antennas at the
+    /// specular points, the reflection by skin, spreading, and a factor of each path.
     pub(super) fn reflected(
         permittivity: Complex64,
         seen: &SpecularRows,
@@ -84,7 +84,7 @@ fn reflected_body(
         let cosine = -dot(direction, normal);
         let cosine = if cosine > 0.0 { cosine } else { 0.0 };
         let cosine = if cosine < 1.0 { cosine } else { 1.0 };
-        // Across the plane of incidence and in it; at normal incidence there is none.
+        // Perpendicular to the plane of incidence and in it; at normal incidence any tangent serves.
         let across = cross(direction, normal);
         let te = choose(dot(across, across) < 1e-12, tangent(direction), normalized(across));
         let tm = cross(te, direction);
@@ -115,8 +115,8 @@ fn divide(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [(a[0] * b[0] + a[1] * b[1]) * per_square, (a[1] * b[0] - a[0] * b[1]) * per_square]
 }
 
-/// Reflection of a lossy half-space, TE and TM ([`crate::em::fresnel::half_space`]): of a permittivity whose real part is more
-/// than one.
+/// Reflection coefficients of a lossy half-space, TE and TM ([`crate::em::fresnel::half_space`]), for a permittivity
+/// whose real part exceeds one.
 #[inline(always)]
 fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
     let [eps_re, eps_im] = permittivity;
@@ -131,7 +131,7 @@ fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
 }
 
 compiled_for_levels! {
-    /// Computes what a receiver hears whose images are at `sinks`.
+    /// Computes the echoes at a receiver whose images are at `sinks`.
     pub(super) fn heard(
         prepared: &PreparedScene,
         lsb: f64,

@@ -1,14 +1,14 @@
-//! Obstruction by a body's own parts of the field that one of the (image) antennas throws on its skin.
+//! Self-occlusion: obstruction of an (image) antenna's field at a body's skin by other parts of the body.
 //!
-//! Whether a place is in the light is yes or no, what arrives there is not: a knife edge's field is a continuous function of the
-//! distance across to the shadow's edge, half on it, falling behind ([`crate::diffraction::knife_edge`]). The shadow's edges are the
-//! outlines of limbs as the antenna sees them: edges of the mesh at which triangles turn away, each of which divides light from
-//! shadow only on what lies behind it and before the next thing that is seen just beside it. Seen from the antenna all are laid
-//! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near: what
-//! a ray for each vertex and each outline would find, to which a test holds it. Most of a body has nothing of itself behind it:
-//! only what lies before something that is asked about is entered in the grids.
+//! Geometrical visibility is binary, but the field is not. The field behind a knife edge is a continuous function of
+//! the distance to the shadow boundary: half on it, and decaying behind it ([`crate::diffraction::knife_edge`]). Shadow
+//! boundaries are the outlines of limbs seen from the antenna: mesh edges at which triangles turn away. An outline
+//! affects only surfaces behind it that lie before the next surface visible just beside it. Triangles and outlines are
+//! projected from the antenna to a plane at the body's distance and entered in a grid. A vertex thus tests only the few
+//! of them nearby. A test compares the result with rays to each vertex. Most of a body hides nothing else of it, so the
+//! grids hold only what lies in front of a queried point.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use glam::{DVec3, Vec2};
@@ -18,47 +18,47 @@ use crate::diffraction::knife_edge;
 use crate::lanes::{LANES, compiled_for_levels};
 use crate::people::skin::{PosedSkin, Skin};
 
-/// Farther across from an outline than this there is all light or none, m.
+/// Distance across from an outline beyond which there is full field or none, m.
 const REACH_M: f32 = 0.06;
 /// Width of the cells of outlines, and of triangles, m.
 const CELL_M: f32 = 0.04;
 const TRIANGLE_CELL_M: f32 = 0.02;
-/// Beside an outline, where a ray looks for what lies behind, m.
+/// Offset beside an outline at which a ray finds the surface behind, m.
 const BESIDE_M: f32 = 1e-4;
-/// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
+/// Depth behind a surface within which it casts no shadow, m. There an outline is the curvature of the surface itself.
 const BEHIND_M: f32 = 0.02;
 
-/// A vertex on the plane, and how far away it is, m.
+/// Vertex projected to the plane, and its distance from the antenna, m.
 #[derive(Debug, Clone, Copy, Default)]
 struct Seen {
     at: Vec2,
     depth_m: f32,
 }
 
-/// An outline's piece on the plane.
+/// Segment of an outline on the plane.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     from: Vec2,
     to: Vec2,
-    /// Distance, m, and distance of what a ray just beside it meets.
+    /// Distance from the antenna, and that of the surface that a ray just beside it meets, m.
     depth_m: f32,
     behind_m: f32,
 }
 
-/// A triangle on the plane, in the form in which a place is put into it: its weights of the second and third corner are
+/// Triangle on the plane, prepared for point location: the weights of the second and third corner at a point are
 /// `to_second . (at - first)` and `to_third . (at - first)`.
 #[derive(Debug, Clone, Copy)]
 struct Facet {
     first: Vec2,
     to_second: Vec2,
     to_third: Vec2,
-    /// Depth of the first corner, of the others beyond it, and of the nearest, m.
+    /// Depth of the first corner, excess depth of the others, and depth of the nearest, m.
     depth_m: f32,
     deeper_m: [f32; 2],
     nearest_m: f32,
 }
 
-/// Lists of things by the cells of a grid that they touch, of those in front of something that is asked about.
+/// Grid of lists: each cell lists the things that touch it and lie in front of a queried point.
 struct Cells<T> {
     low: Vec2,
     per_m: f32,
@@ -66,7 +66,7 @@ struct Cells<T> {
     count: [u32; 2],
     cells: Vec<Cell>,
     things: Vec<T>,
-    /// Things and where their cells' lists go on.
+    /// Linked lists: index of a thing, and index of the next link.
     links: Vec<(u32, u32)>,
 }
 
@@ -75,22 +75,23 @@ struct Cells<T> {
 struct Cell {
     /// Index of the first link.
     head: u32,
-    /// Least depth of its members, m: most cells have nothing in front of what is looked at.
+    /// Least depth of its members, m. It allows an early exit, because most cells have nothing in front of the queried
+    /// point.
     nearest_m: f32,
-    /// Only what is nearer than this is asked about here, m.
+    /// Largest depth that is queried in this cell, m.
     asked_m: f32,
 }
 
-/// The end of a list.
+/// End of a list.
 const END: u32 = u32::MAX;
 
-/// View of an antenna on a body, as far as it is in front of something that is asked about.
+/// Projection of a body seen from an antenna, reduced to what lies in front of queried points.
 struct View {
     triangles: Cells<Facet>,
     outlines: Cells<Piece>,
 }
 
-/// The plane on which a body is seen: perspective from the antenna, in metres at the body's distance.
+/// Projection plane: perspective from the antenna, in metres at the body's distance.
 struct Plane {
     /// Middle of the body.
     middle: DVec3,
@@ -101,7 +102,7 @@ struct Plane {
 }
 
 impl Plane {
-    /// `None` where the antenna is so near that parts of the body are beside it.
+    /// Creates the plane; `None` where the antenna is so near that parts of the body are beside it.
     fn new(antenna: DVec3, vertices: &[DVec3]) -> Option<Self> {
         let first = *vertices.first()?;
         let (low, high) = vertices.iter().fold((first, first), |(l, h), &v| (l.min(v), h.max(v)));
@@ -117,7 +118,7 @@ impl Plane {
 }
 
 compiled_for_levels! {
-    /// Adds vertices as they are seen.
+    /// Appends the projections of vertices.
     fn look(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) = look_body;
 }
 
@@ -126,7 +127,7 @@ fn look_body(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) {
     let (f, u, v) = (plane.forward.as_vec3(), plane.u.as_vec3(), plane.v.as_vec3());
     let distance_m = plane.distance_m as f32;
     for vertices in vertices.chunks(LANES) {
-        // From the middle of the body: single precision is a tenth of a micrometre there.
+        // Coordinates are relative to the middle of the body, where single precision resolves a tenth of a micrometre.
         let (mut x, mut y, mut z) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
         for (l, &vertex) in vertices.iter().enumerate() {
             let offset = vertex - plane.middle;
@@ -147,7 +148,7 @@ fn look_body(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) {
     }
 }
 
-/// Factor on the field of an (image) antenna at each vertex that is wanted; 1 at the others.
+/// Returns the factor on the field of an (image) antenna at each vertex in `wanted`; 1 at the others.
 pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, wanted: &[bool]) -> Vec<f64> {
     let mut all = vec![1.0; posed.vertices.len()];
     let Some(plane) = Plane::new(antenna, &posed.vertices) else { return all };
@@ -163,9 +164,9 @@ pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64
 }
 
 impl<T> Cells<T> {
-    /// An empty grid over a box.
+    /// Creates an empty grid over a box.
     fn new(low: Vec2, high: Vec2, width_m: f32) -> Self {
-        // A body is at most a few metres; what perspective makes larger shares the last cells.
+        // The grid covers a body of a few metres; points enlarged by perspective beyond it share the last cells.
         let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
         let count = [across(high.x - low.x), across(high.y - low.y)];
         let empty = Cell { head: END, nearest_m: f32::INFINITY, asked_m: f32::NEG_INFINITY };
@@ -175,7 +176,7 @@ impl<T> Cells<T> {
 
     #[inline]
     fn cell(&self, at: Vec2) -> [u32; 2] {
-        // What lies outside shares the cells of the rim.
+        // Points outside share the border cells.
         let place = (at - self.low) * self.per_m;
         let number = |place: f32, count: u32| (place as i32).clamp(0, count as i32 - 1) as u32;
         [number(place.x, self.count[0]), number(place.y, self.count[1])]
@@ -186,7 +187,7 @@ impl<T> Cells<T> {
         (y * self.count[0] + x) as usize
     }
 
-    /// Marks that a place will ask about all that is nearer than this, m.
+    /// Registers a query at a point for everything nearer than a depth, m.
     fn will_ask(&mut self, at: Vec2, than_m: f32) {
         let number = self.number(at);
         if let Some(cell) = self.cells.get_mut(number) {
@@ -194,20 +195,20 @@ impl<T> Cells<T> {
         }
     }
 
-    /// The first and the last cell along both axes that a box touches.
+    /// Returns the first and the last cell along both axes that a box touches.
     fn around(&self, (low, high): (Vec2, Vec2)) -> [[u32; 2]; 2] {
         let ([x0, y0], [x1, y1]) = (self.cell(low), self.cell(high));
         [[x0, x1], [y0, y1]]
     }
 
-    /// Whether anything at this depth, m, in these cells will be asked about.
+    /// Returns whether any query in these cells covers this depth, m.
     #[inline]
     fn is_asked(&self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32) -> bool {
         let asked_m = |x: u32, y: u32| {
             let cell = self.cells.get((y * self.count[0] + x) as usize);
             cell.map_or(f32::NEG_INFINITY, |cell| cell.asked_m)
         };
-        // Mostly those at the corners are all.
+        // In most cases the corner cells are all cells.
         if x1 - x0 < 2 && y1 - y0 < 2 {
             let below = (depth_m < asked_m(x0, y0)) | (depth_m < asked_m(x1, y0));
             return below | (depth_m < asked_m(x0, y1)) | (depth_m < asked_m(x1, y1));
@@ -215,7 +216,7 @@ impl<T> Cells<T> {
         (y0..=y1).any(|y| (x0..=x1).any(|x| depth_m < asked_m(x, y)))
     }
 
-    /// Another thing in these cells, as far as it is asked about there.
+    /// Adds a thing to those of these cells that have a query beyond its depth.
     #[inline]
     fn push(&mut self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32, thing: T) {
         let number = self.things.len() as u32;
@@ -230,7 +231,7 @@ impl<T> Cells<T> {
         self.things.push(thing);
     }
 
-    /// Entries that may be at a place and nearer than this, m.
+    /// Iterates over the entries of a point's cell, if any of them is nearer than a depth, m.
     #[inline]
     fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = &T> {
         let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < than_m);
@@ -256,7 +257,7 @@ impl View {
             let [a, b, c] = skin.rest().triangles[t];
             [seen[a as usize], seen[b as usize], seen[c as usize]]
         };
-        // Counter-clockwise on the plane, whose third axis points away, is turned away.
+        // Counter-clockwise triangles face away, as the third axis of the plane points away from the antenna.
         let handed = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
         let faces = |[a, b, c]: [Seen; 3]| (b.at - a.at).perp_dot(c.at - a.at) * handed > 0.0;
         let facing: Vec<bool> = (0..skin.rest().triangles.len()).map(|t| faces(corners(t))).collect();
@@ -279,7 +280,7 @@ impl View {
         let mut view = View { triangles, outlines };
         for (mut piece, beside) in pieces {
             piece.behind_m = view.nearest_m(beside, f32::INFINITY);
-            // What is itself hidden hides nothing more.
+            // A hidden outline casts no further shadow.
             if piece.behind_m > piece.depth_m - 1e-3 {
                 view.outlines.push(view.outlines.around(piece.reach()), piece.depth_m, piece);
             }
@@ -287,7 +288,7 @@ impl View {
         view
     }
 
-    /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
+    /// Returns the depth of the nearest triangle at a point, if nearer than a depth, m; otherwise returns that depth.
     fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
         let mut nearest = than_m;
         for facet in self.triangles.at(at, than_m) {
@@ -303,7 +304,7 @@ impl View {
         nearest
     }
 
-    /// Field at a vertex.
+    /// Returns the factor on the field at a vertex.
     fn weight(&self, &Seen { at, depth_m }: &Seen, wavelength_m: f64) -> f64 {
         let least_m = depth_m - BEHIND_M;
         // Squared distance across in units of the first Fresnel zone, and in metres.
@@ -315,7 +316,8 @@ impl View {
             }
             let along = piece.to - piece.from;
             let part = ((at - piece.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
-            // On the plane of the body's distance: what is a little nearer is seen a little larger, which is left alone.
+            // Distances are measured on the plane at the body's distance. The slight magnification of nearer parts is
+            // neglected.
             let distance2 = (piece.from + along * part).distance_squared(at);
             let zones = distance2 * depth_m / (piece.depth_m * behind_m);
             if zones < nearest {
@@ -328,7 +330,7 @@ impl View {
         }
         let nu = (2.0 * f64::from(nearest) / wavelength_m).sqrt();
         if shaded {
-            // To nothing at the end of the reach.
+            // Reaches zero at the end of the reach.
             let part = f64::from(across_m2 / (REACH_M * REACH_M));
             knife_edge(nu) * (1.0 - part) * (1.0 - part)
         } else {
@@ -337,13 +339,13 @@ impl View {
     }
 }
 
-/// Pieces of outlines near which something behind them is asked about, what they hide not yet found, and where that is to be
-/// looked for: just beside them.
+/// Returns the outline segments near which something behind them is queried. Each comes with the point just beside it
+/// at which the surface behind is to be found; `behind_m` is not yet set.
 fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) -> Vec<(Piece, Vec2)> {
     let mut pieces = Vec::new();
     for edge in skin.edges() {
         let [left, right] = edge.triangles;
-        // Where the surface ends, what faces the antenna ends.
+        // The border of an open surface is an outline of its facing triangles.
         let ends = left == right && facing[left as usize];
         if facing[left as usize] == facing[right as usize] && !ends {
             continue;
@@ -355,7 +357,7 @@ fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) 
         if !outlines.is_asked(outlines.around(piece.reach()), depth_m) {
             continue;
         }
-        // Both triangles lie on the same side of it; the third corner of either says which.
+        // Both triangles lie on the same side of the outline; the third corner of either gives the side.
         let corners = skin.rest().triangles.get(left as usize);
         let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
         let Some(&third) = third else { continue };
@@ -368,7 +370,7 @@ fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) 
 }
 
 impl Piece {
-    /// The box within which it matters.
+    /// Returns the box within which the segment affects the field.
     fn reach(&self) -> (Vec2, Vec2) {
         (self.from.min(self.to) - REACH_M, self.from.max(self.to) + REACH_M)
     }
@@ -407,7 +409,7 @@ mod tests {
         WalkingMesh::new(Arc::new(motion), EDGE_M)
     }
 
-    /// More than half of the field arrives where a ray does, and less where none does.
+    /// The field exceeds one half where a ray reaches the vertex, and is below one half elsewhere.
     #[test]
     fn light_is_where_rays_are() {
         let walker = walker();
@@ -449,14 +451,14 @@ mod tests {
             jumps += before.iter().zip(&now).filter(|(a, b)| (*a - *b).abs() > 0.35).count();
             before = now;
         }
-        // Of six thousand vertices in twenty steps.
+        // This is out of six thousand vertices in twenty steps.
         assert!(jumps < 60, "{jumps} jumps");
     }
 
     mod hard_cases {
         use super::*;
 
-        /// Beside a foot, inside the chest, and very far away.
+        /// Weights stay between 0 and 1 for antennas beside a foot, inside the chest, and very far away.
         #[test]
         fn antennas_anywhere_leave_finite_weights() {
             let walker = walker();

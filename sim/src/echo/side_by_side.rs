@@ -1,8 +1,9 @@
-//! Many of somebody's paths at one instant: specular points of a segment by pairs of images, some side by side ([`super::path_rows`]).
-//! What lanes cannot do, as in rooms that are no boxes, is traced path by path; it is also what lanes are held to.
+//! Traces many paths of a person at one instant: specular points of a segment for pairs of images, vectorised where
+//! possible ([`super::path_rows`]). Cases that the vectorised code does not cover, such as rooms that are no boxes, are
+//! traced path by path. That method is also the reference for the vectorised code.
 //!
-//! A path is met first as if nobody stood between the walls, and is as loud as that or less: whether people are in its ways need be
-//! asked only of those that can be heard.
+//! A path is first traced without people in the room, which bounds its amplitude from above. Obstruction by people is
+//! computed only for the audible paths.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -25,26 +26,26 @@ use crate::paths::Surroundings;
 use crate::people::body::SEGMENTS;
 use crate::tracks::OTHERS;
 
-/// Most receivers.
+/// Largest number of receivers.
 const RECEIVERS: usize = 1 + OTHERS;
-/// No path.
+/// Sample of a path that does not exist.
 const NOTHING: PathSample = PathSample { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::ZERO };
 
-/// A path at an instant, to each receiver.
+/// Path at an instant, to each receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Met {
     keys: [PathSample; RECEIVERS],
     receivers: usize,
-    /// Place at which it is met on its segment, a point of the unit sphere; `None` where there is no such path.
+    /// Specular point on the segment, as a point of the unit sphere; `None` where the path does not exist.
     pub place: Option<DVec3>,
-    /// The same in the room, m.
+    /// Specular point in the room, m.
     point: DVec3,
-    /// Whether people in its ways have not been asked for.
+    /// Whether obstruction by people has not been applied.
     is_bare: bool,
 }
 
 impl Met {
-    /// A path with a key for each receiver.
+    /// Builds a path from a sample for each receiver.
     pub fn new(keys: &[PathSample], place: Option<DVec3>) -> Self {
         let mut met = Met { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false };
         for (own, key) in met.keys.iter_mut().zip(keys) {
@@ -54,19 +55,19 @@ impl Met {
         met
     }
 
-    /// A key for each receiver, of amplitude zero where there is no such path.
+    /// Returns a sample for each receiver, of amplitude zero where the path does not exist.
     pub fn keys(&self) -> &[PathSample] {
         self.keys.get(..self.receivers).unwrap_or_default()
     }
 }
 
-/// The vector of one lane.
+/// Returns the vector of one lane.
 fn vector(rows: &WideRow3, l: usize) -> DVec3 {
     DVec3::from_array(wide_lane(rows, l))
 }
 
 impl Snapshot {
-    /// Motion of the material of a segment.
+    /// Returns the motion of the surface of a segment.
     fn drift(&self, segment: usize) -> Option<Drift> {
         let (before, after) = (self.before.get(segment)?, self.after.get(segment)?);
         let per_s = |step: DVec3| (step / (2.0 * VELOCITY_STEP_S)).to_array();
@@ -77,8 +78,8 @@ impl Snapshot {
 }
 
 impl Paths<'_> {
-    /// Paths at one instant, each as if no person stood between its walls ([`Paths::shade`]). They are asked for by number and by
-    /// where on its segment each was met a little earlier or later.
+    /// Traces paths at one instant, each without obstruction by people ([`Paths::shade`]). Each request gives the
+    /// path's index and its specular point at a neighbouring time.
     pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
         let mut met = vec![Met::new(&[], None); asked.len()];
         if let Surroundings::Box(room) = &self.prepared.room {
@@ -100,7 +101,7 @@ impl Paths<'_> {
             Surroundings::Polygons(room) => Some(SharedWays::new(self.prepared, room, people, self.me, &self.beside)),
         };
         let mut instant = Instant { people, own, ways };
-        // What lanes leave, and what a person at a desk has besides.
+        // The remaining paths: those that lanes do not cover, and the extra paths of a person at a desk.
         let mut keys = Vec::with_capacity(RECEIVERS);
         for (met, &(path, near)) in met.iter_mut().zip(asked).filter(|(met, _)| met.receivers == 0) {
             keys.clear();
@@ -110,24 +111,24 @@ impl Paths<'_> {
         met
     }
 
-    /// Weakens paths at one instant by the people in their ways, once. They come with their numbers.
+    /// Applies the obstruction by people to paths at one instant, once. Paths are given with their indices.
     pub fn shade<'m>(&self, met: impl IntoIterator<Item = (usize, &'m mut Met)>, people: &[Snapshot]) {
-        // Others are traced with everybody in their ways.
+        // In other rooms tracing already includes the people.
         let Surroundings::Box(room) = &self.prepared.room else { return };
         let mut bystanders = Bystanders::new(self.prepared, room, people, self.me, 2 * self.images);
         for (path, met) in met.into_iter().filter(|(_, met)| met.is_bare) {
             met.is_bare = false;
             let pair = self.specular_points.get(path).and_then(|&(number, _)| self.pairs.get(number));
             let Some(Pair { there, back, images, .. }) = pair else { continue };
-            // Images of the transmitter and of the receivers are some millimetres apart.
+            // Images of the transmitter and of the receivers are some millimetres apart, so they have separate entries.
             let left =
                 bystanders.past(2 * images[0], there, met.point) * bystanders.past(2 * images[1] + 1, back, met.point);
             met.keys.iter_mut().for_each(|key| key.amplitude *= left);
         }
     }
 
-    /// Paths by way of one segment side by side: those of `asked` at these places, no more than there are lanes. Paths that lanes
-    /// cannot trace stay without receivers.
+    /// Traces paths over one segment in lanes: those of `asked` at the indices `lanes`, at most one per lane. Paths
+    /// that cannot be traced in lanes keep zero receivers.
     #[allow(clippy::too_many_arguments)]
     fn meet_lanes(
         &self,
@@ -146,7 +147,7 @@ impl Paths<'_> {
             let &(number, _) = self.specular_points.get(path)?;
             self.pairs.get(number)
         };
-        // Lanes to spare repeat the first.
+        // Unused lanes repeat the first pair.
         let Some(first) = pair(0) else { return };
         let pairs: [&Pair; WIDE] = std::array::from_fn(|l| pair(l).unwrap_or(first));
         let mut sources = [[[0.0; WIDE]; 3]; 2];
@@ -178,7 +179,7 @@ impl Paths<'_> {
         self.hear_lanes(lanes, &pairs, &seen, &drift, &amplitude, met);
     }
 
-    /// Writes what each receiver hears of paths that were found.
+    /// Writes the samples of each receiver for the paths that were found.
     fn hear_lanes(
         &self,
         lanes: &[usize],
@@ -203,15 +204,15 @@ impl Paths<'_> {
         }
     }
 
-    /// Factors of amplitudes beside fields and spreading: aperture, clothes, walls about the room, grazing incidence, and the own
-    /// limbs and trunk. Zero where nothing was found.
+    /// Computes factors of amplitudes other than fields and spreading: aperture, clothes, walls of the room, grazing
+    /// incidence, and the person's own limbs and trunk. They are zero where no specular point was found.
     fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &SpecularRows) -> WideRow {
         let prepared = self.prepared;
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let common = 0.5 * prepared.aperture_m() * cloth;
         let mut factors = [0.0; WIDE];
         for (l, factor) in factors.iter_mut().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
-            // Grazing specular points fade: forward scattering is no specular point.
+            // Fade out grazing specular points: geometrical optics does not describe forward scattering.
             let faded = smooth_step((seen.cosine[l] - 0.2) / 0.1);
             *factor = common * faded * inside_room(prepared, vector(&seen.point, l));
         }
@@ -226,7 +227,7 @@ impl Paths<'_> {
         factors
     }
 
-    /// Fields of both antennas' images at the specular points, but for spreading.
+    /// Computes the fields of both antennas' images at the specular points, without spreading.
     fn fields(&self, room: &BoxRoom, pairs: &[&Pair; WIDE], factors: &WideRow, seen: &SpecularRows) -> [WideFields; 2] {
         let prepared = self.prepared;
         let mut fields = [WideFields::default(); 2];

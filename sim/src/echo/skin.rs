@@ -1,19 +1,19 @@
-//! Echoes of somebody whose body is a mesh: physical optics near its specular points, patch by patch.
+//! Echoes of a person modelled as a mesh: physical optics near specular points, patch by patch.
 //!
-//! Physical optics over the skin needs only where the path hardly changes: a smooth window over the angle between normal and
-//! bisector keeps specular points with several Fresnel zones around them and lets go of the rest, which cancels. Inside the window
-//! each triangle is integrated ([`crate::em::curved_triangle`]) at the key times, and is between them a point of the body
-//! with an exact delay whose strength changes slowly. Triangles of one small patch are summed chirp by chirp
-//! ([`super::patch_sum`]) into one tone: nothing has to be found, followed or matched between key times, and specular points that
-//! are born, merge and die do so in the sum.
+//! Physical optics contributes only where the path length is nearly stationary. A smooth window over the angle between
+//! normal and bisector keeps specular points with several Fresnel zones around them. The rest cancels and is dropped.
+//! Inside the window each triangle is integrated ([`crate::em::curved_triangle`]) at the key times. Between them it is
+//! a point of the body with an exact delay and a slowly varying strength. Triangles of one small patch are summed chirp
+//! by chirp ([`super::patch_sum`]) into one tone. No specular point is tracked between key times: their appearance,
+//! merging and disappearance are part of the sum.
 //!
-//! A patch has as many triangles as go side by side in lanes. It is taken through everything, by every way and at every key,
-//! before the next: what is known of it stays at hand.
+//! A patch has as many triangles as there are lanes. It is processed for every path and every key time before the next,
+//! so that its data stay in the cache.
 //!
-//! A way and its reverse differ by the few millimetres between transmitter and receivers: they are integrated once.
+//! A path and its reverse differ by the few millimetres between transmitter and receivers, so they are integrated once.
 //!
-//! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
-//! pattern, walls, and what people and the body's own limbs leave of it.
+//! The strength at a vertex contains the reflection of the image antenna's field by skin (both polarisations, true
+//! incidence), cloth, pattern and walls. It also contains the obstruction by people and by the body's own limbs.
 
 use glam::DVec3;
 
@@ -32,28 +32,28 @@ use crate::people::walking_mesh::WalkingMesh;
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::ChirpGrids;
 
-/// Somebody with a skin.
+/// Person modelled as a skin mesh.
 #[derive(Debug, Clone)]
 pub struct SkinnedPerson {
     mesh: WalkingMesh,
-    /// Factor of clothes on amplitude at each vertex.
+    /// Factor of clothes on the amplitude at each vertex.
     cloth: Vec<f64>,
 }
 
 impl SkinnedPerson {
-    /// Somebody who moves as a mesh.
+    /// Builds a person from a moving mesh.
     pub fn new(mesh: WalkingMesh) -> Self {
         let cloth = mesh.skin().blend(&mesh.motion().person.cloth);
         SkinnedPerson { mesh, cloth }
     }
 
-    /// Factor of clothes on amplitude at each vertex.
+    /// Returns the factor of clothes on the amplitude at each vertex.
     pub fn cloth(&self) -> &[f64] {
         &self.cloth
     }
 
-    /// Factors of other people, and of the body itself before the last wall, on an image antenna's field at each vertex: by
-    /// segment, as vertices follow those.
+    /// Returns the factors of obstruction by other people, and by the body itself before the last wall, on an image
+    /// antenna's field at each vertex. They are computed by segment and blended over the vertices.
     pub fn past_people(&self, prepared: &PreparedScene, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
         let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
         let of_segment: [f64; SEGMENTS] =
@@ -64,14 +64,14 @@ impl SkinnedPerson {
         self.mesh.skin().blend(&of_segment)
     }
 
-    /// The mesh in motion.
+    /// Returns the moving mesh.
     pub fn mesh(&self) -> &WalkingMesh {
         &self.mesh
     }
 
-    /// Adds somebody's echoes in a frame to grids. `people` are everybody's snapshots at the keys, of whom this is number `me`.
-    /// `pairs` are those that can be heard and how loud, the loudest first; each way and its reverse count as one. Returns what
-    /// is missed of the loudest pair's field, and what of the others is left out.
+    /// Adds a person's echoes in a frame to grids. `people` are snapshots of all people at the key times, of whom this
+    /// is number `me`. `pairs` are the audible pairs with their loudness, LSB, the loudest first; a path and its
+    /// reverse count as one. Returns the error of the loudest pair's field, and the omitted power of the others.
     #[allow(clippy::too_many_arguments)]
     pub fn add_echoes(
         &self,
@@ -85,7 +85,7 @@ impl SkinnedPerson {
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
     ) -> Missed {
-        // Fast limbs need keys half-way between as well.
+        // Fast limbs need additional key times half-way between.
         let fine = times.halved();
         let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
         let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
@@ -129,7 +129,7 @@ impl SkinnedPerson {
         work.weights = self.weights(&work, people, me, &shining, budget);
 
         let loudest = prepared.lsb.iter().copied().fold(0.0, f64::max);
-        // Patches add up: one alone this far below what can be seen is not missed.
+        // Patches add up, so the threshold of a single patch lies far below the visible level.
         let least = (budget.least_patch_lsb() / loudest.max(1e-300)) as f32;
         let mut solver = PatchSolver::new(&work, least);
         let mut missed = Tally::default();
@@ -153,7 +153,8 @@ impl SkinnedPerson {
         Missed { between_keys, by_integration, left_out: left_out_lsb2 / (budget.noise_lsb * budget.noise_lsb) }
     }
 
-    /// By patch, the pairs of images between which it is near a specular point at the beginning or at the end.
+    /// Returns, for each patch, the pairs of images for which it is near a specular point at the beginning or at the
+    /// end.
     fn shining(&self, work: &Work) -> Vec<Vec<usize>> {
         let level = work.integrator.level;
         let patches = self.mesh.skin().patches();
@@ -183,8 +184,8 @@ impl SkinnedPerson {
         all
     }
 
-    /// Factors of people and limbs on every image antenna's light at the vertices of patches that shine by it, at as many keys
-    /// as its loudness asks for.
+    /// Returns the factors of obstruction on every image antenna's field at the vertices of patches near its specular
+    /// points. The number of key times depends on the loudness of the image.
     fn weights(
         &self,
         work: &Work,
@@ -205,7 +206,7 @@ impl SkinnedPerson {
             let of = work.pairs.iter().filter(|pair| pair.images.contains(&image));
             let keys = budget.shade_keys(of.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
             let at = |key: usize| {
-                // Poses are twice as close as people's keys.
+                // There is an additional pose between any two key times of people.
                 let posed = work.posed.get(2 * key)?;
                 let own =
                     self_occlusion::weights(work.skin, posed, place.middle, work.prepared.wavelength_m, &wanted[image]);
@@ -218,7 +219,7 @@ impl SkinnedPerson {
     }
 }
 
-/// An antenna from a place, in single precision.
+/// Returns an antenna's position relative to an origin, in single precision.
 fn from(origin: DVec3, antenna: DVec3) -> [f32; 3] {
     (antenna - origin).as_vec3().to_array()
 }

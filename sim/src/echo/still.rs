@@ -1,7 +1,7 @@
-//! A surface that stands still, by the patches of skins: one antenna lights it and listens to it.
+//! Monostatic echo of a surface at rest, computed with the patches of skins.
 //!
-//! It is what frames do with a person at one key time ([`super::skin`]), without what moves: the same patches, triangles,
-//! strengths and shadows. Validation puts it before bodies whose cross-section is known.
+//! The computation is that of a person at one key time ([`super::skin`]) without motion: the same patches, triangles,
+//! strengths and shadows. Validation applies it to bodies with known cross-sections.
 
 use std::f64::consts::TAU;
 
@@ -21,23 +21,24 @@ use crate::geometry::Surface;
 use crate::lanes::{LANES, Row};
 use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 
-/// From farther away than this shadows are cast as from here, m: they are found in single precision.
+/// Largest distance from which shadows are cast, m. Farther antennas are moved to it, because shadows are computed in
+/// single precision.
 const FARTHEST_SHADING_M: f64 = 1e3;
 
-/// A closed surface that stands still.
+/// Closed surface at rest.
 #[derive(Debug, Clone)]
 pub struct StillSkin {
     skin: Skin,
     posed: PosedSkin,
-    /// Middle of the vertices: single precision counts from here.
+    /// Mean of the vertices: origin of single-precision coordinates.
     origin: DVec3,
 }
 
-/// An antenna that lights a surface and listens to it, and how its echo is integrated.
+/// Antenna that transmits and receives, and settings of the integration of its echo.
 pub struct StillView<'a> {
     /// Position, m.
     pub antenna: DVec3,
-    /// Field at a place, but for spreading and phase.
+    /// Field at a point, without spreading and phase.
     pub field: &'a dyn Fn(DVec3) -> Phasor3,
     /// Wavelength, m.
     pub wavelength_m: f64,
@@ -48,20 +49,21 @@ pub struct StillView<'a> {
 }
 
 impl StillSkin {
-    /// From a surface with normals; every edge has one triangle or two.
+    /// Builds the skin of a surface with normals, in which every edge belongs to one triangle or two.
     pub fn new(surface: &Surface) -> Self {
         let (skin, posed) = Skin::still(surface);
         let origin = posed.vertices.iter().sum::<DVec3>() / posed.vertices.len().max(1) as f64;
         StillSkin { skin, posed, origin }
     }
 
-    /// Number of triangles.
+    /// Returns the number of triangles.
     pub fn triangles(&self) -> usize {
         self.skin.rest().triangles.len()
     }
 
-    /// Physical optics over what is near a specular point and in the light: the integral of [`crate::em::current::heard_by`] over
-    /// the square of the distance, with the phase of the path relative to that by the middle of the surface.
+    /// Integrates physical optics over the lit surface near specular points. The integrand is
+    /// [`crate::em::current::heard_by`] over the square of the distance, with the phase of the path relative to that by
+    /// the middle of the surface.
     pub fn integral(&self, integrator: &Integrator, view: &StillView) -> Complex64 {
         let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);
         let wanted = vec![true; self.posed.vertices.len()];
@@ -115,7 +117,7 @@ impl StillSkin {
             products.sum::<Complex64>() * Complex64::from_polar(1.0, -TAU * longer_m / view.wavelength_m)
         };
         let triangles = seen.distances_m.iter().enumerate().take(patch.triangles.len());
-        // Strengths are multiplied by j.
+        // Strengths contain a factor j, which is removed here.
         -Complex64::I * triangles.map(of_triangle).sum::<Complex64>()
     }
 
@@ -131,7 +133,7 @@ mod tests {
     use crate::geometry::shape;
     use crate::material::SKIN_PERMITTIVITY;
 
-    /// Before a larger ball one is not seen: the shadows of skins are those of whatever stands in the light.
+    /// A ball behind a larger one does not contribute to the echo.
     #[test]
     fn a_ball_behind_a_larger_one_is_not_seen() {
         let integrator = Integrator::default();

@@ -1,7 +1,7 @@
-//! Strength of a skin at sixteen vertices: what one image antenna's field makes of it there and another hears, as it multiplies
-//! `exp(-j k L)` and an area. Physical optics as [`crate::em::current::heard_by`] has it, to which a test holds it.
+//! Physical-optics strengths at sixteen vertices of a skin: the factor of `exp(-j k L)` and an area in the field from
+//! one image antenna to another. The formulation is that of [`crate::em::current::heard_by`]; a test compares both.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
@@ -12,35 +12,36 @@ use super::error_budget::IntegrationSettings;
 use crate::em::Phasor3;
 use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane};
 
-/// Vertices of a skin in a pose.
+/// Vertices of a posed skin, one per lane.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VertexRows {
-    /// From a place that all are near to, m.
+    /// Positions relative to a common nearby origin, m.
     pub(super) places: Row3,
     pub(super) normals: Row3,
-    /// Factor of clothes and walls on the strength.
+    /// Factor of clothes and walls on the amplitude.
     pub(super) left: Row,
-    /// Factor on sines of angles from the specular point before the window is asked.
+    /// Factor on the sine of the angle from the specular direction, applied before the window.
     pub(super) narrowing: Row,
 }
 
-/// An image antenna as vertices see it.
+/// Directions and distances from vertices to an image antenna.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LightRows {
-    /// Unit vectors to it.
+    /// Unit vectors to the antenna.
     pub(super) towards: Row3,
-    /// One over the distance, 1/m; clamped.
+    /// Inverse distance, 1/m, with the distance clamped to [`LEAST_DISTANCE_M`].
     pub(super) inverse_m: Row,
 }
 
-/// Field of an image antenna at vertices, but for spreading.
+/// Field of an image antenna at vertices, without spreading.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FieldRows {
     re: Row3,
     im: Row3,
 }
 
-/// Field of an image antenna around a place: there, and how it changes along each axis, 1/m.
+/// First-order expansion of the field of an image antenna around a point: the field, and its slope along each axis,
+/// 1/m.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FieldAround {
     pub(super) place: [f32; 3],
@@ -48,11 +49,11 @@ pub(super) struct FieldAround {
     pub(super) slopes: [Phasor3; 3],
 }
 
-/// Step over which fields are differentiated, m.
+/// Step of the finite differences of fields, m.
 const FIELD_STEP_M: f64 = 0.03;
 
 impl FieldAround {
-    /// Around a place, of an antenna's field there; places are from `origin`.
+    /// Expands a field around `centre`. Positions are relative to `origin`.
     pub(super) fn new(centre: DVec3, origin: DVec3, field_at: impl Fn(DVec3) -> Phasor3) -> Self {
         let field = field_at(centre);
         let slope = |axis: DVec3| {
@@ -64,7 +65,7 @@ impl FieldAround {
 }
 
 compiled_for_levels! {
-    /// Field at vertices.
+    /// Evaluates the expanded field at vertices.
     pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;
 }
 
@@ -89,14 +90,14 @@ fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
 /// Inputs of the strengths at vertices.
 pub(super) struct Between<'a> {
     pub(super) vertices: &'a VertexRows,
-    /// The antennas that light and that listen.
+    /// The transmitting and the receiving image antenna.
     pub(super) lights: [&'a LightRows; 2],
     pub(super) fields: [&'a FieldRows; 2],
-    /// Factors of people and limbs on them.
+    /// Factors of obstruction by people and limbs on both fields.
     pub(super) weights: [&'a Row; 2],
     pub(super) permittivity: Complex64,
     pub(super) settings: &'a IntegrationSettings,
-    /// Times j, what all are multiplied by.
+    /// Common factor of all strengths, to be multiplied by j.
     pub(super) factor: f32,
 }
 
@@ -114,19 +115,20 @@ impl LightRows {
         rows
     }
 
-    /// Number of the distances that were clamped.
+    /// Returns the number of clamped distances.
     pub(super) fn clamped(&self) -> usize {
         self.inverse_m.iter().filter(|&&inverse_m| inverse_m >= 1.0 / LEAST_DISTANCE_M as f32).count()
     }
 }
 
 compiled_for_levels! {
-    /// An antenna, given from where the vertices' places are.
+    /// Computes directions and inverse distances to an antenna. Its position has the same origin as those of the
+    /// vertices.
     pub(super) fn light_rows(antenna: [f32; 3], places: &Row3) -> LightRows = LightRows::new;
 }
 
 compiled_for_levels! {
-    /// Whether any vertex is near a specular point: within the window, and in sight of both antennas.
+    /// Returns whether any vertex is near a specular point: within the window, and facing both antennas.
     pub(super) fn any_shines(normals: &Row3, narrowing: &Row, lights: [&LightRows; 2], outer: f32) -> bool = shines_body;
 }
 
@@ -151,8 +153,8 @@ fn shines_body(normals: &Row3, narrowing: &Row, [out, back]: [&LightRows; 2], ou
     any != 0
 }
 
-/// Half the length of the sum of unit vectors to both antennas at which specular points begin to count, and from which they do in
-/// full: forward scattering is not theirs to tell.
+/// Half the length of the sum of the unit vectors to both antennas: the weight of specular points rises from zero at
+/// the first value to one at the second. Below that, forward scattering dominates, which this method does not model.
 pub(super) const GRAZING: [f32; 2] = [0.1, 0.3];
 
 /// [`crate::people::track::smooth_step`] from 0 at `from` to 1 at `to`.
@@ -164,7 +166,7 @@ fn smooth_step(x: f32, from: f32, to: f32) -> f32 {
 }
 
 compiled_for_levels! {
-    /// Strengths, real and imaginary parts.
+    /// Computes strengths, real and imaginary parts.
     pub(super) fn strengths(between: &Between) -> (Row, Row) = strengths_body;
 }
 
@@ -213,17 +215,18 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let weight = window * vertices.left[l] * weights[0][l] * weights[1][l] * spreading;
         let weight = if lit { weight } else { 0.0 };
 
-        // The wave that arrives, and the one that leaves.
+        // Directions of the incident and the reflected wave.
         let d = [-t[0], -t[1], -t[2]];
         let c = with_t.abs().min(1.0);
         let o = sum(d, n, 2.0 * with_t);
-        // Component of the wave vector inside, by real roots; half-spaces here have a real part above one.
+        // Normal component of the wave vector inside, by real roots. The real parts of the permittivities exceed one
+        // here.
         let (a, b) = (eps_re - 1.0 + c * c, eps_im);
         let q_re = (0.5 * ((a * a + b * b).sqrt() + a)).sqrt();
         let q_im = 0.5 * b / q_re;
         let te = divide((c - q_re, -q_im), (c + q_re, q_im));
         let tm = divide((eps_re * c - q_re, eps_im * c - q_im), (eps_re * c + q_re, eps_im * c + q_im));
-        // Across the plane of incidence; any direction where there is none.
+        // Unit vector perpendicular to the plane of incidence; at normal incidence any tangent serves.
         let across = cross(d, n);
         let any = if d[0].abs() < 0.7 { [0.0, d[2], -d[1]] } else { [-d[2], 0.0, d[0]] };
         let normal_incidence = dot(across, across) < 1e-8;
@@ -237,13 +240,13 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let reflected_w = (tm.0 * along_v.0 - tm.1 * along_v.1, tm.0 * along_v.1 + tm.1 * along_v.0);
         let reflected_re = sum([u[0] * reflected_u.0, u[1] * reflected_u.0, u[2] * reflected_u.0], w, reflected_w.0);
         let reflected_im = sum([u[0] * reflected_u.1, u[1] * reflected_u.1, u[2] * reflected_u.1], w, reflected_w.1);
-        // Both currents, n x (H + H_r) and -n x (E + E_r).
+        // Electric and magnetic current, n x (H + H_r) and -n x (E + E_r).
         let (h_re, h_im) = (cross(d, field_re), cross(d, field_im));
         let j_re = cross(n, sum(h_re, cross(o, reflected_re), 1.0));
         let j_im = cross(n, sum(h_im, cross(o, reflected_im), 1.0));
         let m_re = cross(n, sum(field_re, reflected_re, 1.0));
         let m_im = cross(n, sum(field_im, reflected_im, 1.0));
-        // What the antenna hears of them.
+        // Field of both currents at the receiving antenna.
         let (p_re, p_im) = (sum(heard_re, s, -dot(s, heard_re)), sum(heard_im, s, -dot(s, heard_im)));
         let (sp_re, sp_im) = (cross(s, p_re), cross(s, p_im));
         let re = dot(j_re, p_re) - dot(j_im, p_im) - (dot(m_re, sp_re) - dot(m_im, sp_im));
@@ -254,7 +257,8 @@ fn strengths_body(between: &Between) -> (Row, Row) {
     (all_re, all_im)
 }
 
-/// The factor that all strengths have but for `j`: `-j k / 2 pi` of physical optics, and the antennas' aperture `lambda / 4 pi`.
+/// Returns the common factor of all strengths, without `j`: `-j k / 2 pi` of physical optics, and the antennas'
+/// aperture `lambda / 4 pi`.
 pub(super) fn common_factor(wavelength_m: f64) -> f32 {
     let k = std::f64::consts::TAU / wavelength_m;
     let aperture = wavelength_m / (4.0 * std::f64::consts::PI);
@@ -272,7 +276,8 @@ mod tests {
     use crate::material::SKIN_PERMITTIVITY;
     use crate::random::{Purpose, generator};
 
-    /// Normals from along the line of sight to grazing, fields as lossy walls leave them, antennas together and apart.
+    /// Normals range from the line of sight to grazing. Fields are complex as behind lossy walls, and antennas are
+    /// together or apart.
     #[test]
     fn strengths_are_those_of_physical_optics() {
         let mut rng = generator(3, Purpose::Noise, [0, 0]);
@@ -290,7 +295,7 @@ mod tests {
             let back = if i % 2 == 0 { out + 0.002 * vector() } else { point + 2.0 * vector().normalize() };
             let (t, s) = ((out - point).normalize(), (back - point).normalize());
             let normal = if i % 5 == 0 { t } else { (t + s + 0.9 * vector()).normalize() };
-            // Across the way, as fields are.
+            // Fields are transverse to the direction of propagation.
             let mut phasor = |along: DVec3| {
                 let across = |v: DVec3| v - along * along.dot(v);
                 Phasor3 { re: across(vector()), im: across(vector()) }

@@ -1,4 +1,4 @@
-//! The currents that a field excites on a surface, and what an antenna hears of them.
+//! Physical-optics currents that a field excites on a surface, and the field they produce at an antenna.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -6,7 +6,7 @@ use num_complex::Complex64;
 use super::Phasor3;
 use super::wall::Wall;
 
-/// A wave that has arrived at a surface.
+/// Wave incident on a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrival {
     /// Electric field.
@@ -15,7 +15,7 @@ pub struct Arrival {
     pub direction: DVec3,
 }
 
-/// An antenna that listens.
+/// Receiving antenna.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Listener {
     /// Unit vector from the surface to the antenna.
@@ -24,9 +24,9 @@ pub struct Listener {
     pub polarisation: DVec3,
 }
 
-/// Physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and
-/// `M = -n x (E_i + E_r)`, so that the received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
-/// phase). For a conductor seen by the antenna that lights it, the cosine of the angle of incidence.
+/// Evaluates physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and `M
+/// = -n x (E_i + E_r)`. The received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
+/// phase). For a conductor in the monostatic case it is the cosine of the angle of incidence.
 pub fn heard(
     arrival: &Arrival,
     normal: DVec3,
@@ -37,7 +37,7 @@ pub fn heard(
     heard_by(arrival, normal, boundary, wavenumber_per_m, listener.towards, Phasor3::real(listener.polarisation))
 }
 
-/// [`heard`] by an antenna of which the surface sees a complex polarisation, as behind a lossy wall.
+/// Evaluates [`heard`] for an antenna whose polarisation at the surface is complex, as behind a lossy wall.
 pub fn heard_by(
     arrival: &Arrival,
     normal: DVec3,
@@ -64,8 +64,8 @@ pub fn heard_by(
 mod tests {
     use super::*;
 
-    /// Back to where it came from: the cosine for a conductor, minus the reflection coefficient times it for anything else at
-    /// normal incidence.
+    /// Monostatic case: the cosine for a conductor, and minus the reflection coefficient times the cosine for anything
+    /// else at normal incidence.
     #[test]
     fn backscatter_is_the_cosine_times_reflection() {
         let towards = DVec3::new(0.5, 0.3, 0.8).normalize();

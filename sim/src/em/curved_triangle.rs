@@ -1,15 +1,16 @@
-//! Curved triangles of a skin between two antennas, side by side: physical optics over each of them as the strength of one path.
+//! Vectorised physical optics over curved triangles of a skin between two antennas. Each triangle contributes the
+//! strength of one path.
 //!
-//! A triangle bulges between its corners as their normals say (a quadratic patch: edges are common with the neighbours', so that
-//! the surface has no gaps). The path over it is the parabola through its corners and the middles of its edges: what that leaves
-//! out is of the third order in the triangle's size over its distance, micrometres. Its integral is a sum over the places of a
-//! rule ([`super::quadrature`]) that is chosen by how far the phase runs across it: a wave that spans a few radians takes a few
-//! places, whatever curvature it has.
+//! The normals at the corners determine the bulge of a triangle (a quadratic patch). Edges are common with the
+//! neighbours', so that the surface has no gaps. The path over it is the parabola through its corners and the middles
+//! of its edges. The neglected part is of the third order in the triangle's size over its distance, micrometres. The
+//! integral is a sum over the nodes of a rule ([`super::quadrature`]). The phase span selects the rule: a span of a few
+//! radians takes a few nodes, whatever the curvature.
 //!
-//! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
-//! precision does: a test holds [`moments`] to an integral in double precision.
+//! All lengths are differences from the path by the triangle's middle, in a form without cancellation, so single
+//! precision suffices. A test compares [`moments`] with an integral in double precision.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
@@ -18,42 +19,43 @@ use radome_dsp::KernelLevel;
 use super::quadrature::{Rule, rules};
 use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane};
 
-/// Quadratic patches, a triangle in every lane.
+/// Quadratic patches, one triangle in every lane.
 #[derive(Debug, Clone, Copy)]
 pub struct TriangleRows {
-    /// Mean of the corners, from a place that all are near to, m.
+    /// Mean of the corners relative to a common nearby origin, m.
     pub middles: Row3,
-    /// Corners from there, m.
+    /// Corners relative to the middle, m.
     pub corners: [Row3; 3],
-    /// Distance of the surface from the middles of the edges (first to second corner, second to third, third to first), m.
+    /// Offset of the surface from the middles of the edges (first to second corner, second to third, third to first),
+    /// m.
     pub bulges: [Row3; 3],
-    /// Half of the squared differences of unit normals along the edges: by these, times both weights, the strength between
-    /// corners is above the linear one, since normals in between are as long as they.
+    /// Half of the squared differences of unit normals along the edges. These, times both weights, are the relative
+    /// excess of the strength over linear interpolation, since interpolated normals are shorter than unit length.
     pub turns: [Row; 3],
 }
 
-/// An antenna as the middles of triangles see it.
+/// Antenna seen from the middles of triangles.
 #[derive(Debug, Clone, Copy)]
 pub struct ViewRows {
-    /// From the antenna to the middles, m.
+    /// Vectors from the antenna to the middles, m.
     pub offsets: Row3,
-    /// Length of that, m.
+    /// Lengths of the offsets, m.
     pub distances_m: [f64; LANES],
-    /// One over it.
+    /// Inverse lengths, 1/m.
     pub inverse_m: Row,
-    /// Excess length of the way to each of the [`SIX`], wavelengths.
+    /// Excess length of the path to each of the [`SIX`], wavelengths.
     longer: [Row; 6],
 }
 
-/// Corners, then middles of the edges as those of the bulges, by their weights of the corners.
+/// Barycentric coordinates of the corners, then of the middles of the edges in the order of the bulges.
 const SIX: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
 
-/// Halves of the lanes are integrated each by a rule of its own.
+/// Number of groups of lanes, each integrated by its own rule.
 pub const HALVES: usize = 2;
 const HALF: usize = LANES / HALVES;
 
-/// Places of a rule on the triangles of half of the lanes; none where these need no integral.
+/// Nodes of a rule on the triangles of half of the lanes; empty where these need no integral.
 #[derive(Debug, Clone, Default)]
 pub struct Nodes {
     all: Vec<Node>,
@@ -61,20 +63,20 @@ pub struct Nodes {
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    /// Weights of the second and third corner.
+    /// Barycentric coordinates of the second and third corner.
     corners: [f32; 2],
-    /// Area that the place stands for, m^2.
+    /// Area that the node represents, m^2.
     area: [f32; HALF],
 }
 
-/// One half of the lanes.
+/// Returns one half of the lanes.
 #[inline(always)]
 fn half_of(row: &Row, half: usize) -> [f32; HALF] {
     let (halves, _) = row.as_chunks::<HALF>();
     if half == 0 { halves[0] } else { halves[1] }
 }
 
-/// Rules of quadrature, and the instructions to use.
+/// Quadrature rules, and the instruction set to use.
 #[derive(Debug)]
 pub struct Integrator {
     pub(crate) rules: [Rule; 7],
@@ -87,18 +89,19 @@ impl Default for Integrator {
     }
 }
 
-/// `int l_i exp(-j k (L - L_middle)) dS` over triangles for the weights `l_i` of their three corners, m^2: what a strength
-/// linear between the corners integrates to is their sum weighted by it.
+/// Moments `int l_i exp(-j k (L - L_middle)) dS` over triangles for the barycentric coordinates `l_i` of their three
+/// corners, m^2. The integral of a strength that is linear between the corners is the sum of its corner values times
+/// the moments.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MomentRows {
     /// Real parts, by corner.
     pub re: [Row; 3],
-    /// Imaginary parts.
+    /// Imaginary parts, by corner.
     pub im: [Row; 3],
 }
 
 impl TriangleRows {
-    /// From corners, unit normals there and bulges.
+    /// Builds the rows from corners, unit normals there and bulges.
     #[inline(always)]
     pub fn new(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> Self {
         let mut rows =
@@ -122,12 +125,12 @@ impl TriangleRows {
         rows
     }
 
-    /// Area of all of them, m^2.
+    /// Returns the total area, m^2.
     pub fn area_m2(&self) -> f32 {
         (0..LANES).map(|l| 0.5 * self.twice_area([1.0 / 3.0; 3], l)).sum()
     }
 
-    /// A place by the weights of the corners, from the middle, m.
+    /// Returns a point by its barycentric coordinates, relative to the middle, m.
     #[inline(always)]
     fn place(&self, [a, b, c]: [f32; 3], l: usize) -> [f32; 3] {
         let (corners, bulges) = (&self.corners, &self.bulges);
@@ -140,8 +143,8 @@ impl TriangleRows {
         place
     }
 
-    /// Derivative of a place as weight goes from the first corner to the second, and to the third: in the first corner, and its
-    /// changes by what the second and the third weigh.
+    /// Returns the derivatives of a point by the weights of the second and of the third corner: their values at the
+    /// first corner, and their slopes by both weights.
     #[inline(always)]
     fn tangents(&self) -> [[Row3; 3]; 2] {
         let (corners, bulges) = (&self.corners, &self.bulges);
@@ -162,10 +165,10 @@ impl TriangleRows {
         tangents
     }
 
-    /// Twice the area that a place stands for, relative to that of the triangle of weights, m^2.
+    /// Returns twice the area element at a point, relative to that of the barycentric coordinates, m^2.
     #[inline(always)]
     fn twice_area(&self, [a, b, c]: [f32; 3], l: usize) -> f32 {
-        // How the place moves as weight goes from the first corner to the second, and to the third.
+        // Derivatives of the point as weight moves from the first corner to the second, and to the third.
         let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
         for axis in 0..3 {
             let (corners, bulges) = (&self.corners, &self.bulges);
@@ -180,7 +183,7 @@ impl TriangleRows {
 }
 
 impl ViewRows {
-    /// Rows of triangles that are given from `origin`.
+    /// Computes the view of triangles whose coordinates are relative to `origin`.
     #[inline(always)]
     pub fn new(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> Self {
         let zero = [0.0; LANES];
@@ -201,7 +204,7 @@ impl ViewRows {
             for l in 0..LANES {
                 let [x, y, z] = triangles.place(weights, l);
                 let along = x * view.offsets[0][l] + y * view.offsets[1][l] + z * view.offsets[2][l];
-                // `D (sqrt(1 + e) - 1)` with `e = (|d|^2 + 2 d.offset) / D^2`, whatever its size.
+                // `D (sqrt(1 + e) - 1)` with `e = (|d|^2 + 2 d.offset) / D^2`, without cancellation for small `e`.
                 let inverse2 = view.inverse_m[l] * view.inverse_m[l];
                 let e = ((x * x + y * y + z * z) + 2.0 * along) * inverse2;
                 longer[l] = wavelengths[l] * e / (1.0 + (1.0 + e).max(0.0).sqrt());
@@ -212,8 +215,8 @@ impl ViewRows {
 }
 
 compiled_for_levels! {
-    /// Distance of the surface from the middles of the edges, m, from corners and unit normals there: the cubic over an edge
-    /// that is tangential to the surface at both ends.
+    /// Computes the offset of the surface from the middles of the edges, m, from corners and unit normals there. It is
+    /// the cubic over an edge that is tangential to the surface at both ends.
     pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
 }
 
@@ -235,17 +238,17 @@ fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
 }
 
 compiled_for_levels! {
-    /// Triangles from their corners.
+    /// Builds triangles from their corners.
     pub fn triangle_rows(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> TriangleRows = TriangleRows::new;
 }
 
 compiled_for_levels! {
-    /// Rows of the triangles as antennas see them.
+    /// Computes the view of triangles from an antenna.
     pub fn view_rows(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> ViewRows = ViewRows::new;
 }
 
 compiled_for_levels! {
-    /// Puts the places of a rule on the triangles of one half of the lanes.
+    /// Places the nodes of a rule on the triangles of one half of the lanes.
     pub fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
 }
 
@@ -280,7 +283,7 @@ fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Node
 }
 
 compiled_for_levels! {
-    /// Span of the phase across each triangle between two antennas, rad.
+    /// Computes the phase span across each triangle between two antennas, rad.
     pub fn spans_rad(views: [&ViewRows; 2]) -> Row = spans_body;
 }
 
@@ -299,7 +302,7 @@ fn spans_body(views: [&ViewRows; 2]) -> Row {
 }
 
 compiled_for_levels! {
-    /// Moments of triangles between two antennas, by the places of both halves of the lanes.
+    /// Computes moments of triangles between two antennas, with the nodes of both halves of the lanes.
     pub fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
 }
 
@@ -319,10 +322,10 @@ fn moments_body(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows {
     rows
 }
 
-/// Real parts of the moments of one half of the lanes, then imaginary ones.
+/// Computes moments of one half of the lanes: real parts, then imaginary ones.
 #[inline(always)]
 fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HALF]; 6] {
-    // The parabola of paths by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
+    // Path parabola by powers of the weights of the second and third corner: 1, b, c, b b, b c, c c.
     let mut turns = [[0f32; HALF]; 6];
     let [p, q, r, pq, qr, rp] = &views[0].longer;
     let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
@@ -340,7 +343,8 @@ fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HAL
         turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
         turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
-    // Of the field, and of it times the weights of the second and third corner: the first has the rest.
+    // Sums of the field, and of the field times the weights of the second and third corner. The first corner has the
+    // rest.
     let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
     for node in &nodes.all {
         let [b, c] = node.corners;
@@ -389,8 +393,8 @@ mod tests {
         bulges: [DVec3; 3],
     }
 
-    /// [`moments`] the slow and obvious way: double precision, linear strength in each of `4 cuts^2` flat triangles, paths as plain
-    /// distances.
+    /// Reference for [`moments`]: double precision, linear strength in each of `4 cuts^2` flat triangles, paths as
+    /// plain distances.
     fn exact_moments(
         triangle: &CurvedTriangle,
         antennas: [DVec3; 2],
@@ -435,13 +439,13 @@ mod tests {
         sums
     }
 
-    /// Triangles of a limb or a trunk a few metres away, at any angle.
+    /// Returns triangles of a limb or a trunk a few metres away, at any angle.
     fn triangles() -> Vec<(CurvedTriangle, [DVec3; 2])> {
         let mut rng = generator(11, Purpose::Noise, [0, 0]);
         let mut vector = |size: f64| {
             DVec3::new(rng.random_range(-size..size), rng.random_range(-size..size), rng.random_range(-size..size))
         };
-        // Normals that turn by some degrees.
+        // Normals differ by some degrees.
         let turn = |i: u32| DVec3::new(1.0, 0.1 * f64::from(i), 0.15 - 0.1 * f64::from(i)).normalize();
         (0..400)
             .map(|_| {
@@ -463,7 +467,7 @@ mod tests {
         triangle_rows(level, &corners, &triangle.normals.map(row3), &triangle.bulges.map(row3))
     }
 
-    /// Moments, and the span by which their rule was chosen.
+    /// Computes moments, and the span that selected their rule.
     fn of(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel) -> ([Complex<f32>; 3], f32) {
         let rows = rows(triangle, level);
         let [t, r] = antennas.map(|a| view_rows(level, a, ORIGIN, &rows, WAVELENGTH_M));
@@ -491,7 +495,7 @@ mod tests {
             seen[rule_for(span, 1.0)] += 1;
             for (exact, found) in exact.iter().zip(found) {
                 let miss = (exact - Complex64::new(found.re.into(), found.im.into())).norm();
-                // In the worst direction.
+                // This bound holds in the worst direction.
                 assert!(miss < 3e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
                 squares += (miss / area).powi(2) / 1200.0;
             }
@@ -525,7 +529,7 @@ mod tests {
             }
         }
 
-        /// An antenna a quarter of a metre away, where the path's series has the most to do.
+        /// The antenna is a quarter of a metre away, where the error of the path's series is largest.
         #[test]
         fn near_antennas_are_as_exact() {
             for (triangle, _) in triangles().into_iter().take(50) {

@@ -1,8 +1,8 @@
 //! Reflection and transmission at half-spaces and slabs, `e^{+jwt}`, permittivity `eps' - j eps''`.
 //!
-//! `q = sqrt(eps - sin^2)` on the branch `Im q <= 0`; TE `(c - q)/(c + q)`, TM `(eps c - q)/(eps c + q)`; slab
-//! `R = G (1 - P)/(1 - G^2 P)`, `T = (1 - G^2) sqrt(P)/(1 - G^2 P)` with `P = e^{-2 j k d q}`. Only decaying exponentials
-//! occur, and `1 - P` comes from `expm1`, so that neither thick walls nor foils lose digits.
+//! `q = sqrt(eps - sin^2)` on the branch `Im q <= 0`; TE `(c - q)/(c + q)`, TM `(eps c - q)/(eps c + q)`; slab `R = G
+//! (1 - P)/(1 - G^2 P)`, `T = (1 - G^2) sqrt(P)/(1 - G^2 P)` with `P = e^{-2 j k d q}`. Only decaying exponentials
+//! occur, and `expm1` gives `1 - P`, so that neither thick walls nor foils lose digits.
 
 use num_complex::Complex64;
 
@@ -24,10 +24,10 @@ pub struct Slab {
     pub transmission: Reflection,
 }
 
-/// Normal component of the wave vector inside, over k.
+/// Computes the normal component of the wave vector inside, over k.
 fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
     let square = permittivity - (1.0 - cosine * cosine);
-    // The root by real roots, whichever part is the larger first: no angles, and no cancellation.
+    // The complex root uses real roots, with the larger part first, to avoid angles and cancellation.
     let modulus = square.norm_sqr().sqrt();
     if square.re >= 0.0 {
         let re = (0.5 * (modulus + square.re)).sqrt();
@@ -39,20 +39,20 @@ fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
     }
 }
 
-/// Reflection of a half-space at the cosine of the angle of incidence.
+/// Computes the reflection of a half-space at the cosine of the angle of incidence.
 pub fn half_space(permittivity: Complex64, cosine: f64) -> Reflection {
     let q = normal_index(permittivity, cosine);
     let c = Complex64::from(cosine);
     Reflection { te: (c - q) / (c + q), tm: (permittivity * c - q) / (permittivity * c + q) }
 }
 
-/// `e^z - 1` without cancellation near zero.
+/// Computes `e^z - 1` without cancellation near zero.
 fn exp_m1(z: Complex64) -> Complex64 {
     let half_sine = (0.5 * z.im).sin();
     Complex64::new(z.re.exp_m1() * z.im.cos() - 2.0 * half_sine * half_sine, z.re.exp() * z.im.sin())
 }
 
-/// Slab of this thickness at the cosine of the angle of incidence.
+/// Computes the coefficients of a slab at the cosine of the angle of incidence.
 pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, cosine: f64) -> Slab {
     let face = half_space(permittivity, cosine);
     let exponent = Complex64::new(0.0, -wavenumber_per_m * thickness_m) * normal_index(permittivity, cosine);
@@ -62,7 +62,7 @@ pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, co
     let both = |g: Complex64| {
         let denominator = 1.0 - g * g * round_trip;
         if denominator == Complex64::ZERO {
-            // No thickness at grazing incidence: nothing is there.
+            // A slab without thickness at grazing incidence does not exist.
             return (Complex64::ZERO, Complex64::ONE);
         }
         (g * one_minus / denominator, (1.0 - g * g) * one_way / denominator)
@@ -72,8 +72,9 @@ pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, co
     Slab { reflection: Reflection { te, tm }, transmission: Reflection { te: te_through, tm: tm_through } }
 }
 
-/// Factor of a slab on a field that goes straight through it, relative to the same way through air: transmission without
-/// the phase of the air that the slab displaces. Twice of it is the way to somebody behind a wall and back.
+/// Computes the factor of a slab on a field that passes straight through, relative to the same path through air. It is
+/// the transmission without the phase of the air that the slab displaces. The path to a person behind a wall and back
+/// contains it twice.
 pub fn straight_through(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, cosine: f64) -> Reflection {
     let through = slab(permittivity, thickness_m, wavenumber_per_m, cosine).transmission;
     let air = Complex64::from_polar(1.0, wavenumber_per_m * thickness_m * cosine);
@@ -86,8 +87,8 @@ mod tests {
 
     const K: f64 = 1_257.507_013_171_009;
 
-    /// Reflection and transmission by the characteristic matrix of a layer (Born and Wolf, section 1.6), the slow and obvious
-    /// way: `[cos, j sin/p; j p sin, cos]` with admittances p of TE and TM.
+    /// Reference by the characteristic matrix of a layer (Born and Wolf, section 1.6): `[cos, j sin/p; j p sin, cos]`
+    /// with admittances p of TE and TM.
     fn by_matrix(eps: Complex64, thickness_m: f64, cosine: f64, tm: bool) -> (Complex64, Complex64) {
         let q = (eps - (1.0 - cosine * cosine)).sqrt();
         let (inside, air) = if tm { (eps / q, 1.0 / cosine) } else { (q, cosine) };
@@ -97,12 +98,12 @@ mod tests {
         let sum = (cos + j * sine / inside * air) * air;
         let other = j * inside * sine + cos * air;
         let through = 2.0 * air / (sum + other);
-        // The matrix gives the field's tangential part: in TM it is the magnetic field whose reflection has the sign of ours.
+        // The matrix gives the tangential field. In TM the magnetic field's reflection has our sign.
         let back = (sum - other) / (sum + other);
         (if tm { -back } else { back }, through)
     }
 
-    /// A person behind plasterboard: the two-way factor against the matrix, over angles, thicknesses and materials.
+    /// Compares the two-way factor with the matrix over angles, thicknesses and materials of thin walls.
     #[test]
     fn two_ways_through_a_thin_wall_are_those_of_the_characteristic_matrix() {
         let mut worst: f64 = 0.0;
@@ -127,7 +128,7 @@ mod tests {
         assert!(worst < 1e-8, "{worst} dB");
     }
 
-    /// The layer's own reflection by the matrix, both polarisations.
+    /// Compares the layer's reflection with the matrix in both polarisations.
     #[test]
     fn slabs_reflect_as_the_characteristic_matrix_says() {
         let eps = Complex64::new(2.73, -0.119);
@@ -138,7 +139,7 @@ mod tests {
         }
     }
 
-    /// No wall, no change: not even of phase.
+    /// A slab of air changes neither amplitude nor phase.
     #[test]
     fn air_is_no_wall() {
         let air = straight_through(Complex64::ONE, 0.3, K, 0.4);
@@ -152,7 +153,8 @@ mod hard_cases {
 
     const K: f64 = 1_257.507_013_171_009;
 
-    /// Total internal reflection: beyond the critical angle (seen from inside a denser body) the branch that decays is taken, and all comes back.
+    /// Beyond the critical angle (incidence from the denser medium) the decaying branch is taken, and reflection is
+    /// total.
     #[test]
     fn total_reflection_takes_the_branch_that_decays() {
         let inside_out = Complex64::new(1.0 / 6.31, 0.0);
@@ -164,8 +166,8 @@ mod hard_cases {
         }
     }
 
-    /// Grazing: `1 + G` is lost where G tends to -1, by more digits the nearer; what currents are made of is not: both `c (1 + G)`
-    /// and G itself keep all of theirs (`1 + G = 2 c/(c + q)` in TE, `2 eps c/(eps c + q)` in TM).
+    /// At grazing incidence `1 + G` loses digits where G tends to -1. The terms of the currents do not: both `c (1 +
+    /// G)` and G itself keep full precision (`1 + G = 2 c/(c + q)` in TE, `2 eps c/(eps c + q)` in TM).
     #[test]
     fn grazing_incidence_loses_no_digit_of_what_is_used() {
         let eps = Complex64::new(7.98, -10.9);
@@ -179,8 +181,8 @@ mod hard_cases {
         }
     }
 
-    /// Thin slabs: reflection is `-j k d (eps - 1)/2` and less, in proportion to the thickness down to a picometre and below,
-    /// where `1 - P` as a difference would have four digits left.
+    /// The reflection of thin slabs is `-j k d (eps - 1)/2` to first order. It is proportional to the thickness down to
+    /// a picometre and below, where `1 - P` as a difference would have four digits left.
     #[test]
     fn a_foil_reflects_in_proportion_to_its_thickness() {
         let eps = Complex64::new(5.24, -0.34);

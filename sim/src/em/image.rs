@@ -1,12 +1,12 @@
-//! A box room as a lattice of image antennas.
+//! Image antennas of a box room, in a lattice.
 //!
-//! The image with index n lies at `n_i L_i + x_i` for even `n_i` and at `n_i L_i + L_i - x_i` for odd ones. A ray from an image
-//! to a point of the room crosses the mirror planes in the order of its bounces; in the unfolded room its direction never
-//! changes, and each crossing multiplies the field by `G_te te te^T - G_tm tm tm^T` (mirroring turns `te x s'` into
-//! `-(te x s)`, hence the sign; both terms agree at normal incidence).
+//! The image with index n lies at `n_i L_i + x_i` for even `n_i` and at `n_i L_i + L_i - x_i` for odd ones. A ray from
+//! an image to a point of the room crosses the mirror planes in the order of its bounces. In the unfolded room its
+//! direction never changes. Each crossing multiplies the field by `G_te te te^T - G_tm tm tm^T`: mirroring turns `te x
+//! s'` into `-(te x s)`, hence the sign. Both terms agree at normal incidence.
 //!
-//! Where walls let waves through, a point beyond an upright wall has the antenna's own field times the slab's transmission, in
-//! place of the air that the slab displaces; images carry nothing there.
+//! If walls transmit, the field at a point beyond an upright wall is the antenna's own field. It is multiplied by the
+//! slab's transmission, relative to the air that the slab displaces. Images do not contribute there.
 
 use std::sync::Arc;
 
@@ -23,12 +23,12 @@ use crate::math::smooth_step;
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
 
-/// Number of reflections on the way from an image.
+/// Returns the number of reflections on the path from an image.
 pub fn order(index: ImageIndex) -> u32 {
     index.iter().map(|n| n.unsigned_abs()).sum()
 }
 
-/// All images up to an order, the antenna itself first, then by order.
+/// Returns all images up to an order, the antenna itself first, then by order.
 pub fn images(max_order: u32) -> Vec<ImageIndex> {
     let m = max_order as i32;
     let mut all: Vec<ImageIndex> = (-m..=m)
@@ -39,22 +39,24 @@ pub fn images(max_order: u32) -> Vec<ImageIndex> {
     all
 }
 
-/// The box `0..size` with its six surfaces.
+/// Box room `0..size` with its six surfaces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoxRoom {
     /// Inner size, m.
     pub size_m: DVec3,
-    /// Surfaces at low and high x, low and high y, floor, ceiling. Fields come from what [`BoxRoom::new`] tabulated of them.
+    /// Surfaces at low and high x, low and high y, floor, ceiling. Fields use the tables that [`BoxRoom::new`] made of
+    /// them.
     pub walls: [Wall; 6],
     /// Wave number at which materials are evaluated, 1/m.
     pub wavenumber_per_m: f64,
-    /// Whether points behind the upright walls are lit through them. If not, points outside are lit as if there were no wall.
+    /// Whether fields reach points behind the upright walls through them. If not, the field outside is computed as if
+    /// there were no wall.
     pub transmission: bool,
-    /// The walls' coefficients. Equal walls share them.
+    /// Tabulated coefficients of the walls; equal walls share them.
     tables: [Arc<WallTable>; 6],
 }
 
-/// One antenna element in the room.
+/// Antenna element in the room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Element {
     /// Position in the room, m.
@@ -67,7 +69,7 @@ pub struct Element {
     pub pattern: Pattern,
 }
 
-/// Field of an (image) antenna at a point, but for `e^{-jkR}/R`.
+/// Field of an (image) antenna at a point, without `e^{-jkR}/R`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Illumination {
     /// Position of the image, m.
@@ -81,8 +83,8 @@ pub struct Illumination {
 }
 
 impl Illumination {
-    /// Amplitude at a receiver at the point, relative to the transmitted field and with isotropic antennas' aperture
-    /// `lambda / 4 pi`, but for the propagation phase.
+    /// Returns the amplitude at a receiver at the point, relative to the transmitted field, without the propagation
+    /// phase. It includes the aperture `lambda / 4 pi` of isotropic antennas.
     pub fn received(&self, rx: &Element, wavenumber_per_m: f64) -> Complex64 {
         let gain = rx.pattern.field(rx.radar_from_world * -self.direction);
         let aperture = 0.5 / (wavenumber_per_m * self.distance_m);
@@ -90,44 +92,44 @@ impl Illumination {
     }
 }
 
-/// A coordinate of a cell of the lattice as a coordinate of the room.
+/// Converts a coordinate of a cell of the lattice to a coordinate of the room.
 fn folded(x: f64, length: f64, cell: i32) -> f64 {
     let beyond = x - f64::from(cell) * length;
     if cell % 2 == 0 { beyond } else { length - beyond }
 }
 
-/// A mirror plane between an image and a point of the room.
+/// Mirror plane between an image and a point of the room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Crossing {
-    /// Fraction of the way from the image.
+    /// Fraction of the path from the image.
     fraction: f64,
     axis: usize,
     wall: usize,
 }
 
-/// The planes across one axis that are still ahead.
+/// Planes across one axis that have not been crossed.
 #[derive(Debug, Clone, Copy)]
 struct PlanesAhead {
     next: i32,
     count: u32,
-    /// From one to the next, 1 or -1.
+    /// Step from one plane to the next, 1 or -1.
     step: i32,
-    /// Fraction of the way to the next.
+    /// Fraction of the path to the next plane.
     fraction: f64,
     from_m: f64,
     span_m: f64,
     length_m: f64,
 }
 
-/// All mirror planes between an image and a point of the room, in the order in which the way crosses them. Those across one axis
-/// are crossed one after another, so that the next of all is the nearest of three.
+/// Mirror planes between an image and a point of the room, in the order in which the path crosses them. Those across
+/// one axis are crossed one after another, so the next of all is the nearest of three.
 struct Crossings([PlanesAhead; 3]);
 
 impl Crossings {
     fn new(index: ImageIndex, source: DVec3, point: DVec3, size_m: DVec3) -> Self {
         Crossings(std::array::from_fn(|axis| {
             let n = index[axis];
-            // From above down to plane 1, the high wall; from below up to plane 0, the low wall.
+            // Descending from above to plane 1, the high wall; ascending from below to plane 0, the low wall.
             let (next, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
             let (from_m, span_m, length_m) = (source[axis], point[axis] - source[axis], size_m[axis]);
             let mut planes =
@@ -161,13 +163,13 @@ impl Iterator for Crossings {
     }
 }
 
-/// A field past a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so that its part
-/// that is not TE is TM.
+/// Applies a mirror plane of the unfolded room to a field: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so
+/// its part that is not TE is TM.
 fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflection) -> Phasor3 {
     let across = direction.cross(DVec3::AXES[axis]);
     let square = across.length_squared();
     let as_tm = field.times(-reflection.tm);
-    // At normal incidence both are one.
+    // TE and TM coincide at normal incidence.
     if square < 1e-12 {
         return as_tm;
     }
@@ -176,8 +178,8 @@ fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflectio
 }
 
 impl BoxRoom {
-    /// A room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates these at the wave
-    /// number.
+    /// Builds a room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates their
+    /// coefficients at the wave number.
     pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
         let mut all: Vec<Arc<WallTable>> = Vec::with_capacity(walls.len());
         for (i, wall) in walls.iter().enumerate() {
@@ -189,7 +191,7 @@ impl BoxRoom {
         BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables }
     }
 
-    /// Position of an image.
+    /// Returns the position of an image.
     pub fn image_position(&self, index: ImageIndex, point: DVec3) -> DVec3 {
         let axis = |n: i32, length: f64, x: f64| {
             if n % 2 == 0 { f64::from(n) * length + x } else { f64::from(n) * length + length - x }
@@ -201,13 +203,13 @@ impl BoxRoom {
         )
     }
 
-    /// A vector of the antenna as its image has it.
+    /// Returns a vector of the antenna, mirrored as in its image.
     pub fn image_vector(index: ImageIndex, v: DVec3) -> DVec3 {
         let sign = |n: i32| if n % 2 == 0 { 1.0 } else { -1.0 };
         v * DVec3::new(sign(index[0]), sign(index[1]), sign(index[2]))
     }
 
-    /// Field of an element's image at a point of the room.
+    /// Computes the field of an element's image at a point of the room.
     pub fn illuminate(&self, element: &Element, index: ImageIndex, point: DVec3) -> Illumination {
         let source = self.image_position(index, element.position);
         let offset = point - source;
@@ -221,8 +223,8 @@ impl BoxRoom {
         Illumination { source, distance_m, direction, field }
     }
 
-    /// Field at a point of the room of one that leaves an image of `antenna` at `source` in a direction: past all mirror planes
-    /// on the way, and behind the wall where the point lies outside.
+    /// Propagates a field from an image of `antenna` at `source` to a point: past all mirror planes on the path, and
+    /// through the wall if the point lies outside.
     pub(crate) fn carried(
         &self,
         antenna: DVec3,
@@ -249,7 +251,7 @@ impl BoxRoom {
         field
     }
 
-    /// A field past all mirror planes between an image and a point of the room.
+    /// Propagates a field past all mirror planes between an image and a point of the room.
     fn past_planes(
         &self,
         index: ImageIndex,
@@ -259,7 +261,7 @@ impl BoxRoom {
         mut field: Phasor3,
     ) -> Phasor3 {
         let [x, y, z] = index;
-        // Planes across one axis alone are met in their order, wherever the point is.
+        // Planes across a single axis are crossed in a fixed order, wherever the point is.
         let only: Option<usize> = match (x != 0, y != 0, z != 0) {
             (false, false, false) => return field,
             (true, false, false) => Some(0),
@@ -282,7 +284,8 @@ impl BoxRoom {
         field
     }
 
-    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
+    /// Returns an upper bound of the magnitude of an image's field at all points within an angle of a direction from
+    /// it.
     pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
         let departure = element.radar_from_world * Self::image_vector(index, direction);
         let mut most = element.pattern.most_within(departure, spread_rad);
@@ -294,7 +297,7 @@ impl BoxRoom {
                 most *= either;
                 continue;
             }
-            // What the antenna sends as TE, at least and at most; the rest is TM.
+            // Least and largest part of the antenna's field that is TE; the rest is TM.
             let across = direction.cross(DVec3::AXES[axis]);
             let (part, sine) = (Self::image_vector(index, element.polarisation).dot(across).abs(), across.length());
             let least_te = ((part - spread_rad) / (sine + spread_rad).max(1e-9)).max(0.0);
@@ -305,8 +308,8 @@ impl BoxRoom {
         most
     }
 
-    /// Upper bounds of the reflections, TE and TM, at all planes across an axis together, where the cosine of incidence differs by no more
-    /// than so much from this one.
+    /// Returns upper bounds of the product of reflections, TE and TM, at all planes across an axis. The cosine of
+    /// incidence differs from the given one by at most `spread`.
     fn most_mirrored(&self, axis: usize, n: i32, cosine: f64, spread: f64) -> [f64; 2] {
         let most = |wall: usize| self.tables[wall].most_reflection(cosine - spread, cosine + spread);
         let (low, high) = (most(2 * axis), most(2 * axis + 1));
@@ -317,8 +320,9 @@ impl BoxRoom {
         std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
-    /// The upright wall through which the straight way from a point of the room to one outside leads: its axis, its number, and
-    /// how much of it lies between, from 0 at its inner face to 1. `None` for a point in the room.
+    /// Returns the upright wall that the straight path from a point of the room to an outside point crosses. The result
+    /// is its axis, its index, and the part of its effect, from 0 at its inner face to 1; `None` for a point in the
+    /// room.
     fn behind(&self, from: DVec3, to: DVec3) -> Option<(usize, usize, f64)> {
         let (from, to, size) = (from.to_array(), to.to_array(), self.size_m.to_array());
         // Nearly all points lie in the room.
@@ -332,14 +336,15 @@ impl BoxRoom {
             let beyond = if wall % 2 == 0 { -to[axis] } else { to[axis] - plane };
             (axis, wall, beyond, (plane - from[axis]) / (to[axis] - from[axis]))
         });
-        // The room is convex: what leads out crosses the plane that it meets first within that wall itself.
+        // The room is convex, so the path leaves it through the first plane that it meets.
         let out = crossed.into_iter().filter(|&(.., beyond, _)| beyond > 0.0);
         let (axis, wall, beyond, _) = out.min_by(|a, b| a.3.total_cmp(&b.3))?;
         let depth_m = self.walls[wall].depth_m();
         Some((axis, wall, smooth_step(2.0 * beyond / depth_m - 1.0)))
     }
 
-    /// Corners of the way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
+    /// Returns the corners of the path from an antenna to a point by an image, folded into the room: antenna, bounces,
+    /// point.
     pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         let mut corners = Vec::with_capacity(order(index) as usize + 2);
         corners.push(antenna);
@@ -347,8 +352,8 @@ impl BoxRoom {
         corners
     }
 
-    /// Visits the legs of the way from an antenna to a point by an image, folded into the room: the number of each, where it begins
-    /// and where it ends.
+    /// Visits the legs of the path from an antenna to a point by an image, folded into the room, with index, start and
+    /// end of each.
     pub(crate) fn each_leg(
         &self,
         index: ImageIndex,
@@ -360,7 +365,7 @@ impl BoxRoom {
         let (mut from, mut leg) = (antenna, 0);
         if index != ImageIndex::default() {
             let source = self.image_position(index, antenna);
-            // The cell of the lattice in which the way is: each crossing leads it one nearer to the room.
+            // Current cell of the lattice: each crossing moves one cell nearer to the room.
             let mut cell = index;
             for Crossing { fraction, axis, .. } in Crossings::new(index, source, point, size_m) {
                 let at = source.lerp(point, fraction);
@@ -390,7 +395,7 @@ mod tests {
         BoxRoom::new(DVec3::new(5.0, 4.0, 2.7), walls, K, false)
     }
 
-    /// All planes at once, sorted by their fractions.
+    /// Returns all planes, sorted by their fractions.
     fn sorted_crossings(room: &BoxRoom, index: ImageIndex, source: DVec3, point: DVec3) -> Vec<Crossing> {
         let mut all = Vec::new();
         for (axis, &n) in index.iter().enumerate() {
@@ -405,8 +410,8 @@ mod tests {
         all
     }
 
-    /// Up to six reflections: the same planes in the same order, and the field that frames of incidence and the slab itself
-    /// make of them one by one.
+    /// For up to six reflections, planes and their order agree with a sorted list. The field agrees with the incidence
+    /// frames and the slab applied one by one.
     #[test]
     fn images_are_lit_as_by_each_wall_in_turn() {
         let room = room();
@@ -440,7 +445,7 @@ mod tests {
         }
     }
 
-    /// No point of a ball is lit more strongly than the bound of the cone around it.
+    /// The field at every point of a ball stays below the bound of the cone around it.
     #[test]
     fn bounds_of_a_cone_hold_in_it() {
         let room = room();
@@ -470,7 +475,7 @@ mod tests {
         assert!(close > 0);
     }
 
-    /// Bounces lie on the walls that are crossed, within the room, and the folded way is as long as the unfolded one.
+    /// Bounces lie on the crossed walls, within the room, and the folded path is as long as the unfolded one.
     #[test]
     fn corners_lie_on_the_walls_of_the_room() {
         let room = room();

@@ -1,7 +1,8 @@
-//! Fields: reflection at slabs, antennas and their images, specular points on ellipsoids, physical optics over triangles.
+//! Electromagnetic fields: reflection at slabs, antennas and their images, specular points on ellipsoids, physical
+//! optics over triangles.
 //!
-//! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a path
-//! except the propagation phase.
+//! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a
+//! path except the propagation phase.
 
 pub mod current;
 pub mod curved_triangle;
@@ -17,7 +18,7 @@ pub mod wall;
 use glam::DVec3;
 use num_complex::Complex64;
 
-/// A complex 3-vector: a field's phasor.
+/// Phasor of a field: a complex 3-vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Phasor3 {
     /// Real part.
@@ -27,42 +28,42 @@ pub struct Phasor3 {
 }
 
 impl Phasor3 {
-    /// A field in phase everywhere.
+    /// Creates a phasor with zero imaginary part.
     pub fn real(re: DVec3) -> Self {
         Phasor3 { re, im: DVec3::ZERO }
     }
 
-    /// Component along a real vector (no conjugation).
+    /// Returns the component along a real vector (no conjugation).
     pub fn along(self, v: DVec3) -> Complex64 {
         Complex64::new(self.re.dot(v), self.im.dot(v))
     }
 
-    /// `a . b` without conjugation: what an antenna with receive vector `b` makes of field `a`.
+    /// Returns `a . b` without conjugation: field `a` received by an antenna with receive vector `b`.
     pub fn received_by(self, other: Phasor3) -> Complex64 {
         Complex64::new(self.re.dot(other.re) - self.im.dot(other.im), self.re.dot(other.im) + self.im.dot(other.re))
     }
 
-    /// Sum of two real directions with complex weights.
+    /// Returns the sum of two real directions with complex weights.
     pub fn combine(a: Complex64, u: DVec3, b: Complex64, v: DVec3) -> Self {
         Phasor3 { re: u * a.re + v * b.re, im: u * a.im + v * b.im }
     }
 
-    /// Times a real factor.
+    /// Returns the phasor times a real factor.
     pub fn scaled(self, factor: f64) -> Self {
         Phasor3 { re: self.re * factor, im: self.im * factor }
     }
 
-    /// Times a complex factor.
+    /// Returns the phasor times a complex factor.
     pub fn times(self, factor: Complex64) -> Self {
         Phasor3 { re: self.re * factor.re - self.im * factor.im, im: self.re * factor.im + self.im * factor.re }
     }
 
-    /// Vector product of a real vector and this one, in this order.
+    /// Returns the vector product of a real vector and this one, in this order.
     pub fn crossed_by(self, a: DVec3) -> Self {
         Phasor3 { re: a.cross(self.re), im: a.cross(self.im) }
     }
 
-    /// Euclidean length over both parts.
+    /// Returns the Euclidean length over both parts.
     pub fn magnitude(self) -> f64 {
         (self.re.length_squared() + self.im.length_squared()).sqrt()
     }
@@ -76,8 +77,8 @@ impl std::ops::Add for Phasor3 {
     }
 }
 
-/// Unit vectors TE (normal to the plane of incidence) and TM (`TE x direction`) of a wave meeting a surface with this
-/// normal; any tangent pair at normal incidence, where the plane of incidence is undefined.
+/// Returns unit vectors TE (normal to the plane of incidence) and TM (`TE x direction`) of a wave incident on a surface
+/// with this normal. At normal incidence, where the plane of incidence is undefined, they are any tangent pair.
 pub fn incidence_frame(direction: DVec3, normal: DVec3) -> (DVec3, DVec3) {
     let cross = direction.cross(normal);
     let te = if cross.length_squared() < 1e-12 { direction.any_orthonormal_vector() } else { cross.normalize() };

@@ -13,7 +13,7 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// From one-way half-power beamwidths and a floor relative to boresight.
+    /// Builds a pattern from one-way half-power beamwidths, rad, and a floor relative to boresight, dB.
     pub fn new(azimuth_beamwidth_rad: f64, elevation_beamwidth_rad: f64, floor_db: f64) -> Self {
         let exponent = |beamwidth: f64| 0.5f64.ln() / (0.5 * beamwidth).cos().ln();
         Pattern {
@@ -23,12 +23,12 @@ impl Pattern {
         }
     }
 
-    /// The same in all directions.
+    /// Returns the isotropic pattern.
     pub fn isotropic() -> Self {
         Pattern { azimuth_exponent: 0.0, elevation_exponent: 0.0, floor_power: 1.0 }
     }
 
-    /// Field relative to boresight for a unit direction away from the antenna.
+    /// Returns the field relative to boresight for a unit direction away from the antenna.
     pub fn field(&self, direction_radar: DVec3) -> f64 {
         let DVec3 { x, y, .. } = direction_radar;
         let lobe = if x > 0.0 {
@@ -41,7 +41,7 @@ impl Pattern {
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 
-    /// The same by the forward and left parts of the direction, for loops over lanes.
+    /// Returns the same field from the forward and left components of the direction, for loops over lanes.
     #[inline(always)]
     pub(crate) fn field_in_lane(&self, x: f64, y: f64) -> f64 {
         let horizontal = 0.5 * lanes::ln((x * x + y * y).max(f64::MIN_POSITIVE));
@@ -51,12 +51,13 @@ impl Pattern {
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 
-    /// Upper bound of the field over all directions within an angle of a unit direction.
+    /// Returns an upper bound of the field over all directions within an angle of a unit direction.
     pub fn most_within(&self, direction_radar: DVec3, spread_rad: f64) -> f64 {
         let DVec3 { x, y, z } = direction_radar;
         let (sine, cosine) = spread_rad.sin_cos();
         let horizontal = (x * x + y * y).sqrt();
-        // Directions of the cone lie within asin(sine / horizontal) of its azimuth; beyond that the pole is among them.
+        // Directions of the cone lie within asin(sine / horizontal) of its azimuth; beyond that the cone contains the
+        // pole.
         if cosine <= 0.0 || horizontal <= sine {
             return 1.0;
         }
@@ -105,7 +106,7 @@ mod tests {
         }
     }
 
-    /// No direction of a cone is louder than its bound, and a cone of no width is its direction.
+    /// The field within a cone does not exceed its bound, and the bound of a cone of zero width is exact.
     #[test]
     fn bounds_of_a_cone_hold_in_it() {
         let pattern = Pattern::new(0.5, 1.1, -20.0);

@@ -1,26 +1,27 @@
-//! Quadrature over a triangle: places and weights that are exact for polynomials up to a degree.
+//! Quadrature over a triangle: nodes and weights that are exact for polynomials up to a degree.
 //!
-//! Symmetric rules with all places inside and all weights positive, after H. Xiao and Z. Gimbutas, A numerical algorithm for the
-//! construction of efficient quadrature rules in two and higher dimensions, Computers and Mathematics with Applications 59
-//! (2010), 663-676. Over a wave whose phase spans so many radians across the triangle they converge faster than any power of
-//! the number of places, whatever curvature it has: six places do for five radians, 28 for eighteen, to 3e-3 of the area.
+//! The rules are symmetric, with all nodes inside and all weights positive. They are those of H. Xiao and Z. Gimbutas,
+//! A numerical algorithm for the construction of efficient quadrature rules in two and higher dimensions, Computers and
+//! Mathematics with Applications 59 (2010), 663-676. For a wave with a given phase span across the triangle they
+//! converge faster than any power of the number of nodes, whatever the curvature. Six nodes suffice for five radians,
+//! 28 for eighteen, to 3e-3 of the area.
 
-/// Places in a triangle, and what each weighs.
+/// Quadrature rule: nodes in a triangle and their weights.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rule {
-    /// Weights of the corners at each place, and the part of the area that it stands for.
+    /// Barycentric coordinates of each node, and the part of the area that it represents.
     pub places: Vec<([f32; 3], f32)>,
 }
 
-/// Span of phase, rad, up to which each of [`rules`] misses the integral by 3e-3 of the area, rms over the wave's directions. It
-/// grows fast: by ten times within the next seventh.
+/// Phase span, rad, up to which the error of each of [`rules`] is below 3e-3 of the area, rms over the wave's
+/// directions. The error grows tenfold within the next seventh of the span.
 const SPANS_RAD: [f32; 7] = [4.8, 11.3, 17.7, 24.0, 35.1, 44.2, f32::INFINITY];
 
-/// All rules, by growing number of places.
+/// Returns all rules, by increasing number of nodes.
 pub fn rules() -> [Rule; 7] {
     let once = [DEGREE_4, DEGREE_8, DEGREE_11, DEGREE_14, DEGREE_19, DEGREE_25];
     let [a, b, c, d, e, f] = once.map(places);
-    // That of degree 19 again in each quarter of the triangle, given by twice its corners.
+    // The last rule applies that of degree 19 to each quarter of the triangle, given by twice its corners.
     let quarters: [[[f64; 3]; 3]; 4] = [
         [[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]],
         [[1.0, 1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 1.0, 1.0]],
@@ -39,12 +40,13 @@ pub fn rules() -> [Rule; 7] {
     })
 }
 
-/// The number of the rule for a wave that spans so many radians across a triangle; `ease` above 1 takes one that is less exact.
+/// Returns the index of the rule for a phase span across a triangle, rad; `ease` above 1 selects a less exact one.
 pub fn rule_for(span_rad: f32, ease: f32) -> usize {
     SPANS_RAD.iter().position(|most| span_rad <= most * ease).unwrap_or(SPANS_RAD.len() - 1)
 }
 
-/// Every place of a rule that is given by one of each class: weight, and two of the weights of the corners, in any order.
+/// Expands a rule given by one node of each symmetry class: weight, and two of the barycentric coordinates, in any
+/// order.
 fn places(classes: &[[f64; 3]]) -> Vec<([f64; 3], f64)> {
     let mut all = Vec::new();
     for &[weight, a, b] in classes {
@@ -61,13 +63,13 @@ fn places(classes: &[[f64; 3]]) -> Vec<([f64; 3], f64)> {
     all
 }
 
-/// Degree 4: 6 places.
+/// Rule of degree 4 with 6 nodes.
 const DEGREE_4: &[[f64; 3]] = &[
     [0.223_381_589_678_011_47, 0.445_948_490_915_964_9, 0.445_948_490_915_964_9],
     [0.109_951_743_655_321_88, 0.091_576_213_509_770_85, 0.091_576_213_509_770_85],
 ];
 
-/// Degree 8: 16 places.
+/// Rule of degree 8 with 16 nodes.
 const DEGREE_8: &[[f64; 3]] = &[
     [0.144_315_607_677_787_2, 0.333_333_333_333_333_3, 0.333_333_333_333_333_3],
     [0.103_217_370_534_718_24, 0.170_569_307_751_760_27, 0.170_569_307_751_760_27],
@@ -76,7 +78,7 @@ const DEGREE_8: &[[f64; 3]] = &[
     [0.027_230_314_174_435, 0.008_394_777_409_957_67, 0.263_112_829_634_638_06],
 ];
 
-/// Degree 11: 28 places.
+/// Rule of degree 11 with 28 nodes.
 const DEGREE_11: &[[f64; 3]] = &[
     [0.081_445_134_709_351_29, 0.333_333_333_333_333_3, 0.333_333_333_333_333_3],
     [0.012_249_296_950_707_96, 0.030_846_895_635_588_12, 0.030_846_895_635_588_12],
@@ -88,7 +90,7 @@ const DEGREE_11: &[[f64; 3]] = &[
     [0.040_642_848_655_886_47, 0.047_664_066_972_150_78, 0.310_631_216_313_463_13],
 ];
 
-/// Degree 14: 42 places.
+/// Rule of degree 14 with 42 nodes.
 const DEGREE_14: &[[f64; 3]] = &[
     [0.032_788_353_544_125_36, 0.417_644_719_340_453_94, 0.417_644_719_340_453_94],
     [0.014_433_699_669_776_67, 0.061_799_883_090_872_7, 0.061_799_883_090_872_7],
@@ -102,7 +104,7 @@ const DEGREE_14: &[[f64; 3]] = &[
     [0.005_010_228_838_500_67, 0.001_268_330_932_872_08, 0.118_974_497_696_956_82],
 ];
 
-/// Degree 19: 73 places.
+/// Rule of degree 19 with 73 nodes.
 const DEGREE_19: &[[f64; 3]] = &[
     [0.034_469_160_850_905_28, 0.333_333_333_333_333_3, 0.333_333_333_333_333_3],
     [0.007_109_393_622_794_95, 0.052_526_279_854_103_63, 0.052_526_279_854_103_63],
@@ -123,7 +125,7 @@ const DEGREE_19: &[[f64; 3]] = &[
     [0.003_282_137_514_839_74, 0.002_069_103_849_102_39, 0.364_620_414_338_71],
 ];
 
-/// Degree 25: 120 places.
+/// Rule of degree 25 with 120 nodes.
 const DEGREE_25: &[[f64; 3]] = &[
     [0.013_689_851_548_272_24, 0.387_642_030_404_563_4, 0.387_642_030_404_563_4],
     [0.011_587_263_236_010_59, 0.211_004_508_061_496_68, 0.211_004_508_061_496_68],

@@ -1,18 +1,18 @@
-//! The specular specular point of an ellipsoid seen by a (transmitter image, receiver image) pair, in the near field.
+//! Specular point of an ellipsoid for a pair of images of transmitter and receiver, in the near field.
 //!
-//! Stationary phase of physical optics: the specular point is where `R_t + R_r` is least. With `J` the Hessian of
-//! `(R_t + R_r)/2` over the tangent plane, the echo's amplitude relative to the transmitted field is
-//! `lambda/(4 pi) * cos/(2 sqrt(det J) R_t R_r)` times the reflection coefficient at the true incidence; in the
+//! The method is the stationary phase of physical optics: `R_t + R_r` is least at the specular point. `J` is the
+//! Hessian of `(R_t + R_r)/2` over the tangent plane. The echo's amplitude relative to the transmitted field is
+//! `lambda/(4 pi) * cos/(2 sqrt(det J) R_t R_r)` times the reflection coefficient at the true incidence. In the
 //! monostatic case `det J = (k1 + 1/R)(k2 + 1/R)`, `sigma = pi / det J`.
 //!
-//! The specular point is sought by its normal n: the point with that normal is `A n / h`, where A has the squares of the semi-axes and
-//! `h^2 = n.A n`, and the radii of curvature there are those of `S = (A - p p^T)/h`. Newton's step `(c + B S) dn = g`, with B the part of J
-//! that distances have, c the cosine and g the gradient, ends at once where sources are far (the normal is the bisector), and
-//! after two or three steps elsewhere.
+//! The unknown of the search is the normal n. The point with that normal is `A n / h`, where A has the squares of the
+//! semi-axes and `h^2 = n.A n`. The radii of curvature there are those of `S = (A - p p^T)/h`. Newton's step is `(c + B
+//! S) dn = g`, with B the part of J due to the distances, c the cosine and g the gradient. It ends at once for far
+//! sources (the normal is the bisector), and after two or three steps elsewhere.
 
 use glam::{DMat3, DVec3};
 
-/// An ellipsoid in the room.
+/// Ellipsoid in the room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipsoid {
     /// Centre, m.
@@ -23,12 +23,12 @@ pub struct Ellipsoid {
     pub semi_axes_m: DVec3,
 }
 
-/// Place at which a pair of points sees an ellipsoid shine.
+/// Specular point of an ellipsoid for a pair of antennas.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpecularPoint {
-    /// The point.
+    /// Position, m.
     pub point: DVec3,
-    /// The point on the unit sphere of which the ellipsoid is the image: moves with the body's material.
+    /// Corresponding point of the unit sphere, which moves with the body's material.
     pub unit: DVec3,
     /// Outward unit normal.
     pub normal: DVec3,
@@ -40,29 +40,29 @@ pub struct SpecularPoint {
     pub cosine: f64,
     /// Determinant of J, 1/m^2.
     pub det_j: f64,
-    /// A source lies inside the body and was moved to its surface.
+    /// Whether transmitter and receiver lay inside the body and were moved to its surface.
     pub inside: (bool, bool),
 }
 
-/// A source nearer to the centre than this, in units of the ellipsoid's own radius, counts as touching it.
+/// Distance from the centre, in units of the ellipsoid's own radius, below which a source counts as touching it.
 pub(super) const TOUCHING: f64 = 1.02;
-/// Newton's steps end below this, m: where a limb is most bent, that is a millionth of the amplitude. The path's length errs by the
-/// square of it.
+/// Step length at which Newton's method ends, m. Where a limb has its largest curvature, the amplitude error is then a
+/// millionth. The error of the path length is quadratic in the step.
 pub(super) const LEAST_STEP_M: f64 = 5e-9;
-/// Newton takes no more steps than this.
+/// Largest number of Newton steps.
 const MOST_STEPS: usize = 25;
-/// Specular points at smaller cosines of incidence are none.
+/// Least cosine of incidence of a specular point.
 pub(crate) const LEAST_COSINE: f64 = 0.1;
-/// Sources so many times as far as the ellipsoid is long see the specular point where the normal is their bisector.
+/// Distance of a source, in lengths of the ellipsoid, beyond which the normal at the specular point is the bisector.
 pub(super) const FAR: f64 = 7.0;
 
 impl Ellipsoid {
-    /// Point of the surface for a point of the unit sphere.
+    /// Returns the point of the surface for a point of the unit sphere.
     pub fn surface(&self, unit: DVec3) -> DVec3 {
         self.centre + self.axes * (unit * self.semi_axes_m)
     }
 
-    /// A source in axes of the ellipsoid, on the surface if it lies inside, and whether it does.
+    /// Returns a source in axes of the ellipsoid, moved to the surface if it lies inside, and whether it does.
     fn outside(&self, source: DVec3) -> (DVec3, bool) {
         let place = self.axes.transpose() * (source - self.centre);
         let unit = place / self.semi_axes_m;
@@ -75,7 +75,8 @@ impl Ellipsoid {
         (outward * TOUCHING * self.semi_axes_m, true)
     }
 
-    /// Normal with which the search for the specular point of two sources begins; `None` where they lie on opposite sides.
+    /// Returns the initial normal of the search for the specular point of two sources; `None` where they lie on
+    /// opposite sides.
     fn first_normal(&self, [tx, rx]: [DVec3; 2]) -> Option<DVec3> {
         let b = self.semi_axes_m;
         let bisector = tx.normalize_or_zero() + rx.normalize_or_zero();
@@ -87,7 +88,7 @@ impl Ellipsoid {
         if nearest_m > FAR * longest_m {
             return Some(bisector.normalize());
         }
-        // Far sources shine where the normal is the bisector, touching ones under themselves.
+        // For far sources the normal is the bisector; for touching ones the point is below them.
         let support = (b * bisector).normalize();
         let below = ((tx / b).normalize() + (rx / b).normalize()).normalize_or_zero();
         let w = (longest_m / nearest_m).clamp(0.0, 1.0).powi(2);
@@ -95,9 +96,9 @@ impl Ellipsoid {
         Some((unit / b).normalize())
     }
 
-    /// The specular point for a pair of points; `None` where the pair lies on opposite sides (forward scattering, which has no
-    /// specular point). `start` is a point of the unit sphere near the solution, if one is known. It is used only where the centre does
-    /// not tell on which side of the ellipsoid the pair lies.
+    /// Finds the specular point for a pair of points; `None` where the pair lies on opposite sides (forward scattering,
+    /// which has no specular point). `start` is a point of the unit sphere near the solution, if one is known. It is
+    /// used only where the centre does not determine on which side of the ellipsoid the pair lies.
     pub fn specular_point(&self, tx: DVec3, rx: DVec3, start: Option<DVec3>) -> Option<SpecularPoint> {
         let ((tx, tx_inside), (rx, rx_inside)) = (self.outside(tx), self.outside(rx));
         let b = self.semi_axes_m;
@@ -113,7 +114,7 @@ impl Ellipsoid {
     }
 }
 
-/// Bounds of a specular point that has not been found.
+/// Bounds of a specular point that has not been computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpecularPointBound {
     /// Largest `cos / (2 sqrt(det J))`, m.
@@ -123,14 +124,15 @@ pub struct SpecularPointBound {
 }
 
 impl Ellipsoid {
-    /// Bounds of the specular point for any pair of points within `apart_m` of these, without a search; `None` where none can be
-    /// seen.
+    /// Bounds the specular point for any pair of points within `apart_m` of these, without a search; `None` where no
+    /// specular point exists.
     ///
-    /// At a specular point both directions are as far from the normal, so that the part of J that distances have is at least
-    /// `cos (1/R_t + 1/R_r)/2` in each tangent direction on geometric mean. By Minkowski's inequality for determinants
-    /// `sqrt(det J) >= cos (sqrt(K) + (1/R_t + 1/R_r)/2)`, with Gauss's curvature `K = (h^2/(abc))^2` at the normal's support h.
-    /// The normal is the fixed point of bisectors at points with the bisector for a normal. Two of these are enough to say how far it
-    /// can be from the second, where the map is a contraction; where not, the flattest side counts.
+    /// At a specular point both directions are at the same angle from the normal. The part of J due to distances is
+    /// thus at least `cos (1/R_t + 1/R_r)/2` in each tangent direction on geometric mean. By Minkowski's inequality for
+    /// determinants `sqrt(det J) >= cos (sqrt(K) + (1/R_t + 1/R_r)/2)`, with Gauss's curvature `K = (h^2/(abc))^2` at
+    /// the normal's support h. The normal is the fixed point of a map: from a normal to the bisector at the point with
+    /// that normal. Where the map is a contraction, two iterations bound the distance of the fixed point from the
+    /// second. Elsewhere the flattest side gives the bound.
     pub fn bound(&self, tx: DVec3, rx: DVec3, apart_m: f64) -> Option<SpecularPointBound> {
         let (to_body, b) = (self.axes.transpose(), self.semi_axes_m);
         let sources = [tx, rx].map(|source| to_body * (source - self.centre));
@@ -146,7 +148,8 @@ impl Ellipsoid {
         }
         let bisector =
             |point: DVec3| (sources[0] - point).normalize_or_zero() + (sources[1] - point).normalize_or_zero();
-        // As seen from anywhere on the body, directions to the sources differ from the centre's by no more than this together.
+        // Over all points of the body, the directions to both sources differ from the centre's by no more than this in
+        // sum.
         let turned: f64 = distances_m.iter().map(|distance| (reach_m / distance).min(1.0).asin()).sum();
         let middle = bisector(DVec3::ZERO);
         let twice_cosine = middle.length();
@@ -166,14 +169,14 @@ impl Ellipsoid {
         if contraction >= 0.9 || moved > 0.5 {
             return Some(SpecularPointBound { least_cosine: 0.5 * least, ..any });
         }
-        // An angle of half a radian is a hundredth longer than its chord.
+        // An angle of half a radian is 1 % longer than its chord.
         let farther = (apart_m * per_m + 1.02 * contraction * moved) / (1.0 - contraction);
         let support_m = ((b * second).length() - longest_m * farther).max(shortest_m);
         Some(SpecularPointBound { strength_m: strength_m(support_m), least_cosine: 0.5 * least })
     }
 }
 
-/// A place of an ellipsoid, in its own axes, as a mirror between two sources.
+/// Point of an ellipsoid, in its own axes, as a mirror between two sources.
 #[derive(Debug, Clone, Copy)]
 struct Mirror {
     normal: DVec3,
@@ -182,13 +185,13 @@ struct Mirror {
     towards: [DVec3; 2],
     cosine: f64,
     det_j: f64,
-    /// Newton's step of the normal, and how far the point moves by it, m.
+    /// Newton's step of the normal, and the resulting displacement of the point, m.
     turn: DVec3,
     step_m: f64,
 }
 
 impl Mirror {
-    /// The place with this normal. `None` where distances and curvature are no numbers.
+    /// Evaluates the point with this normal; `None` where `det_j` is not finite and positive.
     fn new(b: DVec3, normal: DVec3, sources: [DVec3; 2]) -> Option<Self> {
         let square = b * b;
         let scaled = square * normal;
@@ -209,7 +212,7 @@ impl Mirror {
         let s_uv = (scaled_u.dot(v) - p_u * p_v) / support_m;
         let s_vv = (scaled_v.dot(v) - p_v * p_v) / support_m;
         let det_s = (b.element_product() / (support_m * support_m)).powi(2);
-        // The part of J that distances have.
+        // Part of J due to the distances.
         let (t_u, t_v, r_u, r_v) = (t.dot(u), t.dot(v), r.dot(u), r.dot(v));
         let b_uu = (1.0 - t_u * t_u) * per_t + (1.0 - r_u * r_u) * per_r;
         let b_uv = -t_u * t_v * per_t - r_u * r_v * per_r;
@@ -233,7 +236,7 @@ impl Mirror {
         Some(Mirror { normal, point, distances_m, towards, cosine, det_j, turn, step_m })
     }
 
-    /// The place after Newton's step, which is halved for as long as the path gets longer by it.
+    /// Takes Newton's step, halved for as long as it lengthens the path.
     fn next(&self, b: DVec3, sources: [DVec3; 2]) -> Option<Self> {
         let length_m = |mirror: &Mirror| mirror.distances_m[0] + mirror.distances_m[1];
         let mut fraction = 1.0;
@@ -246,7 +249,7 @@ impl Mirror {
         }
     }
 
-    /// The same in the room.
+    /// Converts the point to room coordinates.
     fn seen_by(&self, of: &Ellipsoid, inside: (bool, bool)) -> SpecularPoint {
         SpecularPoint {
             point: of.centre + of.axes * self.point,
@@ -269,7 +272,7 @@ mod tests {
     use crate::people::body::Build;
     use crate::random::{Purpose, generator};
 
-    /// A segment of a body somewhere, and two sources that see it from any side, as far apart as image antennas or as antennas.
+    /// Draws a segment of a body, and two sources on any side of it, as far apart as image antennas or as antennas.
     fn draw(rng: &mut impl Rng, near_m: f64) -> (Ellipsoid, DVec3, DVec3) {
         let build = Build { height_m: 1.75, girth: 1.0 };
         let body = build.segments(&build.standing());
@@ -289,8 +292,7 @@ mod tests {
         (Ellipsoid { axes, ..segment }, tx, rx)
     }
 
-    /// The least value of a function over the unit sphere: the best of many places, from which it goes downhill by steps that are
-    /// halved where none leads down.
+    /// Minimises a function over the unit sphere by descent from `from`. Steps are halved where none leads downhill.
     fn least(of: impl Fn(DVec3) -> f64, from: DVec3, mut step: f64, last: f64) -> DVec3 {
         let (mut unit, mut value) = (from, of(from));
         while step > last {
@@ -307,8 +309,8 @@ mod tests {
         unit
     }
 
-    /// Finds the shortest path, then the place at which the mirror's law holds best (of a length that is least, half the digits
-    /// of the place are lost).
+    /// Finds the shortest path, then the point that best fulfils the law of reflection. The minimum of a length
+    /// determines the point to only half of the digits.
     fn slowly(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> DVec3 {
         let length = |unit: DVec3| e.surface(unit).distance(tx) + e.surface(unit).distance(rx);
         let off_mirror = |unit: DVec3| {
@@ -326,13 +328,13 @@ mod tests {
         least(off_mirror, least(length, first, 0.2, 1e-5), 1e-5, 1e-11)
     }
 
-    /// Amplitude but for constants.
+    /// Returns the amplitude without constants.
     fn amplitude(cosine: f64, det_j: f64, [r_t, r_r]: [f64; 2]) -> f64 {
         cosine / (det_j.sqrt() * r_t * r_r)
     }
 
-    /// Random segments, poses and sources: path to 1e-7 m and amplitude to 1e-6 of what a search finds that knows nothing of
-    /// gradients.
+    /// For random segments, poses and sources, the path agrees to 1e-7 m and the amplitude to 1e-6 with a search
+    /// without gradients.
     #[test]
     fn specular_points_are_where_the_path_is_shortest() {
         let mut rng = generator(11, Purpose::Build, [0, 0]);
@@ -355,8 +357,8 @@ mod tests {
         assert!(seen > 200, "{seen}");
     }
 
-    /// From two metres on, three places are looked at: the first, and one after each of two steps; four where a limb is seen from
-    /// its end.
+    /// From two metres on, three points are evaluated: the first, and one after each of two steps. There are four where
+    /// a limb is seen from its end.
     #[test]
     fn few_steps_are_taken() {
         let mut rng = generator(12, Purpose::Build, [0, 0]);
@@ -375,7 +377,7 @@ mod tests {
         assert!(f64::from(places) < 3.2 * f64::from(all), "{places} of {all}");
     }
 
-    /// Knowledge of the instant before changes nothing but where there would be no start value.
+    /// A start value from a neighbouring instant changes the result only where no other start value exists.
     #[test]
     fn a_start_does_not_change_a_specular_point() {
         let mut rng = generator(13, Purpose::Build, [0, 0]);
@@ -387,7 +389,7 @@ mod tests {
         }
     }
 
-    /// No specular point is stronger than its bound, for sources anywhere near those that were told; from three metres on most are within
+    /// No specular point exceeds its bound, for sources anywhere near those given. From three metres on most are within
     /// a decibel and a half of it.
     #[test]
     fn bounds_hold_and_are_close() {

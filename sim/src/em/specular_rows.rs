@@ -1,21 +1,22 @@
-//! Specular points of one ellipsoid for several pairs of sources side by side: the search of [`Ellipsoid::specular_point`], lane by lane the
-//! same steps. What that routine treats by itself (sources in the body or on opposite sides of it, steps that lead uphill) is
-//! left to it.
+//! Vectorised search for the specular points of one ellipsoid for several pairs of sources. Each lane takes the same
+//! steps as [`Ellipsoid::specular_point`]. Special cases are left to that method: sources in the body or on opposite
+//! sides of it, and steps that lengthen the path.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use super::specular::{Ellipsoid, FAR, LEAST_COSINE, LEAST_STEP_M, TOUCHING};
 use crate::lanes::vector::{Vector, add, choose, cross, dot, normalized, over, scale, store, subtract, tangent, times};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 
-/// Places that are looked at before a lane is left to the routine for one pair.
+/// Number of points evaluated before a lane is left to the method for one pair.
 const MOST_PLACES: usize = 6;
 
-/// Places at which pairs of sources side by side see an ellipsoid shine, as [`super::specular::SpecularPoint`] has it.
+/// Specular points of an ellipsoid for pairs of sources, one per lane, with the fields of
+/// [`super::specular::SpecularPoint`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct SpecularRows {
-    /// 1 in lanes whose place was found; in the others nothing counts, and [`Ellipsoid::specular_point`] tells.
+    /// 1 in lanes whose point was found. The other lanes are undefined and need [`Ellipsoid::specular_point`].
     pub(crate) found: WideRow,
     pub(crate) point: WideRow3,
     pub(crate) unit: WideRow3,
@@ -23,7 +24,7 @@ pub(crate) struct SpecularRows {
     /// Unit vectors to the transmitter's and the receiver's image.
     pub(crate) towards: [WideRow3; 2],
     pub(crate) distances_m: [WideRow; 2],
-    /// There is no specular point where this is [`LEAST_COSINE`] or less.
+    /// Cosine of the angle of incidence; there is no specular point where it is [`LEAST_COSINE`] or less.
     pub(crate) cosine: WideRow,
     pub(crate) det_j: WideRow,
 }
@@ -41,20 +42,20 @@ struct Body {
     longest_m: f64,
 }
 
-/// Pairs of sources in axes of the ellipsoid, and the normals with which their search begins.
+/// Pairs of sources in axes of the ellipsoid, and the initial normals of their search.
 #[derive(Clone, Copy, Default)]
 struct Begun {
     tx: WideRow3,
     rx: WideRow3,
     normal: WideRow3,
-    /// 1 where there is such a normal.
+    /// 1 where an initial normal exists.
     sound: WideRow,
-    /// 1 where a source is so near that the bisector is a bad beginning.
+    /// 1 where a source is so near that the bisector is a poor initial normal.
     near: WideRow,
     nearest_m: WideRow,
 }
 
-/// Places of an ellipsoid, in its own axes, as mirrors between two sources.
+/// Points of an ellipsoid, in its own axes, as mirrors between two sources.
 #[derive(Clone, Copy)]
 struct Mirrors {
     normal: WideRow3,
@@ -65,7 +66,7 @@ struct Mirrors {
     det_j: WideRow,
     turn: WideRow3,
     step_m: WideRow,
-    /// 1 where the search has been as it should.
+    /// 1 where every step of the search was regular.
     sound: WideRow,
 }
 
@@ -106,7 +107,7 @@ fn specular_points_body(of: &Ellipsoid, sources: &[WideRow3; 2], out: &mut Specu
     in_the_room(&body, &here, out);
 }
 
-/// Sources in axes of the ellipsoid, and where their search begins.
+/// Transforms sources to axes of the ellipsoid and computes the initial normals.
 #[inline(always)]
 fn begun(body: &Body, sources: &[WideRow3; 2]) -> Begun {
     let (b, mut begun) = (body.semi_axes_m, Begun::default());
@@ -137,7 +138,7 @@ fn begun(body: &Body, sources: &[WideRow3; 2]) -> Begun {
     if near == 0.0 {
         return begun;
     }
-    // Far sources shine where the normal is the bisector, touching ones under themselves.
+    // For far sources the normal is the bisector; for touching ones the point is below them.
     let mut normals = begun.normal;
     for l in 0..WIDE {
         let bisector = wide_lane(&begun.normal, l);
@@ -153,7 +154,7 @@ fn begun(body: &Body, sources: &[WideRow3; 2]) -> Begun {
     Begun { normal: normals, ..begun }
 }
 
-/// Places after Newton's step. Lanes in which the last step was short enough stay where they are.
+/// Takes Newton's step. Lanes in which the last step was short enough keep their point.
 #[inline(always)]
 fn next(body: &Body, begun: &Begun, here: &Mirrors) -> Mirrors {
     let mut next = *here;
@@ -162,7 +163,7 @@ fn next(body: &Body, begun: &Begun, here: &Mirrors) -> Mirrors {
         let moved = normalized(add(old, wide_lane(&here.turn, l)));
         let normal = choose(here.step_m[l] >= LEAST_STEP_M, moved, old);
         let m = mirror(body.semi_axes_m, normal, wide_lane(&begun.tx, l), wide_lane(&begun.rx, l));
-        // Steps that lengthen the path must be halved: not here.
+        // Steps that lengthen the path need halving, which is left to the method for one pair.
         let longest_m = here.distances_m[0][l] + here.distances_m[1][l] + 1e-12;
         let is_sound = (m.distances_m[0] + m.distances_m[1] <= longest_m) & (m.det_j > 0.0) & (m.det_j < f64::INFINITY);
         store(&mut next.normal, l, normal);
@@ -180,7 +181,7 @@ fn next(body: &Body, begun: &Begun, here: &Mirrors) -> Mirrors {
     next
 }
 
-/// A place as a mirror: that of one lane.
+/// Point as a mirror, in one lane.
 struct Mirror {
     point: Vector,
     towards: [Vector; 2],
@@ -191,7 +192,7 @@ struct Mirror {
     step_m: f64,
 }
 
-/// The place with this normal, as `Mirror::new` of [`super::specular`] has it.
+/// Evaluates the point with this normal, like `Mirror::new` of [`super::specular`].
 #[inline(always)]
 fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
     let square = times(b, b);
@@ -214,7 +215,7 @@ fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
     let s_uv = (dot(scaled_u, v) - p_u * p_v) * per_support;
     let s_vv = (dot(scaled_v, v) - p_v * p_v) * per_support;
     let root_s = b[0] * b[1] * b[2] * per_support * per_support;
-    // The part of J that distances have.
+    // Part of J due to the distances.
     let (t_u, t_v, r_u, r_v) = (dot(t, u), dot(t, v), dot(r, u), dot(r, v));
     let b_uu = (1.0 - t_u * t_u) * per_t + (1.0 - r_u * r_u) * per_r;
     let b_uv = -t_u * t_v * per_t - r_u * r_v * per_r;
@@ -239,7 +240,7 @@ fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
     }
 }
 
-/// The places that were found, in axes of the room.
+/// Converts the points found to room axes.
 #[inline(always)]
 fn in_the_room(body: &Body, here: &Mirrors, out: &mut SpecularRows) {
     let [x, y, z] = body.axes;
@@ -259,7 +260,7 @@ fn in_the_room(body: &Body, here: &Mirrors, out: &mut SpecularRows) {
     }
 }
 
-/// A vector of the ellipsoid's axes in the room.
+/// Converts a vector from the ellipsoid's axes to the room's.
 #[inline(always)]
 fn turned(x: Vector, y: Vector, z: Vector, of: Vector) -> Vector {
     add(add(scale(x, of[0]), scale(y, of[1])), scale(z, of[2]))
@@ -275,7 +276,8 @@ mod tests {
     use crate::people::body::Build;
     use crate::random::{Purpose, generator};
 
-    /// A segment of a body in any pose and pairs of sources from any side: near ones, far ones, some within the body.
+    /// Draws a segment of a body in any pose and pairs of sources on any side: near ones, far ones, some within the
+    /// body.
     fn draw(rng: &mut impl Rng) -> (Ellipsoid, [WideRow3; 2]) {
         let build = Build { height_m: 1.75, girth: 1.0 };
         let body = build.segments(&build.standing());
@@ -306,7 +308,8 @@ mod tests {
         DVec3::from_array(wide_lane(rows, l))
     }
 
-    /// Lane by lane the routine for one pair: the place to some nanometres, the path's length and the amplitude to rounding.
+    /// Each lane agrees with the method for one pair: the point to some nanometres, path length and amplitude to
+    /// rounding.
     #[test]
     fn lanes_are_specular_points_of_one_pair() {
         let mut rng = generator(21, Purpose::Build, [0, 0]);
@@ -359,7 +362,7 @@ mod tests {
                 let vectors = all.into_iter().flatten().map(bits);
                 let rest = [&rows.distances_m[0], &rows.distances_m[1], &rows.cosine, &rows.det_j, &rows.found];
                 let mut all: Vec<[u64; WIDE]> = vectors.chain(rest.into_iter().map(bits)).collect();
-                // Where nothing was found nothing counts.
+                // Lanes without a point are ignored.
                 all.iter_mut().for_each(|row| {
                     row.iter_mut().zip(&sound).filter(|(_, sound)| !**sound).for_each(|(bits, _)| *bits = 0);
                 });

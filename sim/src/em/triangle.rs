@@ -1,10 +1,11 @@
-//! The Fourier integral of a triangle: `I(a, b, c) = int exp(j (l0 a + l1 b + l2 c))` over the unit simplex (whose area is
-//! 1/2), so that a triangle of area A whose phase is linear between vertex phases a, b, c integrates to `2 A I`.
+//! Fourier integral of a triangle, `I(a, b, c) = int exp(j (l0 a + l1 b + l2 c))` over the unit simplex (whose area is
+//! 1/2). A triangle of area A whose phase is linear between vertex phases a, b, c integrates to `2 A I`.
 //!
-//! By Hermite and Genocchi `I` is minus the divided difference of `exp(j .)` at a, b, c. The quotient form of that cancels
-//! where phases come close (Gordon's edge sums have the same trouble near specular directions); two forms together do not:
-//! for phases within one radian of each other a power series about their mean, else a difference of edge integrals over the
-//! longest difference, which is then no small number. The result does not depend on the order of the vertices.
+//! By the Hermite-Genocchi formula, `I` is minus the divided difference of `exp(j .)` at a, b, c. Its quotient form
+//! suffers from cancellation where phases are close, as do Gordon's edge sums near specular directions. Two forms
+//! together avoid this. For phases within one radian of each other it is a power series about their mean. Otherwise it
+//! is a difference of edge integrals over the longest phase difference, which is then not small. The result does not
+//! depend on the order of the vertices.
 
 use num_complex::Complex64;
 
@@ -19,10 +20,10 @@ const INVERSE_FACTORIALS: [f64; 17] = {
     all
 };
 
-/// `int exp(j phase)` over the unit simplex for the phases at its vertices, rad.
+/// Computes `int exp(j phase)` over the unit simplex for the phases at its vertices, rad.
 #[inline]
 pub fn integral(a: f64, b: f64, c: f64) -> Complex64 {
-    // Sorted: what the result is must not depend on which vertex comes first.
+    // Sorted, so that the result does not depend on the order of the vertices.
     let (a, b) = if a <= b { (a, b) } else { (b, a) };
     let (b, c) = if b <= c { (b, c) } else { (c, b) };
     let (a, b) = if a <= b { (a, b) } else { (b, a) };
@@ -30,15 +31,16 @@ pub fn integral(a: f64, b: f64, c: f64) -> Complex64 {
     if longest < 1.0 { series(a, b, c) } else { (edge(b, c) - edge(a, b)) / Complex64::new(0.0, longest) }
 }
 
-/// `int l_i exp(j phase)` over the unit simplex for each corner i: what a strength that is linear between the corners
-/// integrates to is their sum weighted by it. They are the derivatives of [`integral`] by the phases, over j, and add up to it.
+/// Computes `int l_i exp(j phase)` over the unit simplex for each corner i. The integral of a strength that is linear
+/// between the corners is the sum of its corner values times these moments. They are the derivatives of [`integral`] by
+/// the phases, over j, and add up to it.
 #[inline]
 pub fn moments(a: f64, b: f64, c: f64) -> [Complex64; 3] {
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     if high - low < 1.0 {
         return series_moments([a, b, c]);
     }
-    // Sorted by exchanges, which are undone in the result.
+    // Sorted by exchanges that are undone in the result.
     let (mut x, mut order) = ([a, b, c], [0usize, 1, 2]);
     for (i, j) in [(0, 1), (1, 2), (0, 1)] {
         if x[i] > x[j] {
@@ -90,7 +92,8 @@ impl Edge {
     }
 }
 
-/// The same series with each corner's phase counted twice: `h_n(x, y, z, x) = h_n(x, y, z) + x h_{n-1}(x, y, z, x)`.
+/// Evaluates the series of [`series`] with each corner's phase counted twice: `h_n(x, y, z, x) = h_n(x, y, z) + x
+/// h_{n-1}(x, y, z, x)`.
 fn series_moments(phases: [f64; 3]) -> [Complex64; 3] {
     let mean = (phases[0] + phases[1] + phases[2]) / 3.0;
     let x = phases.map(|p| p - mean);
@@ -115,8 +118,8 @@ fn series_moments(phases: [f64; 3]) -> [Complex64; 3] {
     sums.map(|(re, im)| turn * Complex64::new(re, im))
 }
 
-/// Complete homogeneous symmetric polynomials `h_n` of the phases about their mean, by their recursion: their first order
-/// vanishes there.
+/// Sums the series of complete homogeneous symmetric polynomials `h_n` of the phases about their mean, by their
+/// recursion. The first order vanishes there.
 fn series(a: f64, b: f64, c: f64) -> Complex64 {
     let mean = (a + b + c) / 3.0;
     let (x, y, z) = (a - mean, b - mean, c - mean);
@@ -133,32 +136,33 @@ fn series(a: f64, b: f64, c: f64) -> Complex64 {
             _ => im -= h0 * inverse,
         }
     }
-    // Rounded, the mean is not quite where first order vanishes: a hundred radians have their last digit at 1e-14.
+    // The first order does not quite vanish at the rounded mean: for a hundred radians the last digit is 1e-14.
     let left = (x + y + z) / 3.0;
     Complex64::from_polar(1.0, mean) * Complex64::new(re - left * im, im + left * re)
 }
 
-/// `int_0^1 exp(j (a + t (b - a))) dt`.
+/// Computes `int_0^1 exp(j (a + t (b - a))) dt`.
 #[inline]
 fn edge(a: f64, b: f64) -> Complex64 {
     let sum = a + b;
-    // What rounding took from the sum (Knuth), as a turn.
+    // Rounding error of the sum (Knuth), applied as a rotation.
     let of_b = sum - a;
     let left = 0.5 * ((a - (sum - of_b)) + (b - of_b));
     Complex64::from_polar(sinc(0.5 * (b - a)), 0.5 * sum) * Complex64::new(1.0, left)
 }
 
-/// `sin x / x`.
+/// Computes `sin x / x`.
 #[inline]
 pub fn sinc(x: f64) -> f64 {
     if x.abs() < 1e-4 { 1.0 - x * x / 6.0 } else { x.sin() / x }
 }
 
-/// The integral in arithmetic of 32 digits, for tests: unevaluated sums of two f64 (Dekker, "A floating-point technique for
-/// extending the available precision", Numerische Mathematik 18, 1971), exponentials by Taylor series and repeated squaring.
+/// Integral in arithmetic of 32 digits, for tests. Numbers are unevaluated sums of two f64 (Dekker, "A floating-point
+/// technique for extending the available precision", Numerische Mathematik 18, 1971). Exponentials use Taylor series
+/// and repeated squaring.
 #[cfg(test)]
 mod double_double {
-    /// `high + low`, low within half a unit in the last place of high.
+    /// Number `high + low`, with low within half a unit in the last place of high.
     #[derive(Debug, Clone, Copy)]
     pub struct Double(f64, f64);
 
@@ -219,12 +223,12 @@ mod double_double {
             Complex(self.0.times(by), self.1.times(by))
         }
 
-        /// Divided by `j by`.
+        /// Returns the quotient by `j by`.
         fn over_j(self, by: Double) -> Self {
             Complex(self.1.over(by), self.0.over(by).minus())
         }
 
-        /// `e^{j x}`.
+        /// Computes `e^{j x}`.
         fn turn(x: Double) -> Self {
             let small = Complex(ZERO, Double(x.0 / 1024.0, x.1 / 1024.0));
             let mut power = (1..20).rev().fold(ONE, |sum, n| {
@@ -237,7 +241,7 @@ mod double_double {
         }
     }
 
-    /// `int_0^1 exp(j (a + t (b - a))) dt`.
+    /// Computes `int_0^1 exp(j (a + t (b - a))) dt`.
     fn edge(a: f64, b: f64) -> Complex {
         let length = Double::sum(b, -a);
         if length.0.abs() >= 1.0 {
@@ -259,7 +263,7 @@ mod double_double {
         let value = if longest.0 >= 1.0 {
             edge(b, c).minus(edge(a, b)).over_j(longest)
         } else {
-            // Powers about the first: sum of h_n(0, p, q) j^n/(n + 2)!, whose h_n = p h_{n-1} + q^n.
+            // Power series about the first phase: sum of h_n(0, p, q) j^n/(n + 2)!, with h_n = p h_{n-1} + q^n.
             let (p, q) = (Double::sum(b, -a), longest);
             let (mut h, mut power, mut factor) = (Double(1.0, 0.0), Double(1.0, 0.0), Complex(Double(0.5, 0.0), ZERO));
             let mut sum = factor;
@@ -280,7 +284,7 @@ mod double_double {
 mod hard_cases {
     use super::*;
 
-    /// Against arithmetic of 160 digits.
+    /// Compares with arithmetic of 160 digits.
     #[test]
     fn the_reference_has_more_digits_than_it_needs() {
         // from decimal import *: the power series about the first phase, 700 terms, 160 digits, rounded to f64.
@@ -303,8 +307,8 @@ mod hard_cases {
         }
     }
 
-    /// From no phase at all to a hundred radians along every direction in which two or three phases coincide, or nearly do, to
-    /// 1e-15 of what the integral is without phase; and in between.
+    /// Compares with the reference to 1e-15 of the integral without phase. Phases range from zero to a hundred radians
+    /// along every direction in which two or three of them coincide, or nearly do, and in between.
     #[test]
     fn degenerate_directions_are_right_to_the_last_digits() {
         let mut sizes =
@@ -319,7 +323,7 @@ mod hard_cases {
             }
         };
         for &w in &sizes {
-            // Seen along an edge, from a corner, along the height, and a hair off each.
+            // Directions along an edge, from a corner, along the height, and slightly off each.
             for x in [[0.0, 0.0, w], [0.0, w, w], [0.0, 0.5 * w, w], [-w, 0.0, w], [w, w, w]] {
                 check(x);
                 for off in [1e-16, 1e-12, 1e-8, 1e-4, 1e-2] {
@@ -336,7 +340,7 @@ mod hard_cases {
         assert!(error < 1e-15, "{x:?}: {error:e}");
     }
 
-    /// Moments add up to the integral, follow their corners, and each is the quadrature's difference quotient.
+    /// Moments add up to the integral, permute with their corners, and match the difference quotients of the integral.
     #[test]
     fn moments_are_derivatives_of_the_integral() {
         let sizes = [0.0, 1e-12, 1e-6, 1e-3, 0.05, 0.3, 0.99, 1.0, 1.01, 2.0, 6.3, 20.0, 60.0];
@@ -367,7 +371,7 @@ mod hard_cases {
         }
     }
 
-    /// No modulus exceeds the simplex's area, and both forms meet where one hands over to the other.
+    /// No modulus exceeds the simplex's area, and both forms agree at the boundary between them.
     #[test]
     fn both_forms_meet() {
         for i in 0..200 {

@@ -1,10 +1,10 @@
-//! Materials of surfaces: their coefficients in closed form, and the same tabulated over the cosine of incidence.
+//! Wall coefficients in closed form, and tabulated over the cosine of incidence.
 //!
-//! [`fresnel::slab`] takes complex roots and exponentials, and an image path needs it at every wall. [`WallTable`] cuts the range
-//! of the cosine into cells and each cell into as many equal pieces as it needs: a piece is a polynomial of degree five through
-//! Chebyshev's points, within 1e-8 of the slab at all places that are checked. Thin walls take one piece a cell, walls of many
-//! waves some more. Cells that would take too many (foils at grazing incidence, thick walls without loss) have none and ask the
-//! slab.
+//! [`fresnel::slab`] evaluates complex roots and exponentials, and an image path needs it at every wall. [`WallTable`]
+//! divides the range of the cosine into cells, and each cell into as many equal pieces as accuracy requires. A piece is
+//! a polynomial of degree five through Chebyshev points, within 1e-8 of the slab at all check points. Thin walls take
+//! one piece a cell; walls many wavelengths thick take more. Cells that would take too many (foils at grazing
+//! incidence, thick walls without loss) are not tabulated and use the slab.
 
 use std::f64::consts::PI;
 
@@ -14,7 +14,7 @@ use num_complex::Complex64;
 use super::fresnel::{self, Reflection};
 use super::{Phasor3, incidence_frame};
 
-/// Make of a wall or another surface.
+/// Type of a wall or another surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wall {
     /// Lossy dielectric slab.
@@ -31,15 +31,15 @@ pub enum Wall {
     },
     /// Perfect conductor.
     Conductor,
-    /// Nothing there.
+    /// No surface.
     Open,
 }
 
-/// Walls are at least so thick to those who pass through them, m: nothing is switched on or off between two chirps.
+/// Least depth over which a wall takes effect, m. It avoids a step between two chirps when a person passes.
 const LEAST_DEPTH_M: f64 = 0.1;
 
 impl Wall {
-    /// Reflection at the cosine of the angle of incidence, in closed form.
+    /// Returns the reflection at the cosine of the angle of incidence, in closed form.
     pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
         match *self {
             Wall::Slab { permittivity, thickness_m } => {
@@ -51,7 +51,7 @@ impl Wall {
         }
     }
 
-    /// Field that the wall leaves of one that goes straight through it, over what air would.
+    /// Returns the factor of the wall on a field that passes straight through, relative to air.
     pub fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
         match *self {
             Wall::Slab { permittivity, thickness_m } => {
@@ -62,7 +62,7 @@ impl Wall {
         }
     }
 
-    /// Field that leaves the surface and its direction, for a field that meets it along a direction.
+    /// Returns the reflected field and its direction, for a field incident along a direction.
     pub fn reflect(
         &self,
         incident: Phasor3,
@@ -83,8 +83,8 @@ impl Wall {
         (field, outgoing)
     }
 
-    /// Distance outside of the wall's inner face over which its effect grows to its whole, m: its thickness, and no less than a
-    /// body takes some chirps to pass.
+    /// Returns the distance beyond the wall's inner face over which its effect rises to full, m. It is the wall's
+    /// thickness, but at least what a body takes some chirps to pass.
     pub(super) fn depth_m(&self) -> f64 {
         match *self {
             Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
@@ -93,18 +93,18 @@ impl Wall {
     }
 }
 
-/// Cells over the cosine's range from 0 to 1.
+/// Number of cells over the cosine's range from 0 to 1.
 const CELLS: usize = 64;
-/// Pieces that a cell may have.
+/// Largest number of pieces of a cell.
 const MOST_PIECES: usize = 64;
-/// Polynomials have so many coefficients.
+/// Number of polynomial coefficients.
 const NODES: usize = 6;
-/// Largest absolute error of a piece at the places at which it is checked.
+/// Largest absolute error of a piece at its check points.
 const TOLERANCE: f64 = 1e-8;
-/// Places of a piece, from -1 to 1, at which it is checked: where the error of an interpolation by six points is largest.
+/// Check points of a piece, from -1 to 1: where the error of an interpolation by six points is largest.
 const CHECKS: [f64; 7] = [-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0];
 
-/// Factor by which a magnitude may be larger between those places, or than 1 by rounding.
+/// Factor by which a magnitude may exceed its values at the check points, or 1 by rounding.
 const BETWEEN: f64 = 1.01;
 
 /// Real and imaginary parts of a coefficient in both polarisations: `[te.re, te.im, tm.re, tm.im]`.
@@ -114,10 +114,10 @@ fn parts(r: Reflection) -> Parts {
     [r.te.re, r.te.im, r.tm.re, r.tm.im]
 }
 
-/// Polynomial over -1..1 by powers.
+/// Polynomial over -1..1, as coefficients by power.
 type Piece = [Parts; NODES];
 
-/// One cell of a curve.
+/// Cell of a curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cell {
     first: usize,
@@ -154,11 +154,11 @@ impl Curve {
         curve
     }
 
-    /// The coefficients at a cosine; `None` where they are not tabulated.
+    /// Returns the coefficients at a cosine; `None` where they are not tabulated.
     #[inline]
     fn at(&self, cosine: f64) -> Option<Reflection> {
         let at = cosine * CELLS as f64;
-        // Numbers that are none, or out of range, end in the first or the last cell.
+        // NaN and values out of range map to the first or the last cell.
         let cell = (at as usize).min(CELLS - 1);
         let &Cell { first, count, .. } = self.cells.get(cell)?;
         let along = (at - cell as f64) * count as f64;
@@ -168,7 +168,7 @@ impl Curve {
     }
 }
 
-/// Pieces of a cell, if that many are enough.
+/// Fits a cell by `count` pieces; `None` if their error is too large.
 fn fit(of: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piece>> {
     let half = 0.5 / (CELLS * count) as f64;
     let mut pieces = Vec::with_capacity(count);
@@ -187,9 +187,9 @@ fn fit(of: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piec
     Some(pieces)
 }
 
-/// The polynomial through Chebyshev's points of -1..1.
+/// Returns the polynomial through the Chebyshev points of -1..1.
 fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
-    /// Coefficients of Chebyshev's polynomials, in columns, by powers.
+    /// Coefficients of the Chebyshev polynomials, in columns, by powers.
     const POWERS: [[f64; NODES]; NODES] = [
         [1.0, 0.0, -1.0, 0.0, 1.0, 0.0],
         [0.0, 1.0, 0.0, -3.0, 0.0, 5.0],
@@ -228,7 +228,7 @@ fn value(piece: &Piece, x: f64) -> Parts {
     sum
 }
 
-/// Largest magnitudes of both polarisations over pieces, with what may lie between the places that are looked at.
+/// Returns the largest magnitudes of both polarisations over pieces, with a margin for values between the check points.
 fn largest(pieces: &[Piece]) -> [f64; 2] {
     let mut most = [0.0f64; 2];
     for [te_re, te_im, tm_re, tm_im] in pieces.iter().flat_map(|piece| CHECKS.map(|x| value(piece, x))) {
@@ -247,7 +247,7 @@ pub struct WallTable {
 }
 
 impl WallTable {
-    /// Tabulates a wall's reflection and, where waves shall go through, its transmission.
+    /// Tabulates a wall's reflection and, if `transmission` is set, its transmission.
     pub fn new(wall: Wall, wavenumber_per_m: f64, transmission: bool) -> Self {
         let is_slab = matches!(wall, Wall::Slab { .. });
         let reflection = is_slab.then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine))));
@@ -256,21 +256,21 @@ impl WallTable {
         WallTable { wall, wavenumber_per_m, reflection, transmission }
     }
 
-    /// Reflection at the cosine of the angle of incidence.
+    /// Returns the reflection at the cosine of the angle of incidence.
     #[inline]
     pub fn reflection(&self, cosine: f64) -> Reflection {
         let tabulated = self.reflection.as_ref().and_then(|curve| curve.at(cosine));
         tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine))
     }
 
-    /// Field that the wall leaves of one that goes straight through it, over what air would.
+    /// Returns the factor of the wall on a field that passes straight through, relative to air.
     #[inline]
     pub fn transmission(&self, cosine: f64) -> Reflection {
         let tabulated = self.transmission.as_ref().and_then(|curve| curve.at(cosine));
         tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine))
     }
 
-    /// Upper bounds of the magnitudes of the reflection, TE and TM, over cosines from `low` to `high`.
+    /// Returns upper bounds of the magnitudes of the reflection, TE and TM, over cosines from `low` to `high`.
     pub fn most_reflection(&self, low: f64, high: f64) -> [f64; 2] {
         let Some(curve) = &self.reflection else {
             return if self.wall == Wall::Open { [0.0; 2] } else { [1.0; 2] };
@@ -302,7 +302,8 @@ mod tests {
         (a.te - b.te).norm().max((a.tm - b.tm).norm())
     }
 
-    /// All materials, 1 mm to 0.3 m, between all nodes and at both ends: far below the 1e-4 that levels need.
+    /// Covers all materials, 1 mm to 0.3 m, between all nodes and at both ends. The error is far below the 1e-4 that
+    /// levels need.
     #[test]
     fn tables_are_the_slab() {
         for wall in slabs() {
@@ -317,7 +318,7 @@ mod tests {
         }
     }
 
-    /// No reflection exceeds the bound of any range that it lies in, and the bound of a point is close.
+    /// No reflection exceeds the bound of any range that contains its cosine, and the bound at a point is close.
     #[test]
     fn bounds_of_a_range_hold_in_it() {
         for wall in slabs() {

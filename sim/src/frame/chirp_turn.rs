@@ -1,5 +1,5 @@
-//! Errors that all echoes of a chirp share: vibration of the radar, settling of the chip within a frame, slow changes of its gain, and
-//! jitter of the chirps' times. Leakage inside the chip has its own ([`ClutterDrift`]).
+//! Errors common to all echoes of a chirp: vibration of the radar, settling of the chip within a frame, slow gain
+//! drift, and jitter of the chirp times. Leakage inside the chip has separate errors ([`ClutterDrift`]).
 
 use std::f64::consts::TAU;
 
@@ -13,16 +13,16 @@ use crate::receiver::ClutterDrift;
 use crate::scene::Scene;
 use crate::sway::Sway;
 
-/// Error of one chirp's echoes.
+/// Error common to all echoes of one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChirpTurn {
-    /// Factor on all of them.
+    /// Factor on all echoes.
     pub factor: Complex64,
     /// Delay of their sampling, s.
     pub late_s: f64,
 }
 
-/// Source of such errors: a scene and a seed.
+/// Generator of these errors for a scene and a seed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChirpTurns {
     seed: u64,
@@ -35,7 +35,7 @@ pub struct ChirpTurns {
 }
 
 impl ChirpTurns {
-    /// `None` where a scene asks for no such error.
+    /// Creates the generator; `None` where a scene specifies no such error.
     pub fn new(scene: &Scene, seed: u64) -> Option<Self> {
         let clutter = scene.receiver().clutter.clone();
         let vibration = scene.file().radar.vibration.filter(|vibration| vibration.amplitude_m > 0.0);
@@ -64,7 +64,8 @@ impl ChirpTurns {
         })
     }
 
-    /// The errors of a frame that begins at a time of the scene, for the middles of its chirps, counted from there, s.
+    /// Computes the errors of a frame that starts at a scene time, s, for the middles of its chirps, relative to the
+    /// start, s.
     pub fn of_frame(&self, index: u64, start_s: f64, middles_s: impl Iterator<Item = f64>) -> Vec<ChirpTurn> {
         let clutter = &self.clutter;
         let mut rng = generator(self.seed, Purpose::ChirpJitter, [index, 0]);
@@ -72,11 +73,12 @@ impl ChirpTurns {
         middles_s
             .map(|middle_s| {
                 let left = (-middle_s / clutter.settling_time_s).exp();
-                // Moving ahead by a metre makes every path two metres shorter.
+                // A forward motion by a metre shortens every path by two metres.
                 let ahead_m = self.vibration.as_ref().map_or(0.0, |sway| sway.at(start_s + middle_s)[0]);
                 let phase = clutter.settling_phase_rad * left - self.rad_per_m * ahead_m;
                 let normal: f64 = StandardNormal.sample(&mut rng);
-                // A higher frequency turns an echo by its delay, as sampling later turns it by its beat, slope times delay.
+                // A frequency offset rotates an echo in proportion to its delay. Late sampling rotates it in proportion
+                // to its beat frequency, slope times delay.
                 let by_frequency_s = clutter.settling_frequency_hz * left / self.slope_hz_per_s;
                 ChirpTurn {
                     factor: Complex64::from_polar(gain * (1.0 + clutter.settling_gain * left), phase),

@@ -1,4 +1,4 @@
-//! Frequency grids of all chirps of a frame, block by block: what stands still, paths, diffuse echoes, and skins.
+//! Frequency grids of all chirps of a frame, block by block: static paths, moving paths, diffuse echoes, and skins.
 
 use std::ops::Range;
 
@@ -11,8 +11,8 @@ use super::paths::Traced;
 use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
 
 impl FrameSimulator {
-    /// The frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with the errors that all
-    /// echoes of the chirp share, if there are any. Chirps of a receiver come in their order.
+    /// Visits the frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with
+    /// the common errors of the chirp, if there are any. Chirps of a receiver come in order.
     pub(super) fn each_chirp(
         &self,
         traced: &Traced,
@@ -57,7 +57,7 @@ impl FrameSimulator {
         }
     }
 
-    /// Replaces what is on the grids of a block of chirps by static paths between the ends of stretches.
+    /// Replaces the grids of a block of chirps by static paths, interpolated between the ends of intervals.
     fn lay_static(&self, block: Range<usize>, halvings: u32, static_grids: &StaticGrids, grids: &mut [Grids]) {
         for (rx, grids) in grids.iter_mut().enumerate() {
             grids.clear();
@@ -71,7 +71,8 @@ impl FrameSimulator {
         }
     }
 
-    /// The stretch of a frame, halved this often, in which a chirp lies, and its place there, 0..1.
+    /// Returns the interval that contains a chirp in a frame that is halved this often, and the chirp's position in it,
+    /// 0..1.
     pub(super) fn place_of(&self, chirp: usize, halvings: u32) -> (usize, f64) {
         let stretches = 1usize << halvings;
         let at = self.middle_s(chirp) / self.active_s() * stretches as f64;
@@ -79,7 +80,8 @@ impl FrameSimulator {
         (stretch, at - stretch as f64)
     }
 
-    /// The stretches of a frame that is halved this often in which chirps of a block lie, each with the places of those chirps.
+    /// Returns the intervals that contain chirps of a block in a frame that is halved this often, each with the
+    /// positions of those chirps.
     pub(super) fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
         let mut of_block = Vec::new();
         let mut begin = block.start;
@@ -94,7 +96,7 @@ impl FrameSimulator {
         of_block
     }
 
-    /// Echoes of people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
+    /// Computes the echoes of people, without static echoes and receiver noise, LSB: `[rx][chirp][sample]`.
     pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
         let shape = self.waveform().shape();
         let start_s = self.start_s(index);

@@ -1,4 +1,4 @@
-//! Static echoes: weights of static paths in a frame, by jitter, drift and the people in their way, and their grids.
+//! Static echoes: weights of static paths in a frame, with jitter, drift and obstruction by people, and their grids.
 
 use glam::DVec3;
 use num_complex::{Complex, Complex64};
@@ -16,28 +16,29 @@ use crate::synthesis::{Grid, Tone};
 
 /// Weights of static paths in a frame.
 pub(super) struct Clutter {
-    /// Numbers and weights of paths that nobody comes near: the same at all times.
+    /// Indices and weights of paths that nobody comes near; they are constant in the frame.
     steady: Vec<(usize, Complex64)>,
-    /// Numbers of the other paths.
+    /// Indices of the other paths.
     changing: Vec<usize>,
-    /// Their weights: `[time][changing path]`.
+    /// Weights of the other paths: `[time][changing path]`.
     weights: Vec<Vec<Complex64>>,
-    /// Whether the times are the middles of all chirps; the ends of the frame's stretches if not.
+    /// Whether the times are the middles of all chirps; otherwise they are the ends of the frame's intervals.
     pub(super) by_chirp: bool,
 }
 
-/// Grids of static paths at the same times.
+/// Grids of static paths at the times of their weights.
 pub(super) struct StaticGrids {
-    /// `[rx][time]`.
+    /// Grids: `[rx][time]`.
     pub(super) grids: Vec<Vec<Grid>>,
     pub(super) by_chirp: bool,
 }
 
-/// Nothing static.
+/// Empty set of static grids.
 pub(super) const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
 
 impl FrameSimulator {
-    /// Weights of all static paths in a frame: in every chirp where people diffract them, at the ends of stretches if not.
+    /// Computes the weights of all static paths in a frame: in every chirp where people diffract them, otherwise at the
+    /// ends of intervals.
     pub(super) fn clutter(&self, index: u64, start_s: f64, traced: &Traced) -> Clutter {
         let is_strip = self.scene.file().people.shadow == ShadowFile::Strip;
         let has_people = traced.snapshots.iter().any(|people| !people.is_empty());
@@ -55,7 +56,7 @@ impl FrameSimulator {
         let weights: Vec<Vec<Complex64>> = (0..self.waveform().shape().chirps)
             .map(|chirp| {
                 let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
-                // Conjugated, as amplitudes at the ADC are.
+                // Amplitudes at the ADC are conjugated.
                 let weight = |(_, (path, weight)): &(usize, (&StaticPath, &Complex64))| {
                     *weight * diffraction::along_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
                 };
@@ -70,13 +71,13 @@ impl FrameSimulator {
         }
     }
 
-    /// Complex weight of every static path at the ends of stretches: `[end][path]`.
+    /// Computes the complex weight of every static path at the ends of intervals: `[end][path]`.
     fn clutter_weights(&self, index: u64, ends_s: &[f64], snapshots: &[Vec<Snapshot>]) -> Vec<Vec<Complex64>> {
         let constants = &self.scene.receiver().clutter;
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let steps = self.clutter_steps(index);
-        // Half of the power of jitter and drift is common to all echoes, half each one's own.
+        // Half of the power of jitter and drift is common to all echoes, half is independent.
         let half = constants.phase_jitter_rad * 0.5f64.sqrt();
         let half_drift = constants.phase_drift_rad_per_10s * 0.5f64.sqrt();
         let common = half * normal();
@@ -109,8 +110,9 @@ impl FrameSimulator {
             .collect()
     }
 
-    /// Phase of every static path by the steps before a frame, rad; nothing where there are none. Time is cut into intervals
-    /// with one step each, anywhere in it; between two steps paths rest at levels whose differences are the steps.
+    /// Computes the phase of every static path due to the steps before a frame, rad; empty if there are none. Time is
+    /// divided into intervals with one step each, at a random time. Between two steps the phases are constant, and
+    /// their differences are the steps.
     fn clutter_steps(&self, index: u64) -> Vec<f64> {
         let constants = &self.scene.receiver().clutter;
         if constants.phase_step_rad == 0.0 {
@@ -129,7 +131,8 @@ impl FrameSimulator {
         self.prepared.static_paths.iter().map(phase).collect()
     }
 
-    /// Grids of static paths at the times of their weights; with every tone times `j` and its delay if so asked.
+    /// Builds grids of static paths at the times of their weights. If `is_by_delay`, every tone is multiplied by `j`
+    /// and its delay.
     pub(super) fn static_grids(&self, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
         let of = |rx: usize| {
             let mut steady = self.synthesiser.grid();
@@ -145,7 +148,8 @@ impl FrameSimulator {
         StaticGrids { grids: (0..self.waveform().shape().rx).map(of).collect(), by_chirp: clutter.by_chirp }
     }
 
-    /// Lays static paths down, each by its number and with a weight; with every tone times `j` and its delay if so asked.
+    /// Adds static paths to a grid, each by its index and with a weight. If `is_by_delay`, every tone is multiplied by
+    /// `j` and its delay.
     fn add_static(
         &self,
         rx: usize,
@@ -153,7 +157,7 @@ impl FrameSimulator {
         is_by_delay: bool,
         grid: &mut Grid,
     ) {
-        // Of a tone of one cycle a sample: what stands still has no Doppler.
+        // Delay of a tone of one cycle a sample; static paths have no Doppler shift.
         let delay_s = self.prepared.chirp.sample_rate_hz / self.prepared.chirp.slope_hz_per_s;
         for (number, weight) in paths {
             let tone = self.prepared.static_paths.get(number).and_then(|path| path.tones.get(rx));
@@ -169,8 +173,8 @@ impl FrameSimulator {
     }
 }
 
-/// Whether somebody may come near a path between times that are evenly spread: nobody is farther from both neighbouring times than
-/// these are apart.
+/// Returns whether a person may come near a path between evenly spaced times. The test assumes that a person moves no
+/// farther from both neighbouring times than their distance.
 fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
     at_times.iter().enumerate().any(|(time, people)| {
         people.iter().enumerate().any(|(i, column)| {
@@ -181,7 +185,7 @@ fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
     })
 }
 
-/// People as columns in other paths' way at a place, 0 to 1, between times that are evenly spread.
+/// Interpolates the columns of people at a position, 0 to 1, between evenly spaced times.
 fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
     let place = at.clamp(0.0, 1.0) * at_times.len().saturating_sub(1) as f64;
     let whole = place as usize;

@@ -1,28 +1,29 @@
-//! Diffuse echoes of a frame: run by run of chirps, and those that change too much for that block by block.
+//! Diffuse echoes of a frame, added run by run of chirps. Echoes that change too much for a run are added block by
+//! block.
 
 use std::ops::Range;
 
 use super::FrameSimulator;
 use crate::synthesis::{CHIRPS, Grids, HeldEchoes, RUN, RateGrids, Run};
 
-/// The run of chirps that diffuse echoes were laid down for last.
+/// Most recent run of chirps with synthesised diffuse echoes.
 pub(super) struct DiffuseRun {
-    /// Chirps of the frame; none where a block of them is not worth a run.
+    /// Chirps of the run; empty where a single block is not worth a run.
     chirps: Range<usize>,
     rates: RateGrids,
-    /// `[receiver][block of the run]`.
+    /// Grids: `[receiver][block of the run]`.
     blocks: Vec<Vec<Grids>>,
 }
 
 impl FrameSimulator {
-    /// No run yet.
+    /// Creates the state before the first run.
     pub(super) fn diffuse_run(&self) -> DiffuseRun {
         let (synthesiser, receivers) = (&self.synthesiser, self.waveform().shape().rx);
         let blocks = vec![vec![synthesiser.grids(); RUN / CHIRPS]; receivers];
         DiffuseRun { chirps: 0..0, rates: synthesiser.rate_grids(receivers), blocks }
     }
 
-    /// Adds the diffuse echoes of each stretch of a frame to a block of chirps. Blocks come in their order.
+    /// Adds the diffuse echoes of each interval of a frame to a block of chirps. Blocks must be given in order.
     pub(super) fn lay_diffuse(
         &self,
         block: Range<usize>,
@@ -51,7 +52,8 @@ impl FrameSimulator {
         }
     }
 
-    /// Lays echoes down for as many blocks from one on as lie in its stretch and make a run. One block is no less work in a run.
+    /// Synthesises a run that starts at a block, with all following blocks in its interval that fit. A run of one block
+    /// would not save work.
     fn begin_run(&self, block: &Range<usize>, halvings: u32, diffuse: &[HeldEchoes], run: &mut DiffuseRun) {
         let chirps = self.waveform().shape().chirps;
         let (stretch, first) = self.place_of(block.start, halvings);

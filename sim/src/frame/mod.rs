@@ -1,5 +1,5 @@
-//! One frame of a scene, a pure function of (scene, seed, index): truth, paths, clutter, chirps, receiver, each in a file of its own
-//! in that order. `skins.rs` has the paths of people who are meshes.
+//! Simulation of one frame of a scene, a pure function of (scene, seed, index). The steps are truth, paths, clutter,
+//! chirps and receiver, each in its own file. `skins.rs` has the paths of people who are meshes.
 
 use std::sync::{Arc, Mutex};
 
@@ -36,24 +36,24 @@ mod truth;
 
 pub use report::{FrameReport, PersonState};
 
-/// Distance below the noise of a cell at which a path is left out, dB: those of 10 dB below it add half a decibel to a cell
-/// that stands just above it.
+/// Returns the distance below the noise of a cell at which a path is left out, dB. Paths 10 dB below it add half a
+/// decibel to a cell just above noise.
 fn margin_db(tolerance_db: f64) -> f64 {
     10.0 - 20.0 * (tolerance_db / 0.5).log10()
 }
 
-/// Choices beside the scene.
+/// Options of a simulation other than the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulateOptions {
-    /// All random draws depend on it.
+    /// Seed of all random draws.
     pub seed: u64,
-    /// Greatest number of people (slots of visits, people at a desk, actors); the scene's own number if `None`, and
-    /// 0 for an empty room.
+    /// Largest number of people (slots of visits, people at a desk, actors): the scene's own number if `None`, and 0
+    /// for an empty room.
     pub people: Option<usize>,
-    /// End after this many frames; endless if `None`.
+    /// Number of frames; endless if `None`.
     pub frames: Option<u64>,
-    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
-    /// and how finely the rest is integrated follows from it.
+    /// Error, dB, of the echoes in the maps, rms over the cells in which they exceed the receiver's noise. It
+    /// determines which echoes are left out and how finely the rest is integrated.
     pub tolerance_db: f64,
 }
 
@@ -63,19 +63,19 @@ impl Default for SimulateOptions {
     }
 }
 
-/// Everything about a scene and a seed that frames share.
+/// State of a scene and a seed that all frames share.
 #[derive(Debug)]
 pub(crate) struct FrameSimulator {
     pub(crate) scene: Scene,
     pub(crate) options: SimulateOptions,
     scenario: Scenario,
-    /// Where people count as in the room.
+    /// Floor area in which people count as in the room.
     floor: Floor,
     prepared: PreparedScene,
-    /// Points of the walls that each segment of a body takes.
+    /// Number of wall points that each segment of a body takes.
     points_a_segment: usize,
     sway: SwayingReflectors,
-    /// Errors that all echoes of a chirp share; `None` where there are none.
+    /// Errors common to all echoes of a chirp; `None` where there are none.
     turns: Option<ChirpTurns>,
     /// Spurious tones of each receiver.
     spurs: Vec<Spurs>,
@@ -86,12 +86,12 @@ pub(crate) struct FrameSimulator {
     leakage_jitter: f64,
     phase_rates: Option<PhaseRates>,
     integrator: Integrator,
-    /// People as meshes, those last seen at the end; none where people are ellipsoids.
+    /// Cached meshes of people, the most recently used last; empty where people are ellipsoids.
     skins: Mutex<Vec<(Arc<Motion>, Arc<SkinnedPerson>)>>,
 }
 
 impl FrameSimulator {
-    /// Traces what is static, draws who comes.
+    /// Traces the static paths and draws the people.
     pub(crate) fn new(scene: &Scene, options: SimulateOptions) -> Self {
         let prepared = PreparedScene::new(scene, options.seed, margin_db(options.tolerance_db));
         let waveform = scene.waveform();
@@ -136,7 +136,7 @@ impl FrameSimulator {
         self.simulate_from(index, self.start_s(index), frame)
     }
 
-    /// The same with its first chirp at another time.
+    /// Simulates a frame whose first chirp is at another time.
     pub(crate) fn simulate_from(&self, index: u64, start_s: f64, frame: &mut Frame) -> FrameReport {
         let waveform = self.waveform();
         let shape: FrameShape = waveform.shape();
@@ -151,7 +151,7 @@ impl FrameSimulator {
         let motions = self.motions(start_s);
         let instants = self.instants(&motions, start_s, None);
         let mut traced = self.traced(&instants, None);
-        // Bodies that paths were traced by are known by now.
+        // Tracing has already computed the bodies.
         let body = |person: usize, quarter: usize| instants.body_at_quarter(person, quarter);
         frame.truth = Some(self.truth_of(&motions, start_s, body));
         self.add_sway(start_s, &mut traced);
@@ -166,7 +166,7 @@ impl FrameSimulator {
         report
     }
 
-    /// Motions of all people who are there in a frame.
+    /// Returns the motions of all people present in a frame.
     fn motions(&self, start_s: f64) -> Vec<Arc<Motion>> {
         self.scenario.between(start_s, start_s + self.active_s()).into_iter().map(|(_, motion)| motion).collect()
     }
@@ -179,13 +179,13 @@ impl FrameSimulator {
         index as f64 * self.waveform().frame_interval_s()
     }
 
-    /// From the first sample of a frame to its last chirp's middle, s.
+    /// Returns the duration of a frame's chirps, s.
     fn active_s(&self) -> f64 {
         let w = self.waveform();
         w.request.chirps_per_frame as f64 * w.chirp_interval_s
     }
 
-    /// Middle of a chirp, counted from the frame's first sample, s.
+    /// Returns the middle of a chirp, relative to the frame's first sample, s.
     fn middle_s(&self, chirp: usize) -> f64 {
         chirp as f64 * self.waveform().chirp_interval_s + self.prepared.chirp.middle_s
     }

@@ -1,4 +1,5 @@
-//! Everybody's paths in a frame: specular points at as many keys as each takes, diffuse echoes, and what sways.
+//! Paths of all people in a frame: specular points with as many key times as each needs, diffuse echoes, and swaying
+//! reflectors.
 
 use std::sync::Arc;
 
@@ -11,32 +12,32 @@ use crate::scene_file::BodyFile;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
 use crate::tracks::Tracks;
 
-/// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
-/// skins between them are not predicted well enough.
+/// Initial number of times that a frame is halved into intervals, for shadows and skins. The intervals are halved again
+/// (quarters, eighths) while the interpolation error of skins is too large.
 pub(super) const FIRST_HALVINGS: u32 = 1;
-/// Most of that.
+/// Largest number of halvings for skins.
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
-/// Error that is allowed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector
-/// magnitude): weak paths have cells of their own in a map, where nothing stronger hides their errors.
+/// Allowed interpolation error between key times of an ellipsoid's echo for half a decibel, relative to it (-40 dB of
+/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors.
 const KEY_TOLERANCE: f64 = 0.01;
 
-/// Everybody's paths in a frame.
+/// Paths of all people in a frame.
 pub(super) struct Traced {
-    /// `[end of a stretch][person]`.
+    /// Snapshots of people: `[end of an interval][person]`.
     pub(super) snapshots: Vec<Vec<Snapshot>>,
-    /// Number of times that the frame is halved into those stretches.
+    /// Number of times that the frame is halved into those intervals.
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,
-    /// Diffuse echoes in each stretch of a frame that may be halved less often; none where walls throw nothing about.
+    /// Diffuse echoes in each interval of a frame that may be halved less often; empty where walls do not scatter.
     pub(super) diffuse: Vec<HeldEchoes>,
-    /// Echoes of those who have a skin.
+    /// Echoes of people who have skins.
     pub(super) skins: Option<ChirpGrids>,
     pub(super) report: FrameReport,
 }
 
 impl Traced {
-    /// The same paths, each times `j` and its delay.
+    /// Returns the same paths, each times `j` and its delay.
     pub(super) fn by_delay(&mut self) -> Self {
         Traced {
             snapshots: Vec::new(),
@@ -48,20 +49,22 @@ impl Traced {
         }
     }
 
-    /// People as columns in other paths' way, at the ends of stretches.
+    /// Returns people as columns that obstruct other paths, at the ends of intervals.
     pub(super) fn columns(&self) -> Vec<Vec<Column>> {
         self.snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
     }
 }
 
 impl FrameSimulator {
-    /// Everybody in a frame, at the times that its paths may take if they are halved this often.
+    /// Returns the motions of people in a frame, at the times that its paths may need if the frame is halved this
+    /// often.
     pub(super) fn instants<'a>(&self, motions: &'a [Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Instants<'a> {
         let most = MOST_HALVINGS.max(MOST_SKIN_HALVINGS).max(halvings.unwrap_or(0));
         Instants::new(motions, start_s, self.active_s(), most)
     }
 
-    /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
+    /// Traces the paths of all people in a frame, with as many key times as accuracy requires, or halved `halvings`
+    /// times.
     pub(super) fn traced(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
         let mut traced = match self.scene.file().people.body {
             BodyFile::Mesh => self.traced_skins(instants, halvings),
@@ -73,8 +76,8 @@ impl FrameSimulator {
         traced
     }
 
-    /// Adds what walls throw in all directions, in halves of the frame: a quintic between them follows a segment's middle even
-    /// where skins need more.
+    /// Adds the diffuse echoes of walls, in halves of the frame. A quintic between them follows the centre of a segment
+    /// even where skins need shorter intervals.
     fn add_diffuse(&self, people: usize, traced: &mut Traced) {
         let halvings = traced.halvings.min(FIRST_HALVINGS);
         let stretch_s = self.active_s() / f64::from(1u32 << halvings);
@@ -87,7 +90,7 @@ impl FrameSimulator {
         }
     }
 
-    /// Specular points of people who are ellipsoids.
+    /// Traces the specular points of people modelled as ellipsoids.
     fn traced_specular_points(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
         let (paths, echo_report) = self.keyed_paths(instants, halvings);
         let report = FrameReport {
@@ -104,10 +107,11 @@ impl FrameSimulator {
         Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
     }
 
-    /// Everybody's paths, each at as many keys as it takes.
+    /// Samples the paths of all people, each at as many key times as it needs.
     fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
         let demand = KeyDemand {
-            // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
+            // The limit is 6 dB below a path alone in its cell, since many weak paths add up; the limit of errors is
+            // lower still.
             heard_lsb: HEARD * self.prepared.threshold_lsb,
             least_lsb: 0.02 * self.prepared.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
@@ -116,7 +120,7 @@ impl FrameSimulator {
         };
         let mut paths = KeyedPaths::default();
         let mut report = EchoReport::default();
-        // Whether a path is heard is asked at the ends and in the middle.
+        // Audibility is tested at the ends and in the middle of the frame.
         let asked_s = [0.0, 0.5, 1.0].map(|part| instants.start_s() + part * self.active_s());
         for (me, motion) in instants.motions().iter().enumerate() {
             let pairs = audible_paths(&self.prepared, motion, &asked_s);
@@ -131,7 +135,7 @@ impl FrameSimulator {
         self.sway.add(start_s, self.active_s(), &columns, self.prepared.wavelength_m, &mut traced.tracks);
     }
 
-    /// Ends of a frame's stretches, s.
+    /// Returns the ends of a frame's intervals, s.
     pub(super) fn ends_s(&self, start_s: f64, halvings: u32) -> Vec<f64> {
         let stretches = 1u32 << halvings;
         (0..=stretches).map(|k| start_s + self.active_s() * f64::from(k) / f64::from(stretches)).collect()

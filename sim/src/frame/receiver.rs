@@ -1,4 +1,4 @@
-//! Output of the receivers for a frame's grids: samples, leakage, noise, spurious tones, codes.
+//! Receiver output for a frame's grids: samples, leakage, noise, spurious tones, codes.
 
 use radome_dsp::Frame;
 use rand_distr::{Distribution, StandardNormal};
@@ -25,16 +25,16 @@ struct Scratch {
     chirp: Vec<f32>,
 }
 
-/// Inputs of phase noise in a frame: everybody's paths by delay, and the phase's rates.
+/// Inputs of phase noise in a frame: the paths of all people times their delays, and the rates of the phase.
 pub(super) struct NoisyPhase<'a> {
     pub(super) traced: Traced,
     pub(super) rates: &'a PhaseRates,
 }
 
-/// Everything that the receivers' parts of a frame share.
+/// Inputs of a frame that all receivers share.
 pub(super) struct OfFrame<'a> {
     pub(super) index: u64,
-    /// Its first sample, s.
+    /// Time of the first sample, s.
     pub(super) start_s: f64,
     pub(super) traced: &'a Traced,
     pub(super) phase: Option<&'a NoisyPhase<'a>>,
@@ -43,7 +43,7 @@ pub(super) struct OfFrame<'a> {
     pub(super) turns: &'a [ChirpTurn],
 }
 
-/// Additions of one receiver to the echoes of a frame, chirp after chirp.
+/// Additions of one receiver to the echoes of a frame, in the order of its chirps.
 struct Channel<'a> {
     noise: Xoshiro256PlusPlus,
     phase_noise: Xoshiro256PlusPlus,
@@ -56,7 +56,7 @@ struct Channel<'a> {
 }
 
 impl FrameSimulator {
-    /// Samples of all receivers of a frame; returns how many lie at an end of the ADC's range.
+    /// Computes the samples of all receivers of a frame. Returns the number of samples at an end of the ADC's range.
     pub(super) fn simulate_channels(&self, of_frame: &OfFrame, frame: &mut Frame) -> usize {
         let &OfFrame { index, start_s, traced, phase, clutter, turns } = of_frame;
         let shape = self.waveform().shape();
@@ -91,14 +91,14 @@ impl FrameSimulator {
         clipped
     }
 
-    /// Additions of a receiver to the echoes of a frame.
+    /// Prepares the additions of a receiver to the echoes of a frame.
     fn channel(&self, rx: usize, index: u64) -> Channel<'_> {
         let seed = self.options.seed;
-        // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
+        // Runs of one seed with other numbers of people use other noise, so that their empty frames are not copies.
         let people = self.options.people.map_or(0, |people| people as u64 + 1) << 32;
         Channel {
             noise: generator(seed, Purpose::Noise, [index, people | rx as u64]),
-            // The same phase in all receivers.
+            // Phase noise is the same in all receivers.
             phase_noise: generator(seed, Purpose::PhaseNoise, [index, 0]),
             spurs: self.spurs.get(rx).map(|spurs| (spurs, spurs.phases(index))),
             offset: self.offset(rx, index),
@@ -107,7 +107,7 @@ impl FrameSimulator {
         }
     }
 
-    /// Factor on the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
+    /// Computes the factor on the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
     fn by_delay(&self, phase: &NoisyPhase, clutter: &Clutter, turns: &[ChirpTurn]) -> Vec<f32> {
         let shape = self.waveform().shape();
         let grids = self.static_grids(clutter, true);
@@ -125,7 +125,7 @@ impl FrameSimulator {
         all
     }
 
-    /// Offset (LSB) and factor on leakage of a channel in a frame.
+    /// Returns the offset (LSB) and the factor on leakage of a channel in a frame.
     fn offset(&self, rx: usize, index: u64) -> (f32, f32) {
         let receiver = self.scene.receiver();
         let t = self.start_s(index);
@@ -133,7 +133,7 @@ impl FrameSimulator {
         let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
         let phases = drift_phases(self.options.seed, [rx as u64, 1]);
         let dc = self.prepared.channels.get(rx).map_or(2048.0, |c| c.dc_code);
-        // There and back between the limits.
+        // The offset moves back and forth between the limits.
         let limit = receiver.drift.dc_limit_lsb.max(1e-9);
         let walked = (receiver.drift.dc_lsb_per_s * t + limit).rem_euclid(4.0 * limit);
         let wander = if walked < 2.0 * limit { walked - limit } else { 3.0 * limit - walked };

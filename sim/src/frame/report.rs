@@ -2,41 +2,41 @@
 
 use glam::DVec3;
 
-/// Place of a person in a frame.
+/// State of a person in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PersonState {
-    /// Slot: the same person keeps it over a visit.
+    /// Slot, which a person keeps over a visit.
     pub slot: usize,
     /// Middle of the chest, m, in the room.
     pub position: DVec3,
-    /// Its velocity, m/s.
+    /// Velocity of the middle of the chest, m/s.
     pub velocity: DVec3,
     /// Distance from the radar, m.
     pub range_m: f64,
     /// Radial speed, positive receding, m/s.
     pub radial_speed_m_per_s: f64,
-    /// Whether any part is in the room.
+    /// Whether any part of the body is in the room.
     pub in_room: bool,
 }
 
-/// Cost of making a frame.
+/// Counters and error estimates of a simulated frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FrameReport {
-    /// Static paths.
+    /// Number of static paths.
     pub static_paths: usize,
-    /// Moving paths that were evaluated at the keys.
+    /// Number of moving paths that were evaluated at the key times.
     pub traced_paths: usize,
-    /// Those of them that are strong enough to be heard, and so were synthesised.
+    /// Number of moving paths that exceed the audibility threshold and were synthesised.
     pub moving_paths: usize,
-    /// Key times, of the path that took the most.
+    /// Number of key times of the path that needed the most.
     pub keys: usize,
-    /// Estimated error of interpolation between keys, relative to the echoes, rms by power.
+    /// Estimated error of interpolation between key times, relative to the echoes, rms by power.
     pub between_keys: f64,
-    /// Estimated error of the strongest way's echoes where people have skins, dB; `None` where they are ellipsoids, whose
-    /// specular points are closed forms.
+    /// Estimated error of the strongest path's echoes where people have skins, dB; `None` where they are ellipsoids,
+    /// whose specular points are closed forms.
     pub estimate_db: Option<f64>,
-    /// Amplitudes clamped because an antenna was nearer than 10 cm, or inside a body.
+    /// Number of amplitudes clamped because an antenna was nearer than 10 cm, or inside a body.
     pub clamped: usize,
-    /// Codes at either end of the ADC.
+    /// Number of codes at either end of the ADC's range.
     pub clipped: usize,
 }

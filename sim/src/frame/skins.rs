@@ -1,4 +1,4 @@
-//! Echoes of people who have skins.
+//! Echoes of people modelled as skins.
 
 use std::sync::{Arc, PoisonError};
 
@@ -19,13 +19,13 @@ use crate::scene_file::BodyFile;
 use crate::synthesis::ChirpGrids;
 use crate::tracks::Tracks;
 
-/// Error that is allowed between keys of all of a skin's echoes, relative to them, for half a decibel.
+/// Allowed interpolation error between key times of all of a skin's echoes, relative to them, for half a decibel.
 const SKIN_KEY_TOLERANCE: f64 = 0.03;
-/// Skins of this many people are kept: those in the room, and who comes next.
+/// Number of skins that are kept: those of people in the room, and of the next ones.
 const MOST_SKINS: usize = 8;
 
 impl FrameSimulator {
-    /// Somebody's skin; `None` where people are ellipsoids.
+    /// Returns a person's skin; `None` where people are ellipsoids.
     fn skin(&self, motion: &Arc<Motion>) -> Option<Arc<SkinnedPerson>> {
         if self.scene.file().people.body != BodyFile::Mesh {
             return None;
@@ -45,13 +45,13 @@ impl FrameSimulator {
         Some(skin)
     }
 
-    /// Error budget of skins.
+    /// Returns the error budget of skins.
     fn budget(&self) -> ErrorBudget {
         let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
         ErrorBudget { tolerance_db: self.options.tolerance_db, noise_lsb }
     }
 
-    /// Echoes of everybody's skins, and what they miss.
+    /// Computes the echoes of all skins, and their errors.
     fn skin_echoes(
         &self,
         motions: &[Arc<Motion>],
@@ -82,7 +82,7 @@ impl FrameSimulator {
         (grids, most)
     }
 
-    /// Echoes of people who have skins, at keys that are close enough together or as asked.
+    /// Traces people who have skins, with key times as close as accuracy requires, or halved `asked` times.
     pub(super) fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
         let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
         loop {
@@ -109,7 +109,8 @@ impl FrameSimulator {
         }
     }
 
-    /// Samples of people's echoes the slow way ([`dense`]), LSB: `[rx][chirp][sample]`; skins only.
+    /// Computes the samples of people's echoes with the reference method ([`dense`]), LSB: `[rx][chirp][sample]`; skins
+    /// only.
     pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
         let shape = self.waveform().shape();
         let chirp = |chirp| self.dense_echo_chirp(index, chirp, margin_db);
@@ -117,7 +118,7 @@ impl FrameSimulator {
         (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
     }
 
-    /// One chirp of that: `[rx][sample]`.
+    /// Computes one chirp with the reference method: `[rx][sample]`.
     pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
         let motions = self.motions(start_s);

@@ -1,4 +1,4 @@
-//! People in the room in a frame.
+//! Ground truth of a frame: people in the room.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use crate::em::specular::Ellipsoid;
 use crate::people::body::{CHEST, SEGMENTS, half_extent};
 use crate::people::motion::Motion;
 
-/// Truth is looked up at this many times of a frame: its quarters.
+/// Number of times in a frame at which truth is evaluated: its quarters.
 const TRUTH_TIMES: usize = 5;
 
 impl FrameSimulator {
@@ -21,12 +21,12 @@ impl FrameSimulator {
         })
     }
 
-    /// Time at which truth is looked up, s.
+    /// Returns the time at which truth is evaluated, s.
     fn truth_time_s(&self, start_s: f64, time: usize) -> f64 {
         start_s + self.active_s() * time as f64 / (TRUTH_TIMES - 1) as f64
     }
 
-    /// Ground truth of a frame, given the bodies of people by the number of the time.
+    /// Computes the ground truth of a frame, given the bodies of people by the index of the time.
     pub(super) fn truth_of(
         &self,
         motions: &[Arc<Motion>],

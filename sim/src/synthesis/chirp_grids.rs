@@ -1,14 +1,15 @@
-//! Frequency grids of every chirp of a frame, on which moving echoes are laid down.
+//! Frequency grids of every chirp of a frame, to which moving echoes are added.
 //!
-//! In a block of eight chirps an echo is laid down around one place of the grid, the nearest for which taps of the kernel are kept.
-//! How far a chirp's tone lies from that place goes with the kernel's derivative, as does where around its path the echo comes
-//! from: to first order a tone that is moved is its derivative. An eighth of a cell aside that misses 0.9 % of the amplitude (rms
-//! over the chirp), and an echo that moves by more than a quarter of a cell in a block is laid down in parts of it.
+//! In a block of eight chirps an echo is added around one position of the grid, the nearest for which taps of the
+//! kernel are stored. The offset of a chirp's tone from it, and the offset of the echo's origin from its path, use the
+//! derivative of the kernel: to first order a displaced tone is the tone plus its derivative. For an eighth of a cell
+//! the error is 0.9 % of the amplitude (rms over the chirp). An echo that moves by more than a quarter of a cell in a
+//! block is added in parts.
 //!
-//! Receivers share the path's phases and the place. What differs between them changes so slowly that it is a parabola over the
-//! frame.
+//! Receivers share the phases of the path and the position. Their differences change so slowly that a parabola over the
+//! frame represents them.
 
-// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
 
 use num_complex::Complex;
@@ -20,9 +21,9 @@ use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
-/// An echo moves by no more than this while its place is held, cells.
+/// Largest movement of an echo while its position is held, cells.
 const HELD_CELLS: f64 = 0.25;
-/// Echoes come from no farther beside their path, wavelengths.
+/// Largest offset of an echo's origin from its path, wavelengths.
 const REACH: f32 = 40.0;
 
 /// Frequency grids of every chirp of a frame, for each receiver: `[receiver][block of chirps]`.
@@ -31,12 +32,12 @@ pub struct ChirpGrids {
     blocks: Vec<Vec<Grids>>,
     kernel: EchoKernel,
     level: KernelLevel,
-    /// The same echoes times `j` and their delays, where that is asked for.
+    /// The same echoes times `j` and their delays, if requested.
     by_delay: Option<Box<ChirpGrids>>,
 }
 
-/// Kernel with which echoes are laid down: taps at the places between cells that are kept, and their derivatives by the tone's
-/// place, in cells.
+/// Kernel for adding echoes: taps at the quantised positions between cells, and their derivatives by the tone's
+/// position, in cells.
 #[derive(Debug, Clone)]
 struct EchoKernel {
     taps: Vec<[f32; LANES]>,
@@ -44,52 +45,53 @@ struct EchoKernel {
     cells: f64,
 }
 
-/// A moving echo in eight consecutive chirps, whichever antennas hear it.
+/// Moving echo in eight consecutive chirps, independent of the receiver.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EchoChirps {
-    /// Path from which phases are counted, m.
+    /// Length of the reference path of phases, m.
     pub length_m: [f64; CHIRPS],
-    /// Rate of that, m/s.
+    /// Rate of the reference path, m/s.
     pub rate_m_per_s: [f32; CHIRPS],
-    /// Field but for that path's phase, as it multiplies `exp(-j ...)`: real and imaginary part.
+    /// Field without the reference path's phase, as it multiplies `exp(-j ...)`: real and imaginary part.
     pub field: [[f32; CHIRPS]; 2],
-    /// Moment of the field: the field times how much longer its paths are, in wavelengths. Where a patch ends amid an echo, its
-    /// strength changes with the chirp's frequency, and only with that do patches side by side add up to the whole.
+    /// Moment of the field: the field times the excess length of its paths, in wavelengths. If an echo extends over the
+    /// border of a patch, its strength changes with the chirp's frequency. Only with the moment do adjacent patches add
+    /// up to the whole.
     pub moment: [[f32; CHIRPS]; 2],
-    /// The field times what it is later by the antennas themselves than by their middles, rad, on the way there; on the way
-    /// back it is as much earlier.
+    /// Field times its phase lag with the actual antennas instead of their midpoints, rad, on the forward path. The
+    /// reverse path has the opposite sign.
     pub detoured: [[f32; CHIRPS]; 2],
 }
 
-/// Factors from an echo's field to LSB at one receiver, as it multiplies `exp(+j ...)`, by powers of the chirp's number.
+/// Factors from an echo's field to LSB at one receiver, as it multiplies `exp(+j ...)`, by powers of the chirp index.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EchoWay {
-    /// Sum over the way there and its reverse.
+    /// Sum over the forward path and its reverse.
     pub both: [Complex<f32>; 3],
-    /// The way there less its reverse: what detours are multiplied by.
+    /// Forward path minus its reverse: factor of the detour term.
     pub apart: [Complex<f32>; 3],
 }
 
-/// A moving echo in every chirp of a frame.
+/// Moving echo in every chirp of a frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Echo<'a> {
     /// Chirp constants.
     pub chirp: &'a Chirp,
     /// Wavelength at which the field was computed, m.
     pub wavelength_m: f64,
-    /// Ways by which each receiver hears it.
+    /// Echo factors for each receiver.
     pub ways: &'a [EchoWay],
     /// Blocks of chirps.
     pub chirps: &'a [EchoChirps],
 }
 
 impl ChirpGrids {
-    /// Empty grids.
+    /// Creates empty grids.
     pub fn new(synthesiser: &Synthesiser, receivers: usize, chirps: usize) -> Self {
         let blocks = vec![vec![synthesiser.grids(); chirps.div_ceil(CHIRPS)]; receivers];
         let mut slopes = [[0f32; LANES]; DEGREE];
         for (power, (slopes, taps)) in slopes.iter_mut().zip(&synthesiser.taps[1..]).enumerate() {
-            // The fraction of a cell falls from 1 to -1 while the place moves on by a cell.
+            // The fraction of a cell falls from 1 to -1 while the position advances by a cell.
             *slopes = taps.map(|c| -2.0 * (power + 1) as f32 * c);
         }
         let kernel = EchoKernel {
@@ -100,19 +102,19 @@ impl ChirpGrids {
         ChirpGrids { blocks, kernel, level: synthesiser.level, by_delay: None }
     }
 
-    /// Has every echo laid down once more, its field times `j` and its delay: what phase noise multiplies.
+    /// Adds second grids, in which every field is multiplied by `j` and its delay. Phase noise multiplies these.
     pub fn with_delays(mut self) -> Self {
         self.by_delay = Some(Box::new(self.clone()));
         self
     }
 
-    /// Those grids, LSB s.
+    /// Takes the grids multiplied by delay, LSB s.
     pub fn take_by_delay(&mut self) -> Option<ChirpGrids> {
         self.by_delay.take().map(|grids| *grids)
     }
 
-    /// Adds a moving echo to every chirp. Receivers are so close together, and a way and its reverse so alike, that its frequency
-    /// is the same for all of them.
+    /// Adds a moving echo to every chirp. The frequency is taken as equal for all receivers and for both directions of
+    /// the path, because they are close together.
     pub fn add(&mut self, echo: &Echo) {
         if let Some(grids) = &mut self.by_delay {
             lay_echo(grids.level, &grids.kernel, echo, true, &mut grids.blocks);
@@ -120,7 +122,7 @@ impl ChirpGrids {
         lay_echo(self.level, &self.kernel, echo, false, &mut self.blocks);
     }
 
-    /// Adds a block of chirps to another.
+    /// Adds a receiver's block of chirps to `grids`.
     pub(crate) fn add_block(&self, receiver: usize, block: usize, grids: &mut Grids) {
         if let Some(own) = self.blocks.get(receiver).and_then(|blocks| blocks.get(block)) {
             grids.add(own);
@@ -149,19 +151,19 @@ fn echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec
     }
 }
 
-/// An echo in a block of chirps with its phase, before any receiver's factor. Real and imaginary parts.
+/// Echo in a block of chirps with its phase, before any receiver's factor. Arrays hold real and imaginary parts.
 struct Turned {
     field: [Row; 2],
-    /// Field of detours, but for their factor.
+    /// Detour term of the field, without its factor.
     detoured: [Row; 2],
-    /// Field times how far it comes from beside the place of its tone, cells.
+    /// Field times the offset of its origin from the position of its tone, cells.
     beside: [Row; 2],
-    /// Place on the grid half-way between the first chirp and the last, cells, and each chirp's from there.
+    /// Position on the grid half-way between the first chirp and the last, cells, and each chirp's offset from it.
     middle: f64,
     apart: Row,
 }
 
-/// `None` where there is nothing.
+/// Computes the phase of an echo in a block; `None` where its power is zero.
 #[inline(always)]
 fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool) -> Option<Turned> {
     let EchoChirps { length_m, rate_m_per_s, field: [re, im], moment: [moment_re, moment_im], detoured } = chirps;
@@ -174,14 +176,15 @@ fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool)
     if power.is_nan() || power <= 0.0 {
         return None;
     }
-    // Where the echo comes from, wavelengths beside its path: the stationary point where there is one.
+    // Offset of the echo's origin from its path, wavelengths: the stationary point where there is one.
     let beside = (total(&along) / power).clamp(-REACH, REACH);
     let (per_m, cells_per_hz) = (1.0 / SPEED_OF_LIGHT_M_PER_S, kernel.cells / echo.chirp.sample_rate_hz);
     let beside_m = f64::from(beside) * echo.wavelength_m;
     let (mut cosine, mut sine, mut place) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f64; CHIRPS]);
     for i in 0..CHIRPS {
         let delay_s = (length_m[i] + beside_m) * per_m;
-        // The field holds the carrier's phase from the path to there at one frequency; the chirp's own is a little else.
+        // The field contains the phase from the path to there at one frequency; the chirp's frequency is slightly
+        // different.
         let cycles = echo.chirp.phase_cycles(delay_s) - f64::from(beside);
         let (c, s) = cos_sin_of_turns((cycles - nearest_integer(cycles)) as f32);
         let delayed = delay_s as f32;
@@ -193,10 +196,10 @@ fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool)
     let zero = [0f32; CHIRPS];
     let mut out = Turned { field: [zero; 2], detoured: [zero; 2], beside: [zero; 2], middle, apart: zero };
     for i in 0..CHIRPS {
-        // Conjugates, turned.
+        // Conjugates, rotated by the phase.
         let (c, s) = (cosine[i], sine[i]);
         (out.field[0][i], out.field[1][i]) = (re[i] * c + im[i] * s, re[i] * s - im[i] * c);
-        // What is later by a phase has it times minus j, of which the conjugate is taken.
+        // A phase lag is a factor of minus j times the phase, of which the conjugate is taken.
         let (x, y) = (detoured[0][i], detoured[1][i]);
         (out.detoured[0][i], out.detoured[1][i]) = (y * c - x * s, x * c + y * s);
         let (x, y) = (moment_re[i] - beside * re[i], moment_im[i] - beside * im[i]);
@@ -207,23 +210,23 @@ fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool)
     Some(out)
 }
 
-/// Sum over the chirps.
+/// Returns the sum over the chirps.
 #[inline(always)]
 fn total(of: &Row) -> f32 {
     ((of[0] + of[4]) + (of[2] + of[6])) + ((of[1] + of[5]) + (of[3] + of[7]))
 }
 
-/// Consecutive chirps that are laid down around one place.
+/// Consecutive chirps that are added around one position.
 #[derive(Clone, Copy, Default)]
 struct Run {
-    /// First cell under the kernel, and which of the places between cells theirs is.
+    /// First cell under the kernel, and index of the quantised position between cells.
     first: u32,
     place: usize,
-    /// Distance of that place from where the chirps' places are counted from, cells.
+    /// Offset of that position from the block's middle position, cells.
     from_middle: f32,
 }
 
-/// The runs of a block, and how many chirps each has.
+/// Returns the runs of a block, and the number of chirps of each.
 #[inline(always)]
 fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
     let apart = &turned.apart;
@@ -250,19 +253,19 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
     (runs, width)
 }
 
-/// Echo at a receiver in a block of chirps: the field, and the field times how far it comes from beside the tone's place,
-/// cells.
+/// Echo at a receiver in a block of chirps: the field, and the field times the offset of its origin from the tone's
+/// position, cells.
 struct Heard {
     field: [Row; 2],
     beside: [Row; 2],
 }
 
-/// `first` is the number of the block's first chirp.
+/// Applies a receiver's factors. `first` is the index of the block's first chirp.
 #[inline(always)]
 fn heard(way: &EchoWay, turned: &Turned, first: f32) -> Heard {
     let ([a, b, c], [d, e, f]) = (way.both, way.apart);
     let (field, detoured, beside) = (&turned.field, &turned.detoured, &turned.beside);
-    // Rows of their own: sums in place would be computed one lane at a time.
+    // Separate rows: in-place sums would be computed one lane at a time.
     let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     let (mut beside_re, mut beside_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
@@ -277,7 +280,7 @@ fn heard(way: &EchoWay, turned: &Turned, first: f32) -> Heard {
     Heard { field: [re, im], beside: [beside_re, beside_im] }
 }
 
-/// Lays an echo down around one place of the grid.
+/// Adds an echo around one position of the grid.
 #[inline(always)]
 fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, heard: &Heard, cells: &mut [Cell]) {
     let (Some(taps), Some(slopes)) = (kernel.taps.get(run.place), kernel.slopes.get(run.place)) else { return };
@@ -289,7 +292,7 @@ fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, heard: &Heard, cells: &mut [
         moved_re[i] = heard.beside[0][i] + aside * re[i];
         moved_im[i] = heard.beside[1][i] + aside * im[i];
     }
-    // Written out, as all loops over taps are.
+    // Unrolled, like all loops over taps.
     add(c0, [re, im], taps[0], [&moved_re, &moved_im], slopes[0]);
     add(c1, [re, im], taps[1], [&moved_re, &moved_im], slopes[1]);
     add(c2, [re, im], taps[2], [&moved_re, &moved_im], slopes[2]);
@@ -298,7 +301,7 @@ fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, heard: &Heard, cells: &mut [
     add(c5, [re, im], taps[5], [&moved_re, &moved_im], slopes[5]);
 }
 
-/// Adds phasors times a tap, and how they are moved times its slope.
+/// Adds phasors times a tap, and their displacement times its slope.
 #[inline(always)]
 fn add(cell: &mut Cell, [re, im]: [&Row; 2], tap: f32, [moved_re, moved_im]: [&Row; 2], slope: f32) {
     for i in 0..CHIRPS {
@@ -307,7 +310,7 @@ fn add(cell: &mut Cell, [re, im]: [&Row; 2], tap: f32, [moved_re, moved_im]: [&R
     }
 }
 
-/// Lays an echo down in runs of so many chirps, each around its place.
+/// Adds an echo in runs of `width` chirps, each around its position.
 #[inline(always)]
 fn lay_in_runs(
     kernel: &EchoKernel,
@@ -341,18 +344,18 @@ mod tests {
     use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 
     const SAMPLES: usize = 256;
-    /// Not whole blocks.
+    /// Number of chirps, which is not a multiple of a block.
     const COUNT: usize = 60;
     const INTERVAL_S: f64 = 5e-4;
     const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
 
-    /// Two places close together whose path grows and bends.
+    /// Two points close together whose path length is quadratic in time.
     struct Source {
-        /// By powers of time.
+        /// Path length by powers of time.
         length_m: [f64; 3],
-        /// Excess length of the path, m, field, and phase by which it is later by the antennas themselves, rad.
+        /// Excess length of the path, m, field, and phase lag due to the actual antennas, rad.
         places: [(f64, Complex64, f64); 2],
-        /// Factor of each receiver, and what it is later on the way there and on the reverse, m.
+        /// Factor of each receiver, and its excess length on the forward path and on the reverse, m.
         receivers: [(f64, [f64; 2]); 2],
     }
 
@@ -360,7 +363,7 @@ mod tests {
         SPEED_OF_LIGHT_M_PER_S / (CHIRP.start_hz + CHIRP.slope_hz_per_s * CHIRP.middle_s)
     }
 
-    /// Paths of 2 to 20 m that grow by up to `speed_m_per_s`.
+    /// Returns sources with paths of 2 to 20 m and rates up to `speed_m_per_s`.
     fn sources(count: usize, speed_m_per_s: f64) -> Vec<Source> {
         let mut rng = generator(8, Purpose::Noise, [0, 0]);
         let mut source = || {
@@ -379,7 +382,7 @@ mod tests {
         [a + t * (b + t * c), b + 2.0 * t * c]
     }
 
-    /// Every place by every way as a tone of its own.
+    /// Returns a separate tone for every point and path.
     fn tones(source: &Source, receiver: usize, chirp: usize) -> Vec<Tone> {
         let [length_m, rate_m_per_s] = length_m(source, chirp);
         let (factor, later_m) = source.receivers[receiver];
@@ -387,7 +390,7 @@ mod tests {
         for (beside_m, field, detour_rad) in source.places {
             for (later_m, sign) in [(later_m[0], 1.0), (later_m[1], -1.0)] {
                 let delay_s = (length_m + beside_m + later_m) / SPEED_OF_LIGHT_M_PER_S;
-                // The field's own phase is given, so that of the way beside the path is taken out.
+                // The field already contains the phase of the offset, so that phase is removed.
                 let cycles = CHIRP.phase_cycles(delay_s) - beside_m / wavelength_m();
                 let amplitude = field.conj() * Complex64::from_polar(factor, sign * detour_rad);
                 tones.push(Tone {
@@ -452,7 +455,7 @@ mod tests {
         samples
     }
 
-    /// Slow echoes and some that are laid down in runs, against every place and way as a tone of its own.
+    /// Compares slow echoes, and fast ones added in runs, with separate tones for every point and path.
     #[test]
     fn echoes_are_those_of_their_places_and_ways() {
         for (speed_m_per_s, most_db) in [(3.0, -40.0), (60.0, -34.0)] {

@@ -1,21 +1,22 @@
-//! Taps of least squares: what lies on a few cells of a grid, so that their tones add up to one between them.
+//! Least-squares taps: weights of a few cells of a grid whose tones sum to a tone between them.
 
 use super::held::PLACES;
 
-/// Keeps the sums of squares regular where there are fewer points than taps.
+/// Regularisation of the normal equations where there are fewer points than taps.
 const LEAST_EIGENVALUE: f64 = 1e-6;
 
-/// A point of the domain that a grid is transformed to: a sample of a chirp, or a chirp of a run.
+/// Point of the domain to which a grid is transformed: a sample of a chirp, or a chirp of a run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point {
-    /// Factor of the transformed grid there.
+    /// Factor of the transformed grid at the point.
     pub(super) weight: f64,
-    /// Angle there of a tone one cell up, rad.
+    /// Angle at the point of a tone one cell up, rad.
     pub(super) angle: f64,
 }
 
-/// Taps at the places between cells that are kept, `[place][tap]`: those with the least squared error over all points. What they
-/// should add up to at a point is `wanted` of the point and the tone's angle there, rad, and even in both together.
+/// Computes the taps at quantised positions between cells, `[position][tap]`, with the least squared error over all
+/// points. `wanted` gives the desired sum at a point from the point and the tone's angle there, rad; it must be even in
+/// both together.
 pub(super) fn fitted_taps<const N: usize>(points: &[Point], wanted: impl Fn(&Point, f64) -> f64) -> Vec<[f32; N]> {
     let sum = |of: &dyn Fn(&Point) -> f64| -> f64 { points.iter().map(of).sum() };
     let products: [f64; N] =
@@ -35,7 +36,8 @@ pub(super) fn fitted_taps<const N: usize>(points: &[Point], wanted: impl Fn(&Poi
     (0..PLACES).map(at).collect()
 }
 
-/// Lower triangle whose product with its transpose a positive definite matrix is.
+/// Returns the Cholesky factor of a positive definite matrix: the lower triangle whose product with its transpose is
+/// the matrix.
 fn cholesky<const N: usize>(matrix: &[[f64; N]; N]) -> [[f64; N]; N] {
     let mut root = [[0.0; N]; N];
     for row in 0..N {
@@ -48,7 +50,7 @@ fn cholesky<const N: usize>(matrix: &[[f64; N]; N]) -> [[f64; N]; N] {
     root
 }
 
-/// Solution of the equations whose matrix has this root.
+/// Solves the equations whose matrix has this Cholesky factor.
 fn solved<const N: usize>(root: &[[f64; N]; N], right: [f64; N]) -> [f64; N] {
     let mut x = right;
     for row in 0..N {

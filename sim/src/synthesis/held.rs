@@ -1,15 +1,16 @@
-//! Many weak echoes of random phases: exact in phase, held in place.
+//! Synthesis of many weak echoes of random phases, with exact phases and held grid positions.
 //!
-//! For a run of chirps (a block at most) an echo keeps its amplitude and its place on the frequency grid, both those of the run's
-//! middle, while its phase at the middle of the band goes on quadratically from there in every chirp. A run is cut where the echo
-//! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. Between there and the run's middle a tone of `d` cells
-//! aside is wrong by `0.9 d` of its own amplitude (rms over the chirp): -30 dB at the worst speed, -48 dB by the places between
-//! cells for which taps are kept, and far less where an echo moves slowly. It lies on four cells, with taps of least squares:
-//! -50 dB, where the six taps of the kernel, which other paths need, have -104. Receivers beside the first differ by a complex factor,
-//! held for the run. Where echoes are a field of random phases this is lost in it: the power at each delay and rate is what it is.
+//! For a run of chirps (a block at most) an echo keeps its amplitude and its position on the frequency grid, both those
+//! of the run's middle. Its phase at the middle of the band is quadratic over the chirps. A run is split where the echo
+//! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone `d` cells aside has an error of `0.9 d`
+//! of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due to the quantised positions
+//! of the taps, and far less where an echo moves slowly. An echo occupies four cells, with least-squares taps: -50 dB,
+//! where the six taps of the kernel, which other paths need, have -104. Further receivers differ by a complex factor,
+//! held for the run. In a field of echoes with random phases these errors are negligible: the power at each delay and
+//! rate is preserved.
 //!
-//! Anchors of eight echoes are computed side by side in f64, then each echo's eight chirps in f32. The bodies are plain Rust,
-//! compiled for each level of instructions.
+//! The anchors of eight echoes are computed in parallel in f64, then each echo's eight chirps in f32. The bodies are
+//! plain Rust, compiled for each instruction set.
 
 use num_complex::Complex64;
 
@@ -20,45 +21,46 @@ use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::math::quintic;
 use crate::tracks::OTHERS;
 
-/// Echoes side by side.
+/// Number of echoes in a pack.
 pub(super) const ECHOES: usize = 8;
-/// Receivers at most.
+/// Largest number of receivers.
 pub(super) const RECEIVERS: usize = 1 + OTHERS;
-/// Places between two cells for which the kernel's taps are kept.
+/// Number of quantised positions between two cells, each with its taps.
 pub(super) const PLACES: u32 = 64;
-/// An echo moves by no more than this while its place is held, cells.
+/// Largest movement of an echo while its position is held, cells.
 const HELD_CELLS: f32 = 1.0 / 8.0;
 
-/// An echo within one stretch.
+/// Echo within one interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeldEcho {
-    /// Delay, s, and its first and second derivative by time, s/s and 1/s, at both ends.
+    /// Delay, s, and its first and second time derivative, s/s and 1/s, at both ends.
     pub delay: [[f64; 3]; 2],
     /// Amplitude at the first receiver at both ends, LSB, as it multiplies `exp(+j 2 pi ...)`.
     pub amplitude: [Complex64; 2],
-    /// For each further receiver: delay beyond the first one's at both ends, s, and amplitude over the first one's.
+    /// Differences of each further receiver: delay beyond the first one's at both ends, s, and amplitude over the first
+    /// one's.
     pub others: [([f64; 2], f64); OTHERS],
 }
 
-/// Differences of a receiver from the first one, for echoes side by side.
+/// Differences of a receiver from the first one, for a pack of echoes.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Beside {
-    /// Delay at the beginning, s, and its change over the stretch.
+    /// Delay at the beginning, s, and its change over the interval.
     pub(super) delay_s: [[f32; ECHOES]; 2],
     ratio: [f32; ECHOES],
 }
 
-/// Echoes side by side, as polynomials of `u` in 0..1.
+/// Pack of echoes, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pack {
     delay_s: [[f64; ECHOES]; 6],
-    /// Amplitude at the beginning, and its change over the stretch.
+    /// Amplitude at the beginning, and its change over the interval.
     pub(super) re: [[f32; ECHOES]; 2],
     pub(super) im: [[f32; ECHOES]; 2],
     pub(super) others: [Beside; OTHERS],
 }
 
-/// Echoes within one stretch.
+/// Echoes within one interval.
 #[derive(Debug, Clone)]
 pub struct HeldEchoes {
     packs: Vec<Pack>,
@@ -67,37 +69,37 @@ pub struct HeldEchoes {
 }
 
 impl HeldEchoes {
-    /// No echoes, within a stretch of this duration.
+    /// Creates an empty list for an interval of this duration, s.
     pub fn new(stretch_s: f64) -> Self {
         HeldEchoes { packs: Vec::new(), count: 0, stretch_s }
     }
 
-    /// Number of echoes.
+    /// Returns the number of echoes.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no echoes.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
 
-    /// Room for so many more echoes.
+    /// Reserves room for more echoes.
     pub fn reserve(&mut self, echoes: usize) {
         self.packs.reserve(echoes.div_ceil(ECHOES));
     }
 
-    /// The echoes, eight side by side.
+    /// Returns the echoes in packs of eight.
     pub(super) fn packs(&self) -> &[Pack] {
         &self.packs
     }
 
-    /// Duration of the stretch, s.
+    /// Returns the duration of the interval, s.
     pub(super) fn stretch_s(&self) -> f64 {
         self.stretch_s
     }
 
-    /// Adds an echo: a quintic in delay between both ends, a line in amplitude.
+    /// Adds an echo, with a delay that is quintic between both ends and an amplitude that is linear.
     pub fn push(&mut self, echo: &HeldEcho) {
         let stretch_s = self.stretch_s;
         let (pack, e) = self.next_lane();
@@ -114,14 +116,14 @@ impl HeldEchoes {
         }
     }
 
-    /// Removes all echoes, for others within a stretch of this duration.
+    /// Removes all echoes, and sets the duration of the interval, s.
     pub(super) fn clear(&mut self, stretch_s: f64) {
         self.packs.clear();
         self.count = 0;
         self.stretch_s = stretch_s;
     }
 
-    /// Adds one echo of eight that lie side by side within a stretch of the same duration.
+    /// Adds one echo of a pack from an interval of the same duration.
     pub(super) fn push_lane(&mut self, from: &Pack, lane: usize) {
         let (pack, e) = self.next_lane();
         for (to, row) in pack.delay_s.iter_mut().zip(&from.delay_s) {
@@ -138,7 +140,7 @@ impl HeldEchoes {
         }
     }
 
-    /// Where one more echo goes.
+    /// Returns the pack and lane of a new echo.
     fn next_lane(&mut self) -> (&mut Pack, usize) {
         let e = self.count % ECHOES;
         if self.count == ECHOES * self.packs.len() {
@@ -149,8 +151,8 @@ impl HeldEchoes {
         (&mut self.packs[last], e)
     }
 
-    /// The same echoes with their amplitudes times `j` and their delays at the first receiver, LSB s: what phase noise
-    /// multiplies.
+    /// Returns the same echoes with their amplitudes times `j` and their delays at the first receiver, LSB s. Phase
+    /// noise multiplies these.
     pub fn by_delay(&self) -> Self {
         let mut echoes = self.clone();
         for pack in &mut echoes.packs {
@@ -170,7 +172,7 @@ impl HeldEchoes {
 }
 
 impl Beside {
-    /// Factor of an echo at a place in the stretch whose carrier is given: real and imaginary part.
+    /// Returns the factor of an echo at a position in the interval for its carrier frequency: real and imaginary part.
     #[inline(always)]
     pub(super) fn factor(&self, e: usize, place: f32, carrier_hz: f32) -> (f32, f32) {
         let delay_s = self.delay_s[0][e] + place * self.delay_s[1][e];
@@ -180,7 +182,8 @@ impl Beside {
 }
 
 impl Pack {
-    /// Delays at a place `u` of the stretch, s, their derivatives by `u`, and half of their second ones.
+    /// Returns delays at a position `u` of the interval, s, their derivatives by `u`, and half of their second
+    /// derivatives.
     #[inline(always)]
     pub(super) fn delay_at(&self, u: f64) -> [[f64; ECHOES]; 3] {
         let (mut value, mut slope, mut curve) = (self.delay_s[5], [0f64; ECHOES], [0f64; ECHOES]);
@@ -201,7 +204,7 @@ impl Pack {
     }
 }
 
-/// Taps of the kernel at the places between cells that are kept: `[place][tap]`.
+/// Returns the taps of the kernel at the quantised positions between cells: `[position][tap]`.
 pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> {
     let at = |place: u32| {
         let u = 2.0 * place as f32 / PLACES as f32 - 1.0;
@@ -210,28 +213,28 @@ pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> 
     (0..PLACES).map(at).collect()
 }
 
-/// Cells that a held echo lies on, and the first of them among those of the kernel.
+/// Number of cells of a held echo, and the first of them among those of the kernel.
 pub(super) const TAPS: usize = 4;
 pub(super) const FIRST_TAP: usize = (WIDTH - TAPS) / 2;
 
-/// Inputs of a level's instance of [`held_body`] beside echoes and grids.
+/// Inputs of [`held_body`] other than echoes and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; TAPS]],
     cells: f64,
     chirp: &'a Chirp,
-    /// Place of the run's middle in the stretch, 0..1, and step from chirp to chirp.
+    /// Position of the run's middle in the interval, 0..1, and step from chirp to chirp.
     middle: f64,
     step: f64,
-    /// Number of each chirp, from the run's middle.
+    /// Index of each chirp, relative to the run's middle.
     numbers: Row,
     /// 1 for chirps in the run, 0 for others.
     within: &'a Row,
-    /// Chirps in the run.
+    /// Number of chirps in the run.
     chirps: f32,
 }
 
 impl Synthesiser {
-    /// Lays echoes on the grids of each receiver, in the chirps that lie in the echoes' stretch, held in their places.
+    /// Adds echoes to the grids of each receiver, in the chirps that lie in the echoes' interval, with held positions.
     pub fn spread_held(&self, chirp: &Chirp, echoes: &HeldEchoes, places: &Places, grids: &mut [Grids]) {
         let lanes = places.lanes();
         let Some(last) = lanes.end.checked_sub(1).filter(|last| *last >= lanes.start) else { return };
@@ -267,11 +270,11 @@ fn held_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) {
     }
 }
 
-/// Echoes side by side at the middle of a run.
+/// Pack of echoes at the middle of a run.
 struct Anchors {
-    /// Phase by powers of the chirp's number, turns.
+    /// Phase by powers of the chirp index, turns.
     turns: [[f32; ECHOES]; 3],
-    /// Place on the grid, cells, and its change from chirp to chirp.
+    /// Position on the grid, cells, and its change from chirp to chirp.
     position: [f32; ECHOES],
     moved: [f32; ECHOES],
     /// Amplitude at each receiver: `[receiver][echo]`.
@@ -315,7 +318,7 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
     Anchors { turns: [turn, rate, bend], position, moved, re, im }
 }
 
-/// Lays one echo down in the chirps of a run.
+/// Adds one echo in the chirps of a run.
 #[inline(always)]
 fn lay_echo(kernel: &Kernel, anchors: &Anchors, e: usize, grids: &mut [Grids]) {
     let [turn, rate, bend] = [anchors.turns[0][e], anchors.turns[1][e], anchors.turns[2][e]];
@@ -350,7 +353,7 @@ fn lay_echo(kernel: &Kernel, anchors: &Anchors, e: usize, grids: &mut [Grids]) {
     }
 }
 
-/// Lays phasors down in runs of so many chirps, each in its place: `position` and its change from chirp to chirp.
+/// Adds phasors in runs of `width` chirps, each at its position: `position` and its change from chirp to chirp.
 #[inline(always)]
 fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, im]: [&Row; 2], cells: &mut [Cell]) {
     let circle = kernel.cells as f32;
@@ -368,7 +371,7 @@ fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, 
     }
 }
 
-/// First cell under the taps of a place of a grid, and which of the places between cells that are kept it is.
+/// Returns the first cell under the taps at a grid position, and the index of the quantised position between cells.
 #[inline(always)]
 pub(super) fn under(position: f32) -> (u32, usize) {
     let place = (position * PLACES as f32 + 0.5) as u32;
@@ -376,13 +379,13 @@ pub(super) fn under(position: f32) -> (u32, usize) {
     (first, (first * PLACES - place) as usize)
 }
 
-/// Lays phasors down around one place of the grid, cells.
+/// Adds phasors around one position of the grid, cells.
 #[inline(always)]
 fn lay(kernel: &Kernel, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
     let (first, place) = under(position);
     let Some(taps) = kernel.taps.get(place) else { return };
     let Some([c0, c1, c2, c3]) = window::<TAPS>(cells, first + FIRST_TAP as u32) else { return };
-    // Written out, as all loops over taps are.
+    // Unrolled, like all loops over taps.
     c0.add(re, im, &[taps[0]; CHIRPS]);
     c1.add(re, im, &[taps[1]; CHIRPS]);
     c2.add(re, im, &[taps[2]; CHIRPS]);
@@ -400,13 +403,13 @@ pub(super) mod tests {
     use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
 
     pub(in crate::synthesis) const SAMPLES: usize = 256;
-    /// Number of chirps of a stretch.
+    /// Number of chirps of an interval.
     pub(in crate::synthesis) const COUNT: usize = 64;
     pub(in crate::synthesis) const STRETCH_S: f64 = 0.032;
     pub(in crate::synthesis) const CHIRP: Chirp =
         Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
 
-    /// Echoes at 2 to 20 m whose paths grow by up to 8 m/s and bend by up to 30 m/s^2.
+    /// Returns echoes at 2 to 20 m with path rates up to 8 m/s and accelerations up to 30 m/s^2.
     pub(in crate::synthesis) fn echoes(count: usize) -> Vec<HeldEcho> {
         let mut rng = generator(6, Purpose::WallPoints, [0, 0]);
         let mut echoes = Vec::new();
@@ -435,7 +438,7 @@ pub(super) mod tests {
         (chirp as f64 + 0.3) / COUNT as f64
     }
 
-    /// The echo as a tone of its own at a receiver in a chirp.
+    /// Returns the echo as a separate tone at a receiver in a chirp.
     pub(in crate::synthesis) fn tone(echo: &HeldEcho, receiver: usize, chirp: usize) -> Tone {
         let u = place(chirp);
         let scaled = echo.delay.map(|[y, v, w]| [y, v * STRETCH_S, w * STRETCH_S * STRETCH_S]);
@@ -464,7 +467,7 @@ pub(super) mod tests {
         held
     }
 
-    /// Every receiver's grids of a block, which is cut at some chirp.
+    /// Returns every receiver's grids of a block that is split at some chirp.
     fn spread_at(level: KernelLevel, held: &HeldEchoes, block: usize, cut: usize) -> Vec<Grids> {
         let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
         let mut grids = vec![synthesiser.grids(); RECEIVERS];
@@ -475,7 +478,8 @@ pub(super) mod tests {
         grids
     }
 
-    /// Against a tone of its own for every echo in every chirp: the error is below -26 dB, the power is kept.
+    /// Compares with a separate tone for every echo in every chirp: the error is below -26 dB, and the power is
+    /// preserved.
     #[test]
     fn held_echoes_are_within_minus_26_db_of_the_sum() {
         let echoes = echoes(60);
@@ -485,7 +489,7 @@ pub(super) mod tests {
         for receiver in 0..RECEIVERS {
             let (mut error, mut power, mut found) = (0.0, 0.0, 0.0);
             for block in 0..COUNT / CHIRPS {
-                // Some blocks are cut, as at the end of a stretch.
+                // Some blocks are split, as at the end of an interval.
                 let grids = spread_at(synthesiser.level, &held, block, if block % 3 == 1 { 3 } else { CHIRPS });
                 for lane in 0..CHIRPS {
                     let chirp = CHIRPS * block + lane;
@@ -505,7 +509,7 @@ pub(super) mod tests {
         }
     }
 
-    /// A tone at any place lies on four cells to -40 dB of its samples, however few there are.
+    /// Four cells represent a tone at any position to -40 dB of its samples, for any number of samples.
     #[test]
     fn four_cells_hold_a_tone() {
         for samples in [1, 16, 63, 256] {
@@ -544,7 +548,7 @@ pub(super) mod tests {
         }
     }
 
-    /// By delays: the same paths, times `j` and their delays.
+    /// Echoes by delay are the same paths, times `j` and their delays.
     #[test]
     fn echoes_by_delay_are_their_own_times_their_delays() {
         let echo = echoes(1)[0];

@@ -1,18 +1,18 @@
-//! Many weak echoes of random phases over a run of up to 32 chirps: on grids of delay and rate.
+//! Synthesis of many weak echoes of random phases over a run of up to 32 chirps, on grids of delay and rate.
 //!
-//! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It is laid on
-//! four cells by delay times eight by rate, with taps of least squares, and one transform along rates gives all chirps of a run.
-//! With ten thousand echoes this takes about a third of the time of [`super::held`], which lays them down in each block. Three
-//! things are not a tone:
+//! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It
+//! occupies four cells by delay times eight by rate, with least-squares taps. One transform along rates gives all
+//! chirps of a run. With ten thousand echoes this takes about a third of the time of [`super::held`], which adds them
+//! in each block. Three effects deviate from a tone:
 //!
-//! - The rate changes. A phase of `q` turns that grows with the square of the time from the run's middle to its ends is
-//!   `exp(j pi q) exp(j pi q T2)`, of which two terms are kept beside the constant (Jacobi and Anger): what is left out is
+//! - The rate changes. Let a phase of `q` turns grow with the square of the time from the run's middle to its ends. It
+//!   is `exp(j pi q) exp(j pi q T2)`, of which two terms are kept beside the constant (Jacobi and Anger). The error is
 //!   `(pi q)^3 / 24` of the amplitude.
-//! - The delay moves on. To first order a tone that moves by `d` cells until the run's ends is itself, and its derivatives by both
-//!   frequencies: `(0.9 d)^2 / 2` is left out.
+//! - The delay changes. To first order a tone that moves by `d` cells until the run's ends is itself plus its
+//!   derivative by both frequencies; the error is `(0.9 d)^2 / 2`.
 //! - Amplitude, and differences between receivers, are those of the run's middle.
 //!
-//! Echoes for which one of these is too much are left to [`super::held`].
+//! Echoes for which one of these effects is too large are left to [`super::held`].
 
 use std::sync::Arc;
 
@@ -27,29 +27,29 @@ use super::{Synthesiser, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
-/// Chirps of a run at most.
+/// Largest number of chirps of a run.
 pub const RUN: usize = 32;
-/// Half of that: times are counted in it from the run's middle.
+/// Half of the longest run: unit of time from the run's middle.
 const HALF: usize = RUN / 2;
-/// Cells by rate.
+/// Number of cells by rate.
 const RATES: usize = 2 * RUN;
-/// Cells by rate that an echo lies on.
+/// Number of cells by rate of one echo.
 const RATE_TAPS: usize = 8;
-/// Factors of an echo: constant, both terms of its bend, and its move.
+/// Number of factors of an echo: constant, both terms of its quadratic phase, and its movement.
 const FACTORS: usize = 4;
 
-/// The most that a phase may bend until the run's ends, turns.
+/// Largest quadratic phase at the run's ends, turns.
 const MOST_BEND: f32 = 0.2;
-/// The most that a delay may move until the run's ends, cells.
+/// Largest change of the delay until the run's ends, cells.
 const MOST_MOVED: f32 = 0.3;
-/// The most that both may be together: the move of a bent tone is left out.
+/// Largest product of both: the movement of a tone with quadratic phase is neglected.
 const MOST_BENT_MOVE: f32 = 0.02;
-/// The most by which receivers may drift apart until the run's ends, turns.
+/// Largest change of the phase difference between receivers until the run's ends, turns.
 const MOST_APART: f32 = 0.01;
-/// The most by which the amplitude may change until the run's ends, relative to it.
+/// Largest relative change of the amplitude until the run's ends.
 const MOST_CHANGE: f32 = 0.04;
 
-/// Real and imaginary parts of an echo's cells by rate, one after the other.
+/// Interleaved real and imaginary parts of an echo's cells by rate.
 type Wide = [f32; 2 * RATE_TAPS];
 
 /// Cells by rate at one delay, with margins.
@@ -62,16 +62,16 @@ const EMPTY: RateRow = RateRow([0.0; 2 * (RATES + RATE_TAPS)]);
 /// Taps of echoes on grids of delay and rate, and the transform along rates.
 #[derive(Clone)]
 pub(super) struct RateTaps {
-    /// Taps by rate of each factor at the places between cells that are kept.
+    /// Taps by rate of each factor at the quantised positions between cells.
     by_rate: Vec<[Wide; FACTORS]>,
-    /// Taps by delay, and those of their derivative by the tone's place, rad.
+    /// Taps by delay, and those of their derivative by the tone's position, rad.
     by_delay: Vec<[f32; TAPS]>,
     slopes: Vec<[f32; TAPS]>,
     fft: Arc<dyn Fft<f32>>,
 }
 
 impl RateTaps {
-    /// For chirps whose samples are at these points.
+    /// Computes the taps for chirps whose samples are at these points.
     pub(super) fn new(samples: &[Point]) -> Self {
         let chirps: Vec<Point> = (0..RUN)
             .map(|n| Point { weight: 1.0, angle: std::f64::consts::TAU * (n as f64 - HALF as f64) / RATES as f64 })
@@ -96,18 +96,18 @@ impl RateTaps {
         }
     }
 
-    /// Taps by delay at the places between cells that are kept.
+    /// Returns the taps by delay at the quantised positions between cells.
     pub(super) fn by_delay(&self) -> &[[f32; TAPS]] {
         &self.by_delay
     }
 }
 
-/// Consecutive chirps within one stretch, as many as [`RUN`] at most: where they lie in the stretch, 0..1.
+/// Consecutive chirps within one interval, at most [`RUN`], by their positions in the interval, 0..1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
-    /// Place of the first chirp.
+    /// Position of the first chirp.
     pub first: f64,
-    /// From chirp to chirp.
+    /// Step from chirp to chirp.
     pub step: f64,
     /// Number of chirps.
     pub chirps: usize,
@@ -115,30 +115,30 @@ pub struct Run {
 
 /// Grids of delay and rate for each receiver.
 pub struct RateGrids {
-    /// `[receiver][cell by delay]`.
+    /// Cells by rate: `[receiver][cell by delay]`.
     rows: Vec<Vec<RateRow>>,
-    /// Whether anything lies on a cell by delay.
+    /// Whether a cell by delay is occupied.
     touched: Vec<bool>,
-    /// Echoes that were not laid down.
+    /// Echoes that were rejected.
     left: HeldEchoes,
     line: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
 }
 
-/// Inputs of a level's instance of [`rates_body`] beside echoes and grids.
+/// Inputs of [`rates_body`] other than echoes and grids.
 struct Kernel<'a> {
     taps: &'a RateTaps,
     cells: f64,
     chirp: &'a Chirp,
-    /// Place of the run's middle in the stretch, and step from chirp to chirp.
+    /// Position of the run's middle in the interval, and step from chirp to chirp.
     middle: f64,
     step: f64,
-    /// Places of the stretch a second.
+    /// Inverse duration of the interval, 1/s.
     per_s: f64,
 }
 
 impl Synthesiser {
-    /// Empty grids of delay and rate.
+    /// Returns empty grids of delay and rate.
     pub fn rate_grids(&self, receivers: usize) -> RateGrids {
         let cells = self.grids().cells.len();
         RateGrids {
@@ -150,8 +150,8 @@ impl Synthesiser {
         }
     }
 
-    /// Adds echoes to the chirps of a run, `[receiver][block of chirps]`, but for those that change too much within it
-    /// ([`RateGrids::left`]).
+    /// Adds echoes to the chirps of a run, `[receiver][block of chirps]`, except for those that change too much within
+    /// it ([`RateGrids::left`]).
     pub fn spread_rates(
         &self,
         chirp: &Chirp,
@@ -170,12 +170,12 @@ impl Synthesiser {
 }
 
 impl RateGrids {
-    /// The echoes that were left out last.
+    /// Returns the echoes that the last run rejected.
     pub fn left(&self) -> &HeldEchoes {
         &self.left
     }
 
-    /// Adds the chirps of a run, and empties the grids.
+    /// Transforms the grids to the chirps of a run, and clears the grids.
     fn transform(&mut self, fft: &dyn Fft<f32>, chirps: usize, blocks: &mut [Vec<Grids>]) {
         const MARGIN: usize = RATE_TAPS / 2;
         for (cell, _) in self.touched.iter().enumerate().filter(|(_, touched)| **touched) {
@@ -187,7 +187,7 @@ impl RateGrids {
                     *value = at(rate + MARGIN);
                 }
                 for i in 0..MARGIN {
-                    // Both ends of a row are other turns of the circle.
+                    // Both ends of a row wrap around the circle.
                     self.line[RATES - MARGIN + i] += at(i);
                     self.line[i] += at(RATES + MARGIN + i);
                 }
@@ -197,7 +197,7 @@ impl RateGrids {
                     let Some(to) = blocks.get_mut(n / CHIRPS).and_then(|grids| grids.cells.get_mut(cell)) else {
                         break;
                     };
-                    // The transform turns the other way: time runs backwards in it.
+                    // The transform has the opposite sign, so time is reversed in it.
                     let value = self.line[(RATES + chirps / 2 - n) % RATES];
                     to.re[n % CHIRPS] += value.re;
                     to.im[n % CHIRPS] += value.im;
@@ -232,14 +232,14 @@ fn rates_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut RateGrids) {
 
 type Lane = [f32; ECHOES];
 
-/// Echoes side by side at the middle of a run.
+/// Pack of echoes at the middle of a run.
 struct Middle {
-    /// Places on the grid by delay and by rate, cells.
+    /// Positions on the grid by delay and by rate, cells.
     position: Lane,
     rate: Lane,
     /// Change of the delay until the run's ends, cells.
     moved: Lane,
-    /// Part of the phase that grows with the square of the time, at the run's ends, turns.
+    /// Quadratic part of the phase at the run's ends, turns.
     bend: Lane,
     /// Phasor at each receiver.
     re: [Lane; RECEIVERS],
@@ -278,7 +278,7 @@ fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
             | (moved[e].abs() > MOST_MOVED)
             | ((bend[e] * moved[e]).abs() > MOST_BENT_MOVE)
             | (by_x * by_x + by_y * by_y > most);
-        // Half of the bend is a phase: a square is half a constant and half a Chebyshev polynomial.
+        // Half of the quadratic phase is constant: a square is half a constant and half a Chebyshev polynomial.
         let (c, s) = cos_sin_of_turns(turn[e] + 0.5 * bend[e]);
         (re[0][e], im[0][e]) = (x * c - y * s, x * s + y * c);
     }
@@ -301,8 +301,8 @@ struct Factors {
     im: [[Lane; FACTORS]; RECEIVERS],
 }
 
-/// `exp(j x T2) = J0(x) + 2 j J1(x) T2 - 2 J2(x) T4` and on (Abramowitz and Stegun 9.1.44 and 45), by series; derivatives are `j`
-/// times their taps.
+/// Expands `exp(j x T2) = J0(x) + 2 j J1(x) T2 - 2 J2(x) T4` and so on (Abramowitz and Stegun 9.1.44 and 45), with the
+/// Bessel functions by series. Derivatives are `j` times their taps.
 #[inline(always)]
 fn factors(middle: &Middle) -> Factors {
     let (mut by_0, mut by_1, mut by_2) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
@@ -328,7 +328,7 @@ fn factors(middle: &Middle) -> Factors {
     out
 }
 
-/// Lays one echo down at its places by delay and by rate, cells.
+/// Adds one echo at its positions by delay and by rate, cells.
 #[inline(always)]
 fn lay_echo(
     kernel: &Kernel,
@@ -353,7 +353,7 @@ fn lay_echo(
             moved[i] = moving[i] * by_moving[i];
         }
         let Some([r0, r1, r2, r3]) = rows.get_mut(first..first + TAPS) else { return };
-        // Written out, as all loops over taps are.
+        // Unrolled, like all loops over taps.
         add(r0, first_rate, [&field, &moved], [taps[0], slopes[0]]);
         add(r1, first_rate, [&field, &moved], [taps[1], slopes[1]]);
         add(r2, first_rate, [&field, &moved], [taps[2], slopes[2]]);
@@ -361,13 +361,13 @@ fn lay_echo(
     }
 }
 
-/// A complex number over and over.
+/// Repeats a complex number over all cells.
 #[inline(always)]
 fn alternating(re: f32, im: f32) -> Wide {
     [re, im, re, im, re, im, re, im, re, im, re, im, re, im, re, im]
 }
 
-/// Adds an echo times a tap, and how it is moved times its slope, to the cells from one rate on.
+/// Adds an echo times a tap, and its movement times the slope, to the cells from `rate` on.
 #[inline(always)]
 fn add(row: &mut RateRow, rate: usize, [field, moved]: [&Wide; 2], [tap, slope]: [f32; 2]) {
     let Some(cells) = row.0.get_mut(2 * rate..).and_then(|row| row.first_chunk_mut::<{ 2 * RATE_TAPS }>()) else {

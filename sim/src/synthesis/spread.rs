@@ -1,12 +1,12 @@
-//! Paths of eight consecutive chirps, side by side.
+//! Vectorised synthesis of paths in eight consecutive chirps.
 //!
-//! In eight chirps a path moves by a fraction of a cell of the grid, so that its kernel mostly falls on the same cells in
-//! all of them: one row of eight chirps for each cell is added to where it lies, aligned, and every step from the path's
-//! polynomials to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
-//! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
+//! In eight chirps a path moves by a fraction of a cell of the grid, so its kernel mostly covers the same cells in all
+//! of them. One aligned row of eight chirps is added to each cell, and all steps from polynomials to taps are the same
+//! arithmetic in eight lanes. The bodies are plain Rust, compiled for each instruction set without fused multiply-add.
+//! All instruction sets thus give the bits of [`Synthesiser::add`].
 //!
-//! Receivers beside the first get the first one's phasors, each turned by its own delay; the kernel's taps are computed once for
-//! all whose tones lie close enough together.
+//! Further receivers use the first one's phasors, rotated by their own delays. The kernel's taps are computed once for
+//! all receivers whose tones are close enough.
 
 use std::ops::Range;
 
@@ -18,15 +18,15 @@ use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::path_segment::PathSegment;
 use crate::tracks::{Aside, Track};
 
-/// Chirps side by side.
+/// Number of chirps in a block.
 pub const CHIRPS: usize = 8;
-/// Receivers whose tones lie less than this apart share the kernel's taps, cells: that misplaces a tone's phase by at most 6 mrad
+/// Distance of tones below which receivers share the kernel's taps, cells. The phase error of a tone is at most 6 mrad
 /// at the ends of a chirp, 3.5 mrad rms (-49 dB).
 const SHARED_CELLS: f32 = 1.0 / 256.0;
 
 pub(super) type Row = [f32; CHIRPS];
 
-/// One cell of the frequency grid in all chirps.
+/// Cell of the frequency grid in all chirps.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(super) struct Cell {
@@ -45,19 +45,19 @@ impl Cell {
     }
 }
 
-/// Frequency grids of a block of chirps, as [`Grid`] is one chirp's.
+/// Frequency grids of a block of chirps; [`Grid`] is the grid of one chirp.
 #[derive(Debug, Clone, Default)]
 pub struct Grids {
     pub(super) cells: Vec<Cell>,
 }
 
 impl Grids {
-    /// Everything to zero.
+    /// Sets all cells to zero.
     pub fn clear(&mut self) {
         self.cells.fill(Cell::default());
     }
 
-    /// Adds other chirps' grids.
+    /// Adds the grids of another block.
     pub fn add(&mut self, other: &Grids) {
         for (to, cell) in self.cells.iter_mut().zip(&other.cells) {
             for i in 0..CHIRPS {
@@ -67,7 +67,7 @@ impl Grids {
         }
     }
 
-    /// `a (1 - u) + b u` in the chirps at places `u`.
+    /// Sets the chirps at positions `u` to `a (1 - u) + b u`.
     pub fn blend(&mut self, a: &Grid, b: &Grid, places: &Places) {
         let u = places.at.map(|u| u as f32);
         for ((cell, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
@@ -80,7 +80,7 @@ impl Grids {
         }
     }
 
-    /// Copies one chirp's grid out.
+    /// Copies one chirp's grid to `grid`.
     pub fn extract(&self, chirp: usize, grid: &mut Grid) {
         let at = |row: &Row| row.get(chirp).copied().unwrap_or_default();
         grid.cells.clear();
@@ -88,31 +88,31 @@ impl Grids {
     }
 }
 
-/// Those chirps of a block that lie in one stretch between two keys, and where in it.
+/// Chirps of a block that lie in one interval between two key times, and their positions in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// Place of each chirp in the stretch, 0..1; that of the first one for chirps outside.
+    /// Position of each chirp in the interval, 0..1; that of the first one for chirps outside.
     pub(super) at: [f64; CHIRPS],
-    /// 1 for chirps in the stretch, 0 for others.
+    /// 1 for chirps in the interval, 0 for others.
     pub(super) within: Row,
     lanes: Range<usize>,
 }
 
 impl Places {
-    /// Chirps `lanes` of a block, evenly spread, at `place(chirp)` of their stretch.
+    /// Selects the evenly spaced chirps `lanes` of a block, at `place(chirp)` of their interval.
     pub fn new(lanes: Range<usize>, place: impl Fn(usize) -> f64) -> Self {
         let at = std::array::from_fn(|i| place(if lanes.contains(&i) { i } else { lanes.start }));
         let within = std::array::from_fn(|i| if lanes.contains(&i) { 1.0 } else { 0.0 });
         Places { at, within, lanes: lanes.start.min(CHIRPS)..lanes.end.min(CHIRPS) }
     }
 
-    /// Numbers of the chirps in the block.
+    /// Returns the indices of the chirps in the block.
     pub(super) fn lanes(&self) -> Range<usize> {
         self.lanes.clone()
     }
 }
 
-/// Inputs of a level's instance of [`paths_body`] or [`tracks_body`] beside paths and grids.
+/// Inputs of [`paths_body`] and [`tracks_body`] other than paths and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; LANES]; DEGREE],
     cells: f64,
@@ -121,19 +121,19 @@ struct Kernel<'a> {
 }
 
 impl Synthesiser {
-    /// Empty grids of a block of chirps.
+    /// Returns empty grids of a block of chirps.
     pub fn grids(&self) -> Grids {
         Grids { cells: vec![Cell::default(); self.cells + LANES] }
     }
 
-    /// Lays paths on the grids of chirps, which are at `places` (0..1) of the stretch between two keys.
+    /// Adds paths to the grids of chirps, which are at `places` (0..1) of the interval between two key times.
     pub fn spread(&self, chirp: &Chirp, paths: &[PathSegment], places: &[f64; CHIRPS], grids: &mut Grids) {
         let places = Places { at: *places, within: [1.0; CHIRPS], lanes: 0..CHIRPS };
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places: &places };
         spread_paths(self.level, &kernel, paths, &mut grids.cells);
     }
 
-    /// Lays paths to all receivers on the grids of each, in the chirps that lie in the paths' stretch.
+    /// Adds paths to the grids of all receivers, in the chirps that lie in the paths' interval.
     pub fn spread_tracks(&self, chirp: &Chirp, tracks: &[Track], places: &Places, grids: &mut [Grids]) {
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places };
         spread_tracks(self.level, &kernel, tracks, grids);
@@ -169,7 +169,7 @@ fn tracks_body(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) {
     }
 }
 
-/// Lays down what another receiver hears of a path whose tones at the first one are given.
+/// Adds the tones of a path at another receiver, from those at the first one.
 #[inline(always)]
 fn lay_beside(
     kernel: &Kernel,
@@ -183,7 +183,7 @@ fn lay_beside(
     let [begin, step] = aside.ratio;
     let slope = kernel.chirp.slope_hz_per_s as f32;
     let (per_s, cells_per_hz) = ((1.0 / stretch_s) as f32, (kernel.cells / kernel.chirp.sample_rate_hz) as f32);
-    // Rows of their own: sums in place would be computed one lane at a time.
+    // Separate rows: in-place sums would be computed one lane at a time.
     let (mut re, mut im, mut moved) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
         let u = kernel.places.at[i] as f32;
@@ -210,17 +210,17 @@ fn lay_beside(
     lay_weighted(&weights(kernel.taps, &u), cells, &re, &im, &first);
 }
 
-/// A path in every chirp of a block.
+/// Tones of a path in every chirp of a block.
 struct Tones {
-    /// Phasor at the middle of the chirp; zero outside of the stretch.
+    /// Phasor at the middle of the chirp; zero outside of the interval.
     re: Row,
     im: Row,
-    /// Place on the grid, cells.
+    /// Position on the grid, cells.
     position: [f64; CHIRPS],
-    /// First cell under the kernel, and place within it, -1..1.
+    /// First cell under the kernel, and position within it, -1..1.
     first: [u32; CHIRPS],
     u: Row,
-    /// Change of the phase by delay, cycles per second of delay.
+    /// Derivative of the phase by delay, cycles per second of delay.
     carrier_hz: Row,
 }
 
@@ -241,17 +241,18 @@ fn tones(kernel: &Kernel, path: &PathSegment) -> Tones {
     Tones { re, im, position, first, u, carrier_hz }
 }
 
-/// Place within a cell, -1..1, and the first cell under the kernel of a tone at a place of the grid, cells.
+/// Returns the position within a cell, -1..1, and the first cell under the kernel, for a tone at a grid position,
+/// cells.
 #[inline(always)]
 fn under(position: f64) -> (f32, u32) {
     let whole = nearest_integer(position);
     let ceiling = if whole < position { whole + 1.0 } else { whole };
-    // The number's last bits, where a conversion would be one lane at a time.
+    // The integer is read from the last bits, because a conversion would be one lane at a time.
     ((2.0 * (ceiling - position) - 1.0) as f32, (ceiling + SHIFT).to_bits() as u32)
 }
 
-/// Weight of each tap in every chirp. Written out tap by tap: a loop would be compiled across taps, with gathers and
-/// scatters.
+/// Computes the weight of each tap in every chirp. The taps are unrolled, because a loop would be vectorised across
+/// taps, with gathers and scatters.
 #[inline(always)]
 fn weights(taps: &[[f32; LANES]; DEGREE], u: &Row) -> [Row; WIDTH] {
     [tap::<0>(taps, u), tap::<1>(taps, u), tap::<2>(taps, u), tap::<3>(taps, u), tap::<4>(taps, u), tap::<5>(taps, u)]
@@ -271,7 +272,7 @@ fn lay_weighted(weights: &[Row; WIDTH], cells: &mut [Cell], re: &Row, im: &Row, 
         c4.add(re, im, t4);
         c5.add(re, im, t5);
     } else if beyond == 1 {
-        // Into the next cell at some chirp, whose taps lie one row further.
+        // The path enters the next cell at some chirp; from there the taps lie one row further.
         let Some([c0, c1, c2, c3, c4, c5, c6]) = window(cells, least) else { return };
         let here: [bool; CHIRPS] = first.map(|f| f == least);
         c0.add(re, im, &choose(&here, t0, &[0.0; CHIRPS]));
@@ -286,7 +287,7 @@ fn lay_weighted(weights: &[Row; WIDTH], cells: &mut [Cell], re: &Row, im: &Row, 
     }
 }
 
-/// One tap of the kernel at places within a cell.
+/// Computes one tap of the kernel at positions within a cell.
 #[inline(always)]
 fn tap<const TAP: usize>(taps: &[[f32; LANES]; DEGREE], u: &Row) -> Row {
     let step = |w: Row, power: usize| -> Row { std::array::from_fn(|i| w[i] * u[i] + taps[power][TAP]) };
@@ -294,19 +295,20 @@ fn tap<const TAP: usize>(taps: &[[f32; LANES]; DEGREE], u: &Row) -> Row {
     step(step(step(step(step(step(w, 5), 4), 3), 2), 1), 0)
 }
 
-/// Cells from the first one on.
+/// Returns `N` cells from `first` on.
 #[inline(always)]
 pub(super) fn window<const N: usize>(cells: &mut [Cell], first: u32) -> Option<&mut [Cell; N]> {
     cells.get_mut(first as usize..)?.first_chunk_mut()
 }
 
-/// `a` where `condition` holds, `b` elsewhere.
+/// Returns `a` where `condition` holds, `b` elsewhere.
 #[inline(always)]
 fn choose(condition: &[bool; CHIRPS], a: &Row, b: &Row) -> Row {
     std::array::from_fn(|i| if condition[i] { a[i] } else { b[i] })
 }
 
-/// Lays a path down whose chirps lie on cells apart: one at a time, and not compiled for gathering, which is slower.
+/// Adds a path whose chirps lie on distant cells, one chirp at a time. It is kept out of vectorisation, which would use
+/// slower gathers.
 #[cold]
 #[inline(never)]
 fn add_apart(cells: &mut [Cell], first: &[u32; CHIRPS], re: &Row, im: &Row, taps: &[&Row; WIDTH]) {

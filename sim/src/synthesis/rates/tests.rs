@@ -6,7 +6,7 @@ use super::super::spread::Cell;
 use super::super::{HeldEcho, Places, SynthesisScratch, Tone, exact_chirp};
 use super::*;
 
-/// Every receiver's blocks of a run from a chirp on, and which echoes were left out.
+/// Returns every receiver's blocks of a run from a chirp on, and the rejected echoes.
 fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) -> (Vec<Vec<Grids>>, HeldEchoes) {
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut blocks = vec![vec![synthesiser.grids(); RUN / CHIRPS]; RECEIVERS];
@@ -16,7 +16,7 @@ fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) ->
     (blocks, rates.left().clone())
 }
 
-/// Power of the error of a run's chirps, and that of the sum of tones, of all receivers.
+/// Returns the error power of a run's chirps, and the power of the sum of tones, over all receivers.
 fn error(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize) -> [f64; 2] {
     let synthesiser = Synthesiser::new(SAMPLES);
     let (mut error, mut power) = (0.0, 0.0);
@@ -34,7 +34,7 @@ fn error(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize
     [error, power]
 }
 
-/// An echo at 3 m whose path grows by this many m/s, and that by so many m/s^2.
+/// Returns an echo at 3 m with this path rate, m/s, and path acceleration, m/s^2.
 fn echo(rate_m_per_s: f64, bend_m_per_s2: f64) -> HeldEcho {
     let c = radome_dsp::SPEED_OF_LIGHT_M_PER_S;
     let end = rate_m_per_s + STRETCH_S * bend_m_per_s2;
@@ -44,7 +44,8 @@ fn echo(rate_m_per_s: f64, bend_m_per_s2: f64) -> HeldEcho {
     HeldEcho { delay, amplitude: [Complex64::new(0.6, -0.8); 2], others }
 }
 
-/// With those that are left to held echoes laid down as such: below -26 dB of the sum of tones of their own, as held echoes are.
+/// With the rejected echoes added as held ones, the error is below -26 dB of the sum of separate tones, as for held
+/// echoes.
 #[test]
 fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
     let echoes = echoes(120);
@@ -69,7 +70,7 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
     assert!(laid > 3 * echoes.len(), "{laid} of {}", 5 * echoes.len());
 }
 
-/// Echoes that change little are nearly exact. The worst that is not left out is within -26 dB.
+/// Echoes that change little are nearly exact. The worst accepted echo is within -26 dB.
 #[test]
 fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     let level = KernelLevel::detect();
@@ -100,7 +101,7 @@ fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     assert!(laid > 200 && left > 200, "{laid} {left}");
 }
 
-/// Echoes whose receivers drift apart, or whose amplitude changes, are left out.
+/// Echoes whose delay differences between receivers change, or whose amplitude changes, are rejected.
 #[test]
 fn other_changes_are_left_out_too() {
     let level = KernelLevel::detect();

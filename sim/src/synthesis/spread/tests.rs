@@ -1,4 +1,4 @@
-//! Chirps side by side against one tone after another.
+//! Tests of vectorised chirps against tones added one by one.
 
 use super::*;
 use crate::path_segment::{PathDerivatives, PathSample};
@@ -13,7 +13,7 @@ const CHIRP: Chirp =
     Chirp { start_hz: 60e9, slope_hz_per_s: 40e12, sample_rate_hz: 2e6, middle_s: SAMPLES as f64 / 4e6 };
 const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
 
-/// Paths that rest, that cross into the next cell, that cross many, and that lie around frequency zero.
+/// Returns paths that rest, that cross into the next cell, that cross many cells, and that lie around frequency zero.
 fn paths() -> Vec<PathSegment> {
     let mut rng = generator(3, Purpose::Noise, [0, 0]);
     let mut paths = Vec::new();
@@ -54,7 +54,7 @@ fn tones(paths: &[PathSegment], place: f64) -> Vec<Tone> {
     paths.iter().map(tone).collect()
 }
 
-/// Every chirp's grid, as spread at a level of instructions.
+/// Returns every chirp's grid, computed with an instruction set.
 fn spread_at(level: KernelLevel, paths: &[PathSegment]) -> Vec<Grid> {
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut grids = synthesiser.grids();
@@ -77,7 +77,7 @@ fn every_level_gives_the_bits_of_one_tone_after_another() {
             for tone in tones(&paths, place) {
                 synthesiser.add(&tone, &mut grid);
             }
-            // One tone's two spare taps may turn -0 to 0.
+            // The two spare taps of a tone may turn -0 to 0.
             let bits = |grid: &Grid| -> Vec<[u32; 2]> {
                 grid.cells.iter().map(|c| [(c.re + 0.0).to_bits(), (c.im + 0.0).to_bits()]).collect()
             };
@@ -101,7 +101,7 @@ fn chirps_side_by_side_are_within_minus_90_dbc_of_the_sum() {
     }
 }
 
-/// Antennas up to 5 mm apart.
+/// Returns tracks for antennas up to 5 mm apart.
 fn tracks() -> Vec<Track> {
     let mut rng = generator(4, Purpose::Noise, [0, 0]);
     let mut tracks = Vec::new();
@@ -118,7 +118,7 @@ fn tracks() -> Vec<Track> {
     tracks
 }
 
-/// Every receiver's grids: `[receiver]`.
+/// Returns every receiver's grids: `[receiver]`.
 fn spread_tracks_at(level: KernelLevel, tracks: &[Track], receivers: usize, cuts: &[usize]) -> Vec<Grids> {
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut grids = vec![synthesiser.grids(); receivers];
@@ -133,8 +133,8 @@ fn bits(grids: &Grids) -> Vec<[[u32; CHIRPS]; 2]> {
     grids.cells.iter().map(|c| [c.re.map(|x| (x + 0.0).to_bits()), c.im.map(|x| (x + 0.0).to_bits())]).collect()
 }
 
-/// The first receiver's grids are those of its paths alone, whoever listens beside it and wherever the block is cut, and
-/// every level has the same bits.
+/// The first receiver's grids are those of its paths alone, for any number of further receivers and any split of the
+/// block. Every instruction set gives the same bits.
 #[test]
 fn receivers_do_not_depend_on_those_behind_them() {
     let tracks = tracks();
