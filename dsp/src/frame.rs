@@ -1,4 +1,4 @@
-//! Frames of raw codes, and what is known of them.
+//! Frames of raw codes, with their time and ground truth.
 
 use ndarray::ArrayView3;
 use schemars::JsonSchema;
@@ -103,7 +103,7 @@ pub enum ReceiverFault {
 }
 
 impl ReceiverFault {
-    /// Whether the receiver gives no signal at all.
+    /// Returns whether the receiver gives no signal at all.
     pub fn is_dead(self) -> bool {
         self != ReceiverFault::Clipped
     }
@@ -183,7 +183,7 @@ impl Frame {
         }
     }
 
-    /// Whether the receive channel with this index gives no signal in this frame.
+    /// Returns whether the receive channel with this index gives no signal in this frame.
     pub fn is_receiver_dead(&self, rx: usize) -> bool {
         self.receiver_fault(rx).is_some_and(ReceiverFault::is_dead)
     }

@@ -1,7 +1,7 @@
 //! Ablation: classifies maps again with parts replaced by noise, which shows the parts that a model relies on.
 //!
-//! The noise of a range bin is taken from the map as [`crate::standardise::MapReference::OverNoise`] takes it. Cells that are
-//! replaced are exponential about it, so that they read as cells with nothing in them.
+//! The noise level of a range bin is estimated from the map, as [`crate::standardise::MapReference::OverNoise`] does.
+//! Replaced cells are drawn from an exponential distribution with this mean, the distribution of cells without echoes.
 
 use radome_dsp::{Occupancy, Rdm, RdmShape};
 

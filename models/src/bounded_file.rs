@@ -23,18 +23,18 @@ pub enum Refused {
          file you mean; reduce or split what it holds"
     )]
     TooLarge {
-        /// Length, bytes; of a file that grows, what was read of it.
+        /// Length, bytes; for a file that grows, the number of bytes that were read.
         found_bytes: u64,
-        /// Most bytes that are read.
+        /// Largest number of bytes that are read.
         limit_bytes: u64,
     },
-    /// A folder, a device, a pipe or a socket.
+    /// The path is a folder, a device, a pipe or a socket.
     #[error("it is not a regular file\n\nhint: write its content to a file and name that")]
     NotRegular,
     /// The file is a link that leads out of the folder that it belongs to.
     #[error("{name:?} is a link that leads out of its folder\n\nhint: copy the file into the folder")]
     Outside {
-        /// Its name in the folder.
+        /// Name of the link in the folder.
         name: String,
     },
 }
@@ -81,13 +81,13 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, limit_bytes)?).map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
 }
 
-/// Path of a file of a folder, links followed: within that folder.
+/// Resolves the path of a file in a folder, including links, and checks that it lies within that folder.
 ///
 /// # Errors
 /// Errors of the system, and [`Refused::Outside`].
 pub fn within(folder: &Path, name: &str) -> io::Result<PathBuf> {
     let path = folder.join(name);
-    // The folder of a path without one is the working directory.
+    // A path without a parent folder refers to the working directory.
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     if path.canonicalize()?.starts_with(folder.canonicalize()?) {
         Ok(path)

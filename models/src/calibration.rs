@@ -30,9 +30,9 @@ pub struct ReliabilityBin {
     pub to: f64,
     /// Number of predictions.
     pub frames: u64,
-    /// Their mean confidence; absent in an empty bin.
+    /// Mean confidence of these predictions; absent in an empty bin.
     pub confidence: Option<f64>,
-    /// Share of them that are right; absent in an empty bin.
+    /// Share of these predictions that are right; absent in an empty bin.
     pub right: Option<f64>,
 }
 

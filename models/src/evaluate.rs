@@ -14,7 +14,7 @@ pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize
     evaluate_changed(classifier, dataset, indices, |_, _| ())
 }
 
-/// [`evaluate`] on maps that `change` is given first, with their indices.
+/// Evaluates as [`evaluate`] does, after `change` has modified each map. `change` also gets the index of the map.
 pub(crate) fn evaluate_changed(
     classifier: &mut Classifier,
     dataset: &Dataset,

@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 /// A mean and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
-    /// Values.
+    /// Number of values.
     pub count: usize,
-    /// Their mean.
+    /// Mean of the values.
     pub mean: f64,
-    /// Half of the interval's width, by Student's t; absent for one value.
+    /// Half width of the interval, by Student's t; absent for one value.
     pub half_width: Option<f64>,
     /// Smallest value.
     pub least: f64,

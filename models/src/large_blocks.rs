@@ -1,24 +1,24 @@
 //! Allocator that keeps large blocks.
 //!
-//! A training step allocates and frees hundreds of blocks of tens of megabytes. The system's allocator maps each of them anew, and
-//! the kernel fills it with zeros page by page, which took longer than the arithmetic.
+//! A training step allocates and frees hundreds of blocks of tens of megabytes. The system's allocator maps each of
+//! them again, and the kernel fills it with zeros page by page, which took longer than the arithmetic.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ptr::null_mut;
 use std::sync::{Mutex, MutexGuard};
 
-/// Blocks from this size on are kept, bytes.
+/// Size from which blocks are kept, bytes.
 const SMALLEST: usize = 1 << 18;
 /// Size from which blocks are aligned to cache lines, bytes. Otherwise every second store of a full register is split over two
 /// lines, which takes a twentieth of a map's time.
 const SMALLEST_ALIGNED: usize = 1 << 14;
 /// Length of a cache line, bytes.
 const CACHE_LINE: usize = 64;
-/// Free blocks are kept up to this many bytes in all.
+/// Largest total size of free blocks that are kept, bytes.
 const MOST_KEPT: usize = 4 << 30;
-/// Steps of size in an octave.
+/// Number of size classes in an octave.
 const STEPS: usize = 8;
-/// Sizes up to 2^40 bytes.
+/// Number of size classes, for sizes up to 2^40 bytes.
 const CLASSES: usize = (40 - SMALLEST.ilog2() as usize) * STEPS;
 /// Size of the processor's large pages, bytes.
 const LARGE_PAGE: usize = 1 << 21;
@@ -81,7 +81,7 @@ impl LargeBlocks {
         Layout::from_size_align(layout.size(), CACHE_LINE).unwrap_or(layout)
     }
 
-    /// A free block of the class, if there is one.
+    /// Takes a free block of the class, if there is one.
     fn take(&self, index: usize, block: Layout) -> *mut u8 {
         let mut free = self.free();
         let first = free.first[index];

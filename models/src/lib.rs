@@ -1,6 +1,6 @@
 //! Datasets of labelled range-Doppler maps, networks that count people in them, training and evaluation.
 //!
-//! This crate knows maps and labels. It does not know where maps come from.
+//! This crate handles maps and labels. It does not depend on the source of the maps.
 //!
 //! "The paper" in this crate is Ratto et al., University of Waterloo, "Indoor Occupancy Classification using a Compact Hybrid
 //! Quantum-Classical Model Enabled by a Physics-Informed Radar Digital Twin".
@@ -17,7 +17,7 @@
 //! assert_eq!(logits.len(), 3);
 //! # Ok::<(), candle_core::Error>(())
 //! ```
-//! From a dataset by way of a trained model to probabilities:
+//! A model is trained on a dataset and gives probabilities:
 //! ```no_run
 //! use std::path::Path;
 //!

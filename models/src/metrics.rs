@@ -176,7 +176,7 @@ impl RecordingScores {
         std::array::from_fn(|class| self.confusion.iter().map(|row| row[class]).sum())
     }
 
-    /// The class that most labelled frames were predicted; the first of equals.
+    /// Class predicted for most labelled frames; the first of equals.
     pub fn majority(&self) -> Occupancy {
         let predicted = self.predicted();
         let most = predicted.iter().copied().max().unwrap_or_default();
@@ -188,8 +188,8 @@ impl RecordingScores {
         (0..CLASSES).map(|class| self.confusion[class][class]).sum()
     }
 
-    /// Whether the recording as a whole is correct: with one label, the majority of predictions is that label; with several, more
-    /// than half of the labelled frames are correct.
+    /// Returns whether the recording as a whole is correct. With one label, the majority of predictions must be that
+    /// label. With several labels, more than half of the labelled frames must be correct.
     pub fn is_right(&self) -> bool {
         match self.label() {
             Some(label) => self.majority() == label,

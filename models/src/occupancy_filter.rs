@@ -94,8 +94,9 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Default for Smoothing {
-    /// Settings near those of the best log loss on the answers of room-hqnn to the ladder (fixtures/ladder, `evaluate --ladder
-    /// --fit-smoothing`). With them no rung is worse through the filter than by frame where most frames are right. More weight of the
+    /// Settings close to those with the best log loss on the answers of room-hqnn to the ladder (fixtures/ladder,
+    /// `evaluate --ladder --fit-smoothing`). With them, the filter is no worse than single frames on any rung where
+    /// most frames are right. More weight of the newest frame has a better log loss, but the answers flicker.
     /// newest frame has a better log loss and answers that flicker.
     fn default() -> Self {
         Smoothing { dwell_s: 3.4, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.0, newest: 0.3 }
@@ -143,11 +144,11 @@ impl Smoothing {
 
 /// Forward filter of a hidden Markov model in continuous time: people come and go one at a time.
 ///
-/// With `q` the network's probabilities of one frame and `p` the filter's, over the time since the frame before `dp/dt = (Q +
-/// diag(ln q) / independent_s) p`, normalised: Rabiner, Proc. IEEE 77(2), 1989, equations 19-20, with the network's probabilities
-/// in place of scaled likelihoods and evidence that comes evenly over time. Time beyond `independent_s` brings no more of it. With
-/// a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead. The answer is `p_k q_k^newest` to the power `1 / temperature`,
-/// normalised.
+/// `q` are the network's probabilities of one frame and `p` those of the filter. Over the time since the frame before,
+/// `dp/dt = (Q + diag(ln q) / independent_s) p`, normalised (Rabiner, Proc. IEEE 77(2), 1989, equations 19-20). The
+/// network's probabilities replace scaled likelihoods, and evidence comes evenly over time. Time beyond `independent_s`
+/// adds no evidence. With a weight `w` for each frame, `p_k <- q_k^w (exp(Q t) p)_k` instead. The answer is
+/// `p_k q_k^newest` to the power `1 / temperature`, normalised.
 ///
 /// In a stretch with mostly wrong frames the filter is wrong in more frames than the classifier, because evidence accumulates.
 ///
@@ -240,8 +241,9 @@ fn propagate(rates: &Matrix, time_s: f64, p: &[f64; CLASSES]) -> [f64; CLASSES] 
     exponential(rates, time_s).map(|row| row.iter().zip(p).map(|(a, p)| a * p).sum())
 }
 
-/// Exponential of `rates time_s`, of rates whose columns sum to zero or less and of which only the diagonal is negative: with the
-/// diagonal made positive, the series has no cancellation; halved as often as its norm needs and squared as often again.
+/// Exponential of the matrix `rates time_s` by scaling and squaring. Columns of `rates` sum to zero or less, and only
+/// the diagonal is negative. The diagonal is made positive, so that the series has no cancellation. The matrix is
+/// halved as often as its norm needs, and the result is squared as often.
 fn exponential(rates: &Matrix, time_s: f64) -> Matrix {
     /// Terms of the series, for a norm up to 1: the next is below 1e-17.
     const TERMS: usize = 18;

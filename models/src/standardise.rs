@@ -114,8 +114,8 @@ impl MapReference {
     }
 }
 
-/// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is memory to work in.
-/// Without cells, 0 dB.
+/// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is scratch
+/// memory. Without cells, 0 dB.
 pub(crate) fn bin_noise_db(row: &[f32], sorted: &mut Vec<f32>) -> f32 {
     if row.is_empty() {
         return 0.0;
@@ -151,8 +151,9 @@ pub(crate) fn noise_power(rng: &mut impl Rng) -> f32 {
     power.max(1e-9)
 }
 
-/// Power over noise `power` of a cell after a gain on echoes. The gain in dB counts by `power / (power + 5)`, so that echoes take
-/// all of it and noise stays nearly where it is: gains of -7 and 7 dB move the mean of noise over noise by -0.5 and 0.6 dB.
+/// Power over noise `power` of a cell after a gain on echoes. The gain in dB is weighted by `power / (power + 5)`, so
+/// that echoes take all of it and noise hardly changes. Gains of -7 and 7 dB move the mean of noise over noise by -0.5
+/// and 0.6 dB.
 pub(crate) fn gain_of_echo(power: f32, gain_db: f32) -> f32 {
     power * (gain_db / DB * echo_share(power)).exp()
 }
@@ -163,7 +164,7 @@ pub(crate) fn echo_share(power: f32) -> f32 {
     if power < 1e30 { power / (power + 5.0) } else { 1.0 }
 }
 
-/// `(dB - mean) / sigma`, of cells in reference to what they are measured against.
+/// Standardisation `(dB - mean) / sigma` of cells that are relative to a reference level.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Standardisation {
     /// Reference of 0 dB.
@@ -173,8 +174,8 @@ pub struct Standardisation {
     pub mean_db: f64,
     /// Standard deviation of all cells, dB.
     pub sigma_db: f64,
-    /// Constants by scene and class instead, for maps of these scenes with these numbers of people: the paper's rule, which leaks
-    /// the label of every map to the network.
+    /// Constants by scene and class, which replace the others for maps of these scenes with these numbers of people.
+    /// This is the paper's rule, which leaks the label of every map to the network.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub label_leaking_cells: Vec<CellConstants>,
 }
@@ -245,7 +246,7 @@ impl Standardisation {
         Ok(())
     }
 
-    /// Whether maps without a label cannot be standardised.
+    /// Returns whether maps without a label cannot be standardised.
     pub fn needs_labels(&self) -> bool {
         !self.label_leaking_cells.is_empty()
     }

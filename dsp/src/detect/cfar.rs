@@ -1,14 +1,17 @@
 //! Detection at a constant false-alarm rate (CFAR) by ordered statistics.
 //!
-//! The power of noise in a cell is exponential, in the sum of `L` receivers a Gamma of shape `L`. A cell is a detection if it
-//! exceeds the level of its training cells, which lie in a frame about it beyond some guard cells, by a factor that noise alone
-//! exceeds with the given probability. The level is the `k`-th smallest of the `N` training cells. For `L = 1` the rate is
-//! `prod_{i<k} (N-i)/(N-i+a)` (Rohling, "Radar CFAR Thresholding in Clutter and Multiple Target Situations", IEEE T-AES 19,
-//! 1983); in general it is an integral over the density of the `k`-th. Up to `N - k` strong training cells do not raise the level.
+//! The noise power in a cell has an exponential distribution; its sum over `L` receivers has a Gamma distribution of
+//! shape `L`. A cell is a detection if its power exceeds the level of its training cells by a factor. Noise alone
+//! exceeds that factor with the given probability. The training cells surround the cell under test, beyond some guard
+//! cells. The level is the `k`-th smallest of the `N` training cells. For `L = 1` the rate is
+//! `prod_{i<k} (N-i)/(N-i+a)` (Rohling, "Radar CFAR Thresholding in Clutter and Multiple Target Situations", IEEE T-AES
+//! 19, 1983). In general it is an integral over the density of the `k`-th smallest cell. Up to `N - k` strong training
+//! cells do not raise the level.
 //!
-//! The Doppler axis is periodic. At the ends of range only existing cells are counted, with the factor for their number. The
-//! rates are exact for independent cells. A Hann window correlates neighbours: 2 or more guard cells keep the cell itself out of
-//! the training cells, but the effective number of training cells is smaller, and the rate less than twice the given one.
+//! The Doppler axis is periodic. At the ends of range only existing cells are counted, with the factor for their
+//! number. The rates are exact for independent cells. A Hann window correlates neighbours. Two or more guard cells keep
+//! the power of the cell under test out of the training cells. The effective number of training cells is still smaller,
+//! and the rate is less than twice the given one.
 
 use thiserror::Error;
 
@@ -160,8 +163,9 @@ impl Cfar {
         Ok(Cfar { spec, doppler, range, plan })
     }
 
-    /// Thresholds of all cells, `[doppler][range]`, for powers (not dB) in the same order; `None` if their number is not that of the
-    /// cells. Where a training cell is not finite, the threshold may not be finite either, and no power exceeds it.
+    /// Thresholds of all cells, `[doppler][range]`, for powers (not dB) in the same order; `None` if their number is
+    /// not that of the cells. The threshold may not be finite if a training cell is not finite; no power exceeds such a
+    /// threshold.
     pub fn thresholds(&self, power: &[f64]) -> Option<Vec<f64>> {
         if power.len() != self.doppler * self.range {
             return None;
@@ -192,8 +196,9 @@ impl Cfar {
         exact.collect()
     }
 
-    /// Indices of the cells that may exceed their threshold, including all that do. A cell does if more training cells than the rank
-    /// lie below its power over the factor, and counting is much cheaper than ordering.
+    /// Indices of the cells that may exceed their threshold, including all that do. A cell exceeds its threshold if
+    /// more training cells than the rank lie below its power divided by the factor. Counting them is much cheaper than
+    /// sorting them.
     fn candidates(&self, power: &[f64]) -> Vec<usize> {
         let mut candidates = Vec::new();
         for doppler in 0..self.doppler {
@@ -237,7 +242,7 @@ impl Cfar {
         Some(plan.factor * *level)
     }
 
-    /// Rows of the window about a row, each with whether it lies beyond the guard cells.
+    /// Rows of the window around a row, each with a flag that is true beyond the guard cells.
     fn rows(&self, doppler: usize) -> impl Iterator<Item = (usize, bool)> + use<'_> {
         let CfarSpec { guard, training, .. } = self.spec;
         let reach = guard.doppler + training.doppler;
@@ -246,12 +251,12 @@ impl Cfar {
     }
 }
 
-/// 1-based order of the level among so many training cells.
+/// 1-based order of the level among this number of training cells.
 fn order_of(spec: &CfarSpec, cells: usize) -> usize {
     ((spec.rank * cells as f64).ceil() as usize).clamp(1, cells)
 }
 
-/// Factor on the `order`-th smallest, from 1, of `cells` training cells of `looks` looks each.
+/// Factor on the `order`-th smallest (from 1) of `cells` training cells of `looks` looks each.
 fn ordered_factor(cells: usize, order: usize, looks: usize, false_alarm_rate: f64) -> f64 {
     if looks == 1 {
         return solve(false_alarm_rate, |factor| {

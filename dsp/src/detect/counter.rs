@@ -1,9 +1,10 @@
 //! Classical counter of people, the baseline of networks.
 //!
-//! There are two maps of every frame, each without static echoes. The map over the chirps of the frame shows people who walk, by
-//! 2-D CFAR in range and Doppler. The map over the mean chirps of the last seconds shows people who sit and breathe: its
-//! slow-time energy over range must exceed a CFAR threshold along range, and the drift of a wall's echo. Detections that are close
-//! in range are one person. A weaker group behind another is taken for its echo off the walls.
+//! Each frame has two maps, both without static echoes. The map over the chirps of the frame shows people who walk, by
+//! 2-D CFAR in range and Doppler. The map over the mean chirps of the last seconds shows people who sit and breathe.
+//! Its slow-time energy must exceed a CFAR threshold along range, and the drift of a wall's echo. Detections that are
+//! close in range count as one person. A weaker group behind a stronger one counts as an echo of the stronger one off
+//! the walls.
 
 use std::collections::VecDeque;
 
@@ -21,7 +22,7 @@ const SLOW_FALSE_ALARM_RATE: f64 = 1e-4;
 const RANK: f64 = 0.75;
 /// Velocity cells on either side of zero that hold the residue of static removal.
 const RESIDUE_CELLS: usize = 1;
-/// Range below which the echo is the package's own, m.
+/// Range below which echoes come from the package itself, m.
 const NEAREST_M: f64 = 0.25;
 /// Least number of cells of a person: a single cell is a false alarm every few thousand frames.
 const LEAST_CELLS: usize = 3;
@@ -29,8 +30,8 @@ const LEAST_CELLS: usize = 3;
 const APART_M: f64 = 0.8;
 /// Difference of level, corrected for range, above which a weaker group is a multipath ghost of the strongest, dB.
 const GHOST_DB: f64 = 12.0;
-/// Length of slow time for people who sit still, s: a breath of four seconds is then two cells from zero, outside of the
-/// window's main lobe.
+/// Length of slow time for people who sit still, s. A breath of four seconds is then two cells from zero, outside of
+/// the window's main lobe.
 const BREATH_S: f64 = 8.0;
 /// Least share of energy in motion in the echo of a person who breathes. Walls and furniture, whose echo only drifts and jitters,
 /// return less.
@@ -159,8 +160,8 @@ impl CfarCounter {
         Ok(Observation { walking, breathes })
     }
 
-    /// Number of people in the room, at most 2, by the observation and the frames before: the people who walk, or one who breathes
-    /// where few of the frames before held a walker.
+    /// Number of people in the room, at most 2, from this observation and the previous frames. A person who breathes
+    /// counts as one if nobody walks and few of the previous frames contained a walker.
     pub fn people(&self, observation: Observation) -> usize {
         let walked = self.walked.iter().filter(|walked| **walked).count();
         let is_calm = walked as f64 <= MOST_WALKED_SHARE * self.walked.len() as f64;

@@ -1,8 +1,8 @@
 //! Detections of people and objects, finer than a cell: range, radial speed and direction.
 //!
-//! There are two methods. Anything that moves within a frame ([`Detector::detect_moving`]) has cells of its own in the frame's
-//! range-Doppler maps, one complex map a receiver. A person who sits or stands moves too little for that, but changes from frame
-//! to frame ([`Detector::detect_still`]). The change at a range has a direction too.
+//! There are two methods. Anything that moves within a frame ([`Detector::detect_moving`]) has cells of its own in the
+//! frame's range-Doppler maps, one complex map for each receiver. A person who sits or stands moves too little for
+//! that, but changes from frame to frame ([`Detector::detect_still`]). The change at a range has a direction too.
 //!
 //! Ranges are those in the middle of the frame. A beat frequency is `S tau + 2 v f / c`; the range bias by the second term is
 //! subtracted.
@@ -27,8 +27,8 @@ const MOST_DETECTIONS: usize = 12;
 const SAME_RANGE: f64 = 1.5;
 /// Largest difference of two maxima of one detection, m/s.
 const SAME_VELOCITY_M_PER_S: f64 = 0.3;
-/// Half width of the Doppler interval about a maximum over which the speed is averaged, m/s: the parts of a trunk differ by as
-/// much.
+/// Half width of the Doppler interval around a maximum over which the speed is averaged, m/s. The speeds of the parts
+/// of a trunk differ by as much.
 const TRUNK_M_PER_S: f64 = 0.15;
 /// Least share of the energy of a person's echo that changes between frames. The echo of walls and furniture only drifts and
 /// jitters.
@@ -162,8 +162,8 @@ impl Detector {
         Ok((detections, profile))
     }
 
-    /// Detects change between the frames of a few seconds, the strongest first: ranges at which more changes than at most ranges.
-    /// Fewer than three profiles give no detection.
+    /// Detects change between the frames of a few seconds, the strongest first. A range is a detection if its echo
+    /// changes more than the echoes at most ranges. Fewer than three profiles give no detection.
     pub fn detect_still(&self, profiles: &[&RangeProfile]) -> Vec<Detection> {
         let rx = self.waveform.shape().rx;
         if profiles.len() < 3 {
@@ -224,8 +224,8 @@ impl Detector {
         Some(self.still_at(range, [at(range - 1), at(range), at(range + 1)], snr_db, cross))
     }
 
-    /// Detection of what does not move within a frame: `powers` are those of the bin before, of this one and of the bin behind it,
-    /// `cross` is the product of the two receivers of a baseline at a range.
+    /// Detection of an echo without motion within a frame. The powers are those of the previous, this and the next
+    /// range bin. `cross` is the product of the two receivers of a baseline at a range.
     fn still_at(
         &self,
         range: usize,

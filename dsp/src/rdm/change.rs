@@ -5,10 +5,10 @@
 
 /// State of one receive channel, by range bin.
 ///
-/// With `z` the sum over the chirps of a frame at zero velocity, nothing removed, `m` its mean and `v` the mean of `|z - m|^2`, both
-/// with weights that fade exponentially over frames, the power of change is `v * v / (v + |m|^2)`: `v` where the phase turns, and
-/// lower by the ratio of the two where something strong moves a little. `v` has the level of the map's noise where only noise
-/// changes.
+/// `z` is the sum over the chirps of a frame at zero velocity, with nothing removed. `m` is the mean of `z`, and `v` is
+/// the mean of `|z - m|^2`, both with weights that fade exponentially over frames. The power of change is
+/// `v * v / (v + |m|^2)`. It is `v` where the phase turns, and lower by the factor `v / (v + |m|^2)` where a strong
+/// echo moves a little. `v` has the level of the map's noise where only noise changes.
 pub(super) struct Change {
     /// Weight of the newest frame, once there are enough frames.
     alpha: f32,
@@ -34,8 +34,9 @@ impl Change {
 
     /// Takes the real and imaginary parts of the next frame's `z`, and writes or adds the power of change by range bin.
     ///
-    /// The weights are equal until there are enough frames for `alpha`. A bin that is not finite gets a power that is not finite, and
-    /// does not enter the state (Welford's update with weights: Finch, "Incremental calculation of weighted mean and variance", 2009).
+    /// The weights are equal until there are enough frames for `alpha`. A bin that is not finite gets a power that is
+    /// not finite, and does not enter the state. The method is Welford's update with weights (Finch, "Incremental
+    /// calculation of weighted mean and variance", 2009).
     pub(super) fn push(&mut self, real: &[f32], imaginary: &[f32], adds: bool, powers: &mut [f32]) {
         self.frames = self.frames.saturating_add(1);
         let alpha = self.alpha.max(1.0 / self.frames as f32);

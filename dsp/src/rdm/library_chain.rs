@@ -1,4 +1,4 @@
-//! A peer for benchmarks. It stands here because a program's commands are compiled without optimisation.
+//! Reference chain for benchmarks. It is in this crate because a program's commands are compiled without optimisation.
 
 use std::sync::Arc;
 
@@ -12,8 +12,8 @@ use crate::spectrum::{complex_fft_f32, real_fft_f32};
 use crate::waveform::Waveform;
 use crate::window::Window;
 
-/// The chain as one would write it with the libraries: f32 throughout, plans and buffers kept, a copy between the axes in
-/// blocks, our logarithm.
+/// Processing chain written directly with the FFT libraries: f32 throughout, plans and buffers kept, a blocked copy
+/// between the axes, and this crate's logarithm.
 pub struct LibraryChain {
     range: Arc<dyn RealToComplex<f32>>,
     doppler: Arc<dyn Fft<f32>>,
@@ -28,7 +28,7 @@ pub struct LibraryChain {
 }
 
 impl LibraryChain {
-    /// Plans for frames of a waveform.
+    /// Creates the plans for frames of a waveform.
     pub fn new(waveform: &Waveform) -> Self {
         let shape = waveform.shape();
         let (range_window, doppler_window) = (Window::Hann.weights(shape.samples), Window::Hann.weights(shape.chirps));
@@ -48,7 +48,7 @@ impl LibraryChain {
         }
     }
 
-    /// Maps of all receivers into `cells`, `[rx][doppler][range]`, dB.
+    /// Computes the maps of all receivers into `cells`, `[rx][doppler][range]`, dB.
     pub fn maps(&mut self, frame: &Frame, cells: &mut [f32]) {
         let shape = frame.shape;
         let (chirps, bins) = (shape.chirps, shape.samples / 2);
@@ -63,7 +63,7 @@ impl LibraryChain {
                 let done =
                     self.range.process_with_scratch(&mut self.samples, &mut self.spectrum, &mut self.range_scratch);
                 debug_assert!(done.is_ok(), "buffers have the planned lengths");
-                // Offset has one line where a sine has two.
+                // A constant offset has one spectral line, a sine has two.
                 self.spectrum[0] *= 0.5;
                 for (bin, x) in self.spectrum[..bins].iter().enumerate() {
                     self.columns[bin * chirps + chirp] = *x;

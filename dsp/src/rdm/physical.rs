@@ -20,7 +20,7 @@ const MOST_RECEIVERS: usize = 3;
 /// Lower quartile of the mean noise power of one, two and three receivers, in units of its mean: quartiles of gamma distributions.
 /// For one receiver, whose noise power is exponential, it is `ln(4/3)`.
 const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_44];
-/// Purpose of these draws, which separates them from any others of the same sequence number.
+/// Purpose of the noise draws, which separates them from other draws with the same sequence number.
 const PURPOSE: u64 = 0x7068_7973_6963_616c;
 
 /// Matrices and buffers.
@@ -38,7 +38,8 @@ pub(super) struct PhysicalTransform {
     doppler_matrix: Vec<f32>,
     /// `[chirp][real, imaginary][range]`.
     spectra: Vec<f32>,
-    /// `[real, imaginary][range]` of the spectra under the real and under the imaginary part of a row of `doppler_matrix`.
+    /// Sums `[real, imaginary][range]` of the spectra, weighted by the real or the imaginary part of a row of
+    /// `doppler_matrix`.
     by_real: Vec<f32>,
     by_imaginary: Vec<f32>,
     /// State of change of each used channel, empty if the spec asks for none.
@@ -185,7 +186,8 @@ impl PhysicalTransform {
             let (real, imaginary) = weights.split_at(chirps);
             weighted_sum(self.level, real, &self.spectra, &mut self.by_real);
             weighted_sum(self.level, imaginary, &self.spectra, &mut self.by_imaginary);
-            // Real and imaginary part of the spectra, first under the weights' real part, then under the imaginary one.
+            // Real and imaginary part of the spectra, weighted first by the real part of the row, then by its imaginary
+            // part.
             let (a, b) = self.by_real.split_at(self.range);
             let (c, d) = self.by_imaginary.split_at(self.range);
             let first = bin * plan.shape.range;
@@ -200,7 +202,7 @@ impl PhysicalTransform {
 
 /// `weight * exp(-j 2 pi cycles)`.
 fn phasor(weight: f64, cycles: f64) -> Complex64 {
-    // The whole cycles first: their sine would lose digits.
+    // Whole cycles are removed first, because the sine of a large phase loses digits.
     let (sin, cos) = (-TAU * cycles.fract()).sin_cos();
     Complex64::new(weight * cos, weight * sin)
 }
@@ -215,11 +217,11 @@ fn is_dead(samples: &[f32], [lowest, highest]: [f32; 2]) -> bool {
 
 /// Cells that frames of a waveform do not measure, and the buffers to fill them with noise.
 ///
-/// The noise consists of independent draws from the distribution that noise has in the measured cells: the mean power of as many
-/// receivers, at the level of the noise in the same range bin. That level is the lower quartile of the bin's measured cells over
-/// the quartile of the distribution. Range bins without measured cells get the median level of the others. The draws are a
-/// function of sequence number, map and cell. A constant would reveal the waveform to a model, and would move the quartile that
-/// estimates a bin's noise. One pattern for all frames could be memorised by a model.
+/// The noise consists of independent draws from the distribution of noise in the measured cells: the mean power of as
+/// many receivers. Its level is that of the noise in the same range bin: the lower quartile of the bin's measured cells
+/// over the quartile of the distribution. Range bins without measured cells get the median level of the others. The
+/// draws are a function of sequence number, map and cell. A constant would reveal the waveform to a model, and would
+/// move the quartile that estimates a bin's noise. One pattern for all frames could be memorised by a model.
 struct UnmeasuredCells {
     /// Indices of the cells in a map.
     cells: Vec<usize>,

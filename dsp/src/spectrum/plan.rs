@@ -1,7 +1,7 @@
 //! Plans of the FFT library.
 //!
-//! The library's transforms are generic: each crate that plans one compiles all of them again. These functions are compiled here,
-//! once, and never inlined elsewhere.
+//! The library's transforms are generic, so each crate that plans one compiles all of them again. These functions are
+//! compiled only once, in this crate, and never inlined elsewhere.
 
 use std::sync::Arc;
 

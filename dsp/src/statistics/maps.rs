@@ -1,7 +1,7 @@
 //! Statistics of sets of maps, and distances between two sets, such as recorded and simulated maps.
 //!
-//! Cells are counted in histograms, so memory does not grow with the number of maps, and statistics add up: those of a resampled
-//! set of recordings are the sum of those of its recordings.
+//! Cells are counted in histograms, so memory does not grow with the number of maps. Statistics can be added: those of
+//! a resampled set of recordings are the sum of those of its recordings.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ const STEPS: usize = 7000;
 const NOISE_MEAN_DB: f64 = -2.506_818;
 /// Variance of the level of an exponentially distributed power, dB^2.
 const NOISE_VARIANCE_DB2: f64 = 31.025_36;
-/// Least significant excess of a mean, dB: the noise itself is not known better.
+/// Least significant excess of a mean, dB. The level of the noise is not known more accurately.
 const LEAST_RAISED_DB: f64 = 0.05;
 
 /// Distribution of the levels of cells, dB.

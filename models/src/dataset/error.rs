@@ -62,10 +62,10 @@ pub enum DatasetError {
         map: String,
         cells: usize,
     },
-    /// No map with this index.
+    /// The dataset has no map with this index.
     #[error("there is no map {index}: the dataset has {maps} maps")]
     NoSuchMap { index: usize, maps: usize },
-    /// A map differs from what was hashed when it was written.
+    /// A map does not match the hash that was computed when it was written.
     #[error("{path}: map {index} has SHA-256 {found}, the manifest says {expected}; the file was changed or damaged")]
     Hash { path: PathBuf, index: usize, expected: String, found: String },
     /// Frames of one sequence are in two splits.

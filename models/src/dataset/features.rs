@@ -1,7 +1,7 @@
 //! Features of maps of people beyond mean and sigma, which compare simulated rooms with real ones.
 //!
-//! Powers are over the noise of their range bin: the lower quartile of the bin's cells off zero Doppler over `ln(4/3)`, which it is
-//! of the mean of an exponential distribution.
+//! Powers are relative to the noise of their range bin. This noise is the lower quartile of the bin's cells off zero
+//! Doppler, divided by `ln(4/3)`. The lower quartile of an exponential distribution is `ln(4/3)` times its mean.
 
 use radome_dsp::{Occupancy, RdmProcessor, rdm::SpecError};
 use rand_distr::{Distribution, StandardNormal};
@@ -18,13 +18,13 @@ pub use radome_dsp::detect::LEAKAGE_BINS;
 const STATIC_CELLS: usize = 1;
 /// Least distance of a second echo behind the first, m.
 const SECOND_BEHIND_M: f64 = 0.6;
-/// Bins up to this far below the peak count as filled, dB.
+/// Largest distance below the peak at which bins count as filled, dB.
 const FILLED_DB: f64 = 20.0;
 /// Level below the peak at which the width of a Doppler spectrum is measured, dB.
 const WIDTH_DB: f64 = 25.0;
 /// Least peak over noise of a map in which people are visible, dB.
 const SEEN_DB: f64 = 26.0;
-/// Bins behind those of leakage whose noise is that of the map.
+/// Number of range bins beyond leakage whose noise counts as the noise of the map.
 const NEAR_BINS: usize = 8;
 /// Least power ratio of a cell above noise. About one cell of a map of noise exceeds it.
 const STANDS_OUT: f64 = 8.0;
@@ -32,11 +32,11 @@ const STANDS_OUT: f64 = 8.0;
 /// Quantiles over maps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// One map in ten is below.
+    /// Quantile of 10 %: one map in ten is below.
     pub low: f64,
-    /// Half of them are below.
+    /// Median.
     pub median: f64,
-    /// One in ten is above.
+    /// Quantile of 90 %: one map in ten is above.
     pub high: f64,
 }
 
@@ -54,21 +54,21 @@ impl Spread {
 pub struct ClassFeatures {
     /// The class.
     pub class: Occupancy,
-    /// Maps of it without transitions.
+    /// Number of maps of the class without transitions.
     pub maps: usize,
-    /// Maps of them that count: with people, those with a peak of 26 dB over noise or more.
+    /// Number of these maps that enter the features. Maps with people need a peak of 26 dB over noise or more.
     pub seen: usize,
-    /// Power of what moves, a mean over Doppler summed over range, over the noise of the eight nearest bins, dB. (The figures that
-    /// it is held against do not say how they were taken; this is the simplest that makes their 13 dB of an empty room from
-    /// their noise alone.)
+    /// Moving power relative to the noise of the eight nearest bins, dB: a mean over Doppler, summed over range. (The
+    /// figures that it is compared with do not state their definition. This is the simplest definition that gives their
+    /// 13 dB for an empty room from noise alone.)
     pub moving_energy_db: Option<Spread>,
-    /// The strongest cell, dB over noise.
+    /// Level of the strongest cell, dB over noise.
     pub peak_db: Option<Spread>,
     /// Difference between the strongest bin and the strongest one 0.6 m or more behind it, dB.
     pub second_echo_db: Option<Spread>,
-    /// Share of maps in which that is 13 dB at most.
+    /// Share of maps in which `second_echo_db` is 13 dB at most.
     pub second_echo_share: Option<f64>,
-    /// Range bins within 20 dB of the strongest.
+    /// Number of range bins within 20 dB of the strongest.
     pub filled_bins: Option<Spread>,
     /// Extent of the Doppler spectrum 25 dB down, m/s.
     pub doppler_width_m_per_s: Option<Spread>,
@@ -79,21 +79,21 @@ pub struct ClassFeatures {
 /// Features of a dataset.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Features {
-    /// Standard deviation of a sample that is noise of each range bin's density throughout, LSB; median over empty maps, or over
-    /// all where none is empty.
+    /// Noise level in the samples, LSB: the standard deviation of white noise with the density of each range bin.
+    /// Median over empty maps, or over all maps if none is empty.
     pub noise_lsb: Vec<f64>,
     /// Features by class, for classes with maps.
     pub classes: Vec<ClassFeatures>,
 }
 
-/// Features that cannot be measured.
+/// Error: features cannot be measured.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum FeatureError {
     /// A map could not be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The maps' own spec cannot be applied, to find out what noise reads.
+    /// The maps' own spec cannot be applied to measure the level of noise.
     #[error(transparent)]
     Spec(#[from] SpecError),
     /// The maps have too few cells to separate noise from echoes.

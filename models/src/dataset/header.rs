@@ -11,9 +11,9 @@ pub const FORMAT_VERSION: u32 = 1;
 pub struct DatasetHeader {
     /// [`FORMAT_VERSION`] of the writer.
     pub format_version: u32,
-    /// Waveform of the frames, as realised. With physical axes the first of several.
+    /// Waveform of the frames, as realised. With physical axes, the first of several waveforms.
     pub waveform: Waveform,
-    /// Settings by which maps were made of frames.
+    /// Settings by which maps were computed from frames.
     pub rdm_spec: RdmSpec,
     /// Shape of each map.
     pub shape: RdmShape,
@@ -39,7 +39,7 @@ impl DatasetHeader {
         })
     }
 
-    /// A map of the dataset with these cells, `[rx][doppler][range]` dB.
+    /// Makes a map of the dataset from cells `[rx][doppler][range]`, dB.
     pub fn rdm(&self, db: Vec<f32>, sequence: u64) -> Rdm {
         let (range_step_m, velocity_step_m_per_s) = self.rdm_spec.steps(&self.waveform);
         Rdm { shape: self.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags: MapFlags::default() }

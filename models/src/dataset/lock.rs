@@ -34,7 +34,7 @@ pub fn lock_file(path: &Path) -> Result<File, DatasetError> {
 }
 
 fn lock(path: &Path, what: &Path, attempt: fn(&File) -> Result<(), TryLockError>) -> Result<File, DatasetError> {
-    // Network file systems share a lock only of files that can be read.
+    // Network file systems grant a shared lock only on files that can be read.
     let open = File::options().read(true).write(true).create(true).truncate(false).open(path);
     let file = open.map_err(DatasetError::io(path, "creating"))?;
     match attempt(&file) {

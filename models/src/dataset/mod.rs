@@ -5,7 +5,8 @@
 //! manifest.jsonl    one row a map, in order                                               (ManifestRow)
 //! maps-00000.npy    f32 dB, [map][rx][doppler][range], up to 256 maps a shard
 //! ```
-//! A folder is written under a temporary name and renamed when complete, so what has the right name is whole.
+//! A folder is written under a temporary name and renamed when complete. A folder with the final name is therefore
+//! complete.
 
 mod error;
 mod features;

@@ -87,7 +87,7 @@ impl Dataset {
         &self.header
     }
 
-    /// A row for each map.
+    /// Rows of the manifest, one for each map.
     pub fn rows(&self) -> &[ManifestRow] {
         &self.rows
     }
@@ -97,7 +97,7 @@ impl Dataset {
         self.rows.len()
     }
 
-    /// Whether there is no map.
+    /// Returns whether the dataset has no maps.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -147,7 +147,7 @@ impl Dataset {
         })
     }
 
-    /// The split of each map ([`SplitSpec::assign`]).
+    /// Split of each map ([`SplitSpec::assign`]).
     ///
     /// # Errors
     /// Those of [`SplitSpec::assign`].
@@ -158,7 +158,7 @@ impl Dataset {
     /// SHA-256 over header and manifest (which holds the hash of every map), hex.
     pub fn hash(&self) -> String {
         let mut hash = Sha256::new();
-        // Serialisation fails only for maps with keys that are no strings, and neither type has one.
+        // Serialisation fails only for maps with keys that are not strings; neither type has such keys.
         hash.update(serde_json::to_vec(&self.header).unwrap_or_default());
         for row in &self.rows {
             hash.update(serde_json::to_vec(row).unwrap_or_default());
@@ -247,7 +247,7 @@ fn read_rows(dir: &Path) -> Result<Vec<ManifestRow>, DatasetError> {
     text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).map(row).collect()
 }
 
-/// Bytes that an npy header of version 1 has at most.
+/// Longest npy header of version 1, bytes.
 const LONGEST_HEADER: u64 = 10 + 65_535;
 
 /// Checks type, shape and length of a shard; returns where its data begin.
@@ -272,7 +272,7 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
         return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
     }
-    // The parser multiplies them unchecked.
+    // The parser multiplies the lengths of the axes without an overflow check.
     let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
     let axes = String::from_utf8_lossy(axes.unwrap_or(&[])).into_owned();
     let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());

@@ -40,7 +40,7 @@ pub struct SplitSpec {
     pub held_out: Option<String>,
 }
 
-/// Group name, after the hash that orders it.
+/// Hash that orders a group, and name of the group.
 type Ranked<'a> = ([u8; 32], &'a str);
 
 /// Group of sequences that stay in one split.
@@ -61,11 +61,12 @@ impl Default for SplitSpec {
 impl SplitSpec {
     /// Assigns a split to each row, in order.
     ///
-    /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group. Rows with a
-    /// split keep it, and so does the rest of their group. The other groups are stratified by domain and by the set of their
-    /// classes. Within a stratum they are ordered by a seeded hash of their name and assigned: test first, then validation, each
-    /// rounded to the nearest whole group, with at least one group for training. The result does not depend on threads, order of
-    /// rows or machine, and every split contains every class if there are enough groups.
+    /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group.
+    /// Rows with a split keep it, and so does the rest of their group. The other groups are stratified by domain and by
+    /// the set of their classes. Within a stratum they are ordered by a seeded hash of their name, and assigned to test
+    /// first, then to validation. Each number is rounded to the nearest whole group, and at least one group is left for
+    /// training. The result does not depend on threads, order of rows or machine. Every split contains every class if
+    /// there are enough groups.
     ///
     /// # Errors
     /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no
@@ -119,7 +120,7 @@ impl SplitSpec {
         Ok(rows.iter().map(split).collect())
     }
 
-    /// Groups of the rows, with what they hold. Splits of rows count only if `rows_decide`.
+    /// Groups of the rows with their contents. Splits of rows count only if `rows_decide`.
     fn groups<'a>(
         &self,
         rows: &'a [ManifestRow],
@@ -153,8 +154,8 @@ impl SplitSpec {
 
     /// Number of groups of a stratum for test and for validation.
     fn shares_of(&self, groups: usize) -> (usize, usize) {
-        // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
-        // two subjects, scenes or seeds, of which there may be few.
+        // A share above zero gets at least one group if one is left to train on. This needs three sequences, or two
+        // subjects, scenes or seeds, because there may be few of them.
         let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
         let number = |share: f64, room: usize| {
             let wanted = (share * groups as f64).round() as usize;

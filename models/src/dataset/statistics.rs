@@ -24,7 +24,7 @@ impl Moments {
         self.merge(&Self::of(block));
     }
 
-    /// Those of one block.
+    /// Moments of one block.
     fn of(block: &[f32]) -> Self {
         if block.is_empty() {
             return Self::default();
@@ -44,7 +44,7 @@ impl Moments {
         self.count += other.count;
     }
 
-    /// Those of the values that are left without some of them; `None` if none are.
+    /// Moments of the values that remain without `part`; `None` if none remain.
     fn without(&self, part: &Self) -> Option<Self> {
         let count = self.count - part.count;
         if count <= 0.0 {
@@ -72,7 +72,7 @@ impl Moments {
     }
 }
 
-/// A row of the table.
+/// Row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CellStatistics {
     /// Scene or place.
@@ -81,23 +81,24 @@ pub struct CellStatistics {
     pub class: Occupancy,
     /// Source of the frames.
     pub domain: Domain,
-    /// Maps.
+    /// Number of maps.
     pub maps: usize,
-    /// Sequences that they are of.
+    /// Number of sequences of these maps.
     pub sequences: usize,
     /// Mean of all cells of all maps, dB.
     pub mean_db: f64,
-    /// Half of the width of its 95 % interval over sequences, dB: frames of one sequence are alike. `None` for one sequence.
+    /// Half width of the 95 % interval of `mean_db`, dB. The interval is over sequences, because frames of one sequence
+    /// are alike. `None` for one sequence.
     pub mean_half_width_db: Option<f64>,
     /// Standard deviation of the cells, dB.
     pub sigma_db: f64,
-    /// Half of the width of its 95 % interval over sequences, dB. `None` for one sequence.
+    /// Half width of the 95 % interval of `sigma_db` over sequences, dB. `None` for one sequence.
     pub sigma_half_width_db: Option<f64>,
-    /// If people raise a share `p` of the empty scene's cells by `U` dB, mean and variance rise by `p U` and
-    /// `p (1 - p) U^2`: the `p` that fits. `None` for empty scenes, where no empty map of the same scene and domain is
-    /// there to compare with, and where mean or variance did not rise.
+    /// Share `p` of the empty scene's cells that people raise by `U` dB. The mean then rises by `p U` and the variance
+    /// by `p (1 - p) U^2`. `None` for empty scenes, if there is no empty map of the same scene and domain, or if mean
+    /// or variance did not rise.
     pub raised_fraction: Option<f64>,
-    /// The `U` that fits, dB.
+    /// Level `U` by which these cells are raised, dB.
     pub raised_level_db: Option<f64>,
 }
 

@@ -27,9 +27,9 @@ pub struct Duplicate {
     pub maps: Vec<usize>,
     /// Common property: `cells`, or `frame` for a frame of a recording that is listed twice.
     pub what: &'static str,
-    /// Their splits, each once.
+    /// Splits of these maps, each once.
     pub splits: Vec<Split>,
-    /// Their labels, each once: more than one is a contradiction.
+    /// Labels of these maps, each once. More than one label is a contradiction.
     pub labels: Vec<Occupancy>,
 }
 
@@ -40,7 +40,7 @@ pub struct Leak {
     pub by: SplitBy,
     /// Name of the group.
     pub name: String,
-    /// The splits.
+    /// Splits that the group lies in.
     pub splits: Vec<Split>,
 }
 
@@ -56,11 +56,11 @@ pub struct PairFault {
 /// Findings of [`verify`].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
-    /// Maps.
+    /// Number of maps.
     pub maps: usize,
-    /// Sequences.
+    /// Number of sequences.
     pub sequences: usize,
-    /// Maps in training, validation and test.
+    /// Number of maps in training, validation and test.
     pub split_maps: [usize; 3],
     /// Damaged maps.
     pub damaged: Vec<Damage>,
@@ -68,14 +68,14 @@ pub struct VerifyReport {
     pub duplicates: Vec<Duplicate>,
     /// Sequences and other groups in more than one split.
     pub leaks: Vec<Leak>,
-    /// Pairs of a recording and its mirror.
+    /// Number of pairs of a recording and its simulation.
     pub pairs: usize,
     /// Pairs whose two sides do not match.
     pub unpaired: Vec<PairFault>,
 }
 
 impl VerifyReport {
-    /// Whether there are no findings.
+    /// Returns whether there are no findings.
     pub fn is_sound(&self) -> bool {
         self.damaged.is_empty() && self.duplicates.is_empty() && self.leaks.is_empty() && self.unpaired.is_empty()
     }
@@ -138,7 +138,7 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
 /// Number of pairs, and those with faults. Both sides must have the same frames with the same times and labels, and belong to one
 /// sequence, so that they are in one split.
 fn check_pairs(rows: &[ManifestRow]) -> (usize, Vec<PairFault>) {
-    /// By frame: start, label, and whether it is a transition.
+    /// Start, label and transition flag of each frame, by frame number.
     type Side = BTreeMap<u64, (Option<u64>, Occupancy, bool)>;
     let mut pairs: BTreeMap<&str, (Side, Side, BTreeSet<&str>)> = BTreeMap::new();
     for row in rows {

@@ -67,7 +67,7 @@ mod linux {
                 helpers.swap_remove(index);
             }
             if let Some(allowed) = &self.allowed {
-                // This fails only where the mask was changed from outside meanwhile, and then that one counts.
+                // This fails only if the mask was changed from outside meanwhile. That mask then stays.
                 _ = sched_setaffinity(None, allowed);
             }
         }

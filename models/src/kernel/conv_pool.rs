@@ -57,8 +57,8 @@ impl Block {
         }
     }
 
-    /// Weights `[output][input][row][column]` to `[output / 16][row][column][input][output % 16]`, zero-filled, for the
-    /// forward pass.
+    /// Packs weights `[output][input][row][column]` as `[output / 16][row][column][input][output % 16]`, zero-filled,
+    /// for the forward pass.
     pub fn pack(&self, weight: &[f32]) -> Vec<f32> {
         let mut packed = vec![0.0; self.packed_length()];
         for (o, kernel) in weight.chunks_exact(self.kernel_length()).enumerate() {
@@ -71,7 +71,8 @@ impl Block {
         packed
     }
 
-    /// Weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward pass.
+    /// Converts weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward
+    /// pass.
     pub fn to_channel_last(self, weight: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; weight.len()];
         for (source, target) in
@@ -99,8 +100,8 @@ impl Block {
 }
 
 dispatch! {
-    /// Convolution, bias, ReLU and pooling of one sample. `winner` receives the index 0..4 of the largest cell of each
-    /// window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
+    /// Computes convolution, bias, ReLU and pooling of one sample. `winner` receives the index 0..4 of the largest cell
+    /// of each window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
     pub(crate) fn forward(
         block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
     ) = forward_generic
@@ -229,8 +230,9 @@ fn backward_generic<const FUSED: bool>(
     }
 }
 
-/// [`backward`] for a single input channel that is data. Runs of three offsets are too short for vectors, so here the
-/// vectors run over outputs: the gradient is spread over the four cells of the window, zero but for the winner's.
+/// Computes [`backward`] for a single input channel that is data. Runs of three offsets are too short for vectors, so
+/// the vectors run over outputs. The gradient is spread over the four cells of the window, and only the winner's cell
+/// is not zero.
 #[inline(always)]
 fn backward_of_data<const FUSED: bool>(
     block: Block,

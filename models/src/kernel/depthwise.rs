@@ -8,7 +8,7 @@ use super::implicit_gemm::ImplicitGemm;
 use super::spin_pool::for_each_task;
 use super::tile::{ChannelTile, OffsetTile, Shared, Tiles, part};
 
-/// Most cells of a task, and least cells if there are more.
+/// Largest number of cells of a task, and the smallest number that is worth another task.
 const CELLS_PER_TASK: [usize; 2] = [256, 16];
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;

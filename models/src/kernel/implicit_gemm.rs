@@ -73,7 +73,7 @@ impl ImplicitGemm {
         [cell / (rows * columns), cell / columns % rows, cell % columns]
     }
 
-    /// Whether the cells at all offsets are gathered into patches before the product.
+    /// Returns whether the cells at all offsets are gathered into patches before the product.
     pub fn is_gathered(&self) -> bool {
         let all_in_order = || self.offsets.iter().enumerate().all(|(k, offset)| offset.index as usize == k);
         self.channels < FEW_CHANNELS && self.offsets.len() > 1 && all_in_order()
@@ -92,7 +92,7 @@ impl ImplicitGemm {
         self.look_up(cells, source, zeros, self.is_gathered().then_some(patches), addresses);
     }
 
-    /// [`ImplicitGemm::addresses`] that never gathers.
+    /// Writes addresses as [`ImplicitGemm::addresses`] does, but never gathers.
     pub fn cell_addresses(
         &self,
         cells: std::ops::Range<usize>,

@@ -83,12 +83,12 @@ impl Packed {
         Packed { values, depth, columns, tiles }
     }
 
-    /// Columns with padding.
+    /// Number of columns with padding.
     fn length(columns: usize, tiles: Tiles) -> usize {
         columns.next_multiple_of(tiles.lanes)
     }
 
-    /// `values`, one for each column, filled up with zeros for the padding.
+    /// Copies `values`, one for each column, and fills the padding with zeros.
     pub fn pad(&self, values: &[f32]) -> Vec<f32> {
         let mut padded = values.to_vec();
         padded.resize(Self::length(self.columns, self.tiles), 0.0);

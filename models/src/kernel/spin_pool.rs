@@ -16,8 +16,9 @@ use super::affinity::Affinity;
 
 /// Time without a job after which a helper returns to rayon.
 const HELPER_TIMEOUT: Duration = Duration::from_micros(300);
-/// Spins, some ten nanoseconds each, before a thread yields its processor. Longer than the time between two steps: on a busy
-/// machine a thread that yields may come back after the run. Not longer than needed: the awaited thread may need this processor.
+/// Number of spins, some ten nanoseconds each, before a thread yields its processor. They take longer than the time
+/// between two steps, because on a busy machine a thread that yields may come back after the run. They take no longer
+/// than needed, because the awaited thread may need this processor.
 const SPINS_BEFORE_YIELD: u32 = 1 << 11;
 
 thread_local! {

@@ -1,7 +1,7 @@
 //! Tiles: the two kinds of products in dense layers, with one tile of sums in registers at a time.
 //!
-//! Neither copies its operands first: channels are contiguous in channel-last maps, so a product over channels and offsets needs
-//! only the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
+//! Neither kind of product copies its operands first. Channels are contiguous in channel-last maps, so a product over
+//! channels and offsets needs only the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
@@ -72,7 +72,7 @@ pub(crate) struct ChannelTile {
 }
 
 impl ChannelTile {
-    /// Most rows.
+    /// Largest number of rows of a tile.
     pub const ROWS: usize = 6;
 }
 
@@ -317,12 +317,12 @@ pub(crate) struct Tiles {
     pub level: KernelLevel,
     /// Values in a vector.
     pub lanes: usize,
-    /// Most rows of a tile.
+    /// Largest number of rows of a tile.
     pub rows: usize,
 }
 
 impl Tiles {
-    /// The tiles of the level, or of the next below that the processor has.
+    /// Selects the tiles of the level, or of the next level below that the processor has.
     pub fn new(level: KernelLevel) -> Self {
         let level = level.available();
         let (lanes, rows) = match level {

@@ -7,13 +7,13 @@
 /// are touched.
 #[allow(clippy::missing_safety_doc)]
 pub(crate) trait Vector: Copy {
-    /// Values in it.
+    /// Number of values in a vector.
     const LANES: usize;
     /// Rows of a tile of sums, two vectors wide, that stay in registers.
     const ROWS: usize;
     unsafe fn splat(value: f32) -> Self;
     unsafe fn load(from: *const f32) -> Self;
-    /// The first `count` lanes; zeros in the others, whose memory is not touched.
+    /// Loads the first `count` lanes. The other lanes are zero, and their memory is not touched.
     unsafe fn load_first(from: *const f32, count: usize) -> Self;
     unsafe fn store(self, to: *mut f32);
     /// Writes the first `count` lanes only.
@@ -95,7 +95,7 @@ mod x86 {
     use super::{Plain, Vector};
     use std::arch::x86_64::*;
 
-    /// The methods of [`Vector`] that are one instruction, by its names.
+    /// Implements the methods of [`Vector`] that are a single instruction, by the names of the instructions.
     macro_rules! operations {
         ($splat:ident, $load:ident, $store:ident, $add:ident, $subtract:ident, $larger:ident, $fused:ident) => {
             #[inline(always)]

@@ -1,10 +1,11 @@
 //! Winograd's algorithm for 3x3 convolutions of stride 1 and padding 1: 16 products instead of 36.
 //!
-//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the
-//! four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g`
-//! is the kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform
-//! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums. The gradient
-//! of the input is the same with rotated kernels; that of the weights is in `winograd_gradient.rs`.
+//! This is F(2x2, 3x3) of minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks",
+//! 2016). The four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`. `d` are their 4x4
+//! input cells, and `g` is the kernel. The sums over channels are 16 dense products, one for each point of the
+//! transformed window. The output transform is fused with the operation behind the convolution. Rounding errors are at
+//! most about twice those of the direct sums. The gradient of the input is the same with rotated kernels; that of the
+//! weights is in `winograd_gradient.rs`.
 
 use std::cell::RefCell;
 
@@ -14,7 +15,7 @@ use super::tile::{RowTile, Shared, Tiles, WIDEST, part};
 use super::winograd_transform::{GradientWindow, InputWindow, OutputWindow, POINTS};
 use super::winograd_weights::transformed;
 
-/// Point that enters each of the four cells once: its sums start from the bias.
+/// Point that contributes once to each of the four cells: its sums start from the bias.
 const CENTRE: usize = 5;
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
@@ -66,15 +67,15 @@ impl Winograd {
         Winograd { inputs, outputs, weight, init }
     }
 
-    /// The gradient of the input of a convolution with these weights, from the gradient of its output.
+    /// Prepares the gradient of the input of a convolution with these weights, from the gradient of its output.
     pub fn backward(weight: &[f32], [outputs, inputs]: [usize; 2], tiles: Tiles) -> Self {
         let weight = transformed(weight, [outputs, inputs], Side::Backward, tiles);
         let init = weight.pad(&[]);
         Winograd { inputs: outputs, outputs: inputs, weight, init }
     }
 
-    /// `source` `[batch][row][column][i]` to `target` `[batch][row / 2][column / 2][o]` where it is pooled,
-    /// `[batch][row][column][o]` otherwise.
+    /// Convolves `source` `[batch][row][column][i]` into `target`: `[batch][row / 2][column / 2][o]` where it is
+    /// pooled, `[batch][row][column][o]` otherwise.
     ///
     /// # Panics
     /// Lengths of `source`, `target` and the residual differ from the shapes above.
@@ -90,7 +91,7 @@ impl Winograd {
         }
         let windows = batch * grid[0] * grid[1];
         let (panels, shared) = (self.weight.panels(), Shared::new(target));
-        // One row of tiles a task: intermediate results stay in the cache.
+        // Each task computes one row of tiles, so intermediate results stay in the cache.
         let parts = windows.div_ceil(self.weight.tiles.rows);
         let panel_parts = TASKS.div_ceil(parts.max(1)).min(panels);
         let map = Map { rows, columns, grid };
@@ -185,7 +186,7 @@ impl Map {
         stride: usize,
     ) -> InputWindow {
         let [image, row, column] = self.place(window);
-        // Of four cells from cell `2 index - 1` on, those from the first to the end are among `length`.
+        // First and end of the cells that lie within `length`, among the four cells from cell `2 index - 1` on.
         let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
         let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
         InputWindow {

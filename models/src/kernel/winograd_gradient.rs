@@ -1,7 +1,8 @@
-//! Gradients of weights by Winograd's algorithm (`winograd.rs`): 16 products a window instead of 36, as in its forward pass.
+//! Gradients of weights by Winograd's algorithm (`winograd.rs`): 16 products for each window instead of 36, as in its
+//! forward pass.
 //!
-//! The output is linear in the transformed weights `G g G^T`. Their gradient at a point is the sum over all windows of `A y A^T`
-//! times `B^T d B`, where `y` are the gradients of the window's four output cells and `d` its 4x4 input cells.
+//! The output is linear in the transformed weights `G g G^T`. Their gradient at a point is the sum over all windows of
+//! `A y A^T` times `B^T d B`. `y` are the gradients of the window's four output cells, and `d` are its 4x4 input cells.
 
 use rayon::prelude::*;
 
@@ -15,15 +16,16 @@ use super::winograd_weights::gradient_of_weights;
 const BLOCK_VALUES: usize = 1 << 19;
 /// Least number of windows of a block: each block reads and writes all sums once.
 const LEAST_BLOCK: usize = 128;
-/// Most windows of a block: longer sums in f32 are less exact.
+/// Largest number of windows of a block. Longer sums in f32 are less exact.
 const MOST_BLOCK: usize = 256;
-/// Windows of a task that transforms.
+/// Number of windows that one task transforms.
 const WINDOWS_PER_TASK: usize = 16;
 /// Tasks for each point.
 const TASKS: usize = 4;
 /// Values that a task fills with zeros.
 const CHUNK: usize = 1 << 16;
-/// Values behind each point's: points at multiples of a power of two would take the same lines of the caches.
+/// Padding after the values of each point. Points at multiples of a power of two would compete for the same cache
+/// lines.
 const GAP: usize = 16;
 
 /// Gradient `[o][i][3][3]` of the weights of a 3x3 convolution of stride 1 and padding 1 on `source` `[batch][row][column][i]`, whose
@@ -76,7 +78,7 @@ struct Transformed {
     inputs: usize,
     of_output: usize,
     of_input: usize,
-    /// Most windows.
+    /// Largest number of windows of a block.
     block: usize,
     tiles: Tiles,
 }

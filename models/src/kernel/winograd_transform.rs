@@ -7,14 +7,14 @@ use super::tile::WIDEST;
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
 
-/// Numbers of a transformed window.
+/// Number of points of a transformed window.
 pub(crate) const POINTS: usize = 16;
 
 /// The 4x4 input cells of a window.
 pub(crate) struct InputWindow {
     /// Address of the first cell, also if it lies outside the map.
     pub corner: *const f32,
-    /// Values from row to row.
+    /// Stride from row to row.
     pub line: usize,
     pub channels: usize,
     /// First and end row and column of the cells that are in the map; the others are zero.
@@ -60,22 +60,22 @@ pub(crate) struct Kernels {
 }
 
 impl Kernels {
-    /// Most kernels.
+    /// Largest number of kernels.
     pub const WIDTH: usize = WIDEST;
-    /// Values of a kernel.
+    /// Number of values of a kernel.
     pub const CELLS: usize = 9;
 }
 
 // The code below uses loops instead of closures, because closures are not compiled for the kernel's instructions.
 
-/// The first `left` lanes, or all.
+/// Loads the first `left` lanes, or all.
 #[inline(always)]
 unsafe fn load_up_to<V: Vector>(from: *const f32, left: usize) -> V {
     // SAFETY: as in `transform`.
     unsafe { if left >= V::LANES { V::load(from) } else { V::load_first(from, left) } }
 }
 
-/// The first `left` lanes, or all.
+/// Stores the first `left` lanes, or all.
 #[inline(always)]
 unsafe fn store_up_to<V: Vector>(value: V, to: *mut f32, left: usize) {
     // SAFETY: as in `transform`.

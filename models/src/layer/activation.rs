@@ -8,7 +8,7 @@ use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
 use crate::kernel::level::{dispatch, multiply_add};
 
-/// Values that one task passes over.
+/// Number of values that one task processes.
 pub(super) const CHUNK: usize = 1 << 14;
 
 /// A function of each value.
@@ -78,7 +78,8 @@ pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
     }
 }
 
-/// `gradient` times the derivative of the activation at `x`. ReLU's is zero at zero, as PyTorch's.
+/// Computes `gradient` times the derivative of the activation at `x`. The derivative of ReLU is zero at zero, as in
+/// PyTorch.
 #[inline(always)]
 pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> f32 {
     match A {

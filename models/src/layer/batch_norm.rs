@@ -98,7 +98,7 @@ impl RunningStatistics {
         Ok(())
     }
 
-    /// Moves towards a batch of `count` values a channel, whose variance is biased.
+    /// Moves the running statistics towards a batch of `count` values for each channel, whose variance is biased.
     fn update(&self, mean: &[f32], variance: &[f32], count: usize) {
         let momentum = self.constants.momentum;
         let unbiased = count as f32 / (count as f32 - 1.0);
@@ -179,7 +179,7 @@ fn moments_generic<const FUSED: bool>(block: &[f32], channels: usize, mean: &mut
 }
 
 dispatch! {
-    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of what is left.
+    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of the centred values.
     fn block_moments(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) = moments_generic
 }
 

@@ -81,7 +81,7 @@ impl CircuitLayer {
     /// Gradients by the input and by the angles.
     fn gradients(&self, input: &[f32], theta: &[f32], cotangents: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
         let mut by_input = vec![0.0f32; input.len()];
-        // Summed in the order of rows, whichever thread was first.
+        // The parts are summed in the order of rows, whichever thread is first.
         let parts: Vec<Vec<f64>> = if let Some(trained) = self.trained(theta) {
             let (input, cotangents) = (input.as_chunks::<2>().0, cotangents.as_chunks::<2>().0);
             let pieces = input.par_chunks(ROWS).zip(cotangents.par_chunks(ROWS));

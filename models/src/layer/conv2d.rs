@@ -17,17 +17,18 @@ const NAME: &str = "conv2d";
 
 /// Least number of channels on either side for which Winograd's transforms are worth their cost.
 const FEW_CHANNELS: usize = 16;
-/// Least number of rows and columns for which they are: at fewer, much of the windows lies outside.
+/// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, much of the
+/// windows lies outside.
 const FEW_CELLS: usize = 4;
 
 /// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ConvGeometry {
-    /// Cells from one output to the next, at least 1.
+    /// Distance in cells from one output to the next, at least 1.
     pub stride: usize,
     /// Rows and columns of zeros on each side.
     pub padding: usize,
-    /// 1, or the number of channels for a depthwise convolution.
+    /// Number of groups: 1, or the number of channels for a depthwise convolution.
     pub groups: usize,
 }
 
@@ -141,12 +142,12 @@ impl ConvSizes {
         })
     }
 
-    /// Whether the convolution is depthwise. One with a single channel is dense.
+    /// Returns whether the convolution is depthwise. A convolution with a single channel is dense.
     pub fn is_depthwise(&self) -> bool {
         self.geometry.groups > 1
     }
 
-    /// Whether a training step computes it by Winograd's algorithm.
+    /// Returns whether a training step computes the convolution by Winograd's algorithm.
     fn in_windows(&self) -> bool {
         self.kernel == [3, 3]
             && self.geometry == ConvGeometry::dense(1, 1)
@@ -159,17 +160,17 @@ impl ConvSizes {
         [self.batch, self.input[0], self.input[1]]
     }
 
-    /// Cells of the kernel.
+    /// Number of cells of the kernel.
     pub fn offsets(&self) -> usize {
         self.kernel[0] * self.kernel[1]
     }
 
-    /// `[batch][row][column][o]`.
+    /// Shape of the output, `[batch][row][column][o]`.
     pub fn output_shape(&self) -> [usize; 4] {
         [self.batch, self.output[0], self.output[1], self.outputs]
     }
 
-    /// Values of the output.
+    /// Number of values of the output.
     pub fn output_count(&self) -> usize {
         self.output_shape().iter().product()
     }

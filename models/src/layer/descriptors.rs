@@ -37,10 +37,10 @@ const SAME_VELOCITY_BINS: i64 = 4;
 const SLOW_BINS: i64 = 1;
 /// Levels below the strongest cell down to which cells are counted, dB.
 const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
-/// Change from frame to frame of an empty room at most and of people at least, dB over noise: rooms at rest have up to 19 dB,
-/// sitting people 30 dB and more.
+/// Change from frame to frame up to which a room counts as empty, and from which it counts as occupied, dB over noise.
+/// Rooms at rest have up to 19 dB, sitting people 30 dB and more.
 const CHANGE_DB: [f32; 2] = [20.0, 35.0];
-/// Level of the strongest cell of a map without motion within the frame at most, and of a map with motion at least, dB.
+/// Level of the strongest cell up to which a map has no motion within the frame, and from which it has motion, dB.
 const MOTION_DB: [f32; 2] = [10.0, 25.0];
 /// Difference by which one direction must exceed the other in a range bin to dominate it, dB.
 const OWNS_DB: f32 = 3.0;
@@ -93,17 +93,20 @@ struct Cell {
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
 /// opposite direction is more than a bin beyond zero as seen from the strongest cell.
 ///
-/// None of them changes when approaching and receding are exchanged about zero Doppler: the direction of motion says nothing
-/// about the number of people, and a linear classifier can use the magnitude of a velocity only if it is given one.
+/// No descriptor changes when approaching and receding are exchanged about zero Doppler. The direction of motion says
+/// nothing about the number of people. A linear classifier can use the magnitude of a velocity only if the magnitude is
+/// an input.
 ///
-/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above
-/// 10 dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
-/// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single cell of
-/// noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The spread over
-/// range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
+/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0. Cells of an incomplete last row are left out. Only
+/// cells above 10 dB count, and energies are `1 + P / N` less 10, so that cells of noise do not count. Means and
+/// spreads of range and velocity are multiplied by `energy / (energy + 10)`, so that a single cell of noise moves them
+/// little. For the mean of range, this factor applies to its distance from the middle of the axis. Without any energy,
+/// the mean of range is the middle of the axis and the others are 0. The spread over range bins is the standard
+/// deviation over bins whose strongest cell is above 15 dB, or 0 without such bins.
 ///
-/// Of equals, the strongest cell is the one of the smallest index. A map without cells above 10 dB has a strongest cell of 10 dB in
-/// the middle of the range axis that stands still; so has a region without cells a strongest level of 10 dB and no energy.
+/// Among equal cells, the strongest cell is the one with the smallest index. A map without cells above 10 dB has a
+/// strongest cell of 10 dB in the middle of the range axis, at velocity 0. A region without cells has a strongest level
+/// of 10 dB and no energy.
 ///
 /// Finite for any finite cells; all are NaN if a cell is not finite.
 pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, velocity_step: f64) -> [f32; DESCRIPTORS] {

@@ -48,7 +48,7 @@ pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> R
     apply(&[input], Dropout { name, drop })
 }
 
-/// Factor of what is kept.
+/// Factor on the values that are kept.
 fn scale(name: &str, probability: f32) -> Result<f32> {
     if !(0.0..1.0).contains(&probability) {
         bail!("{name}: expected a probability from 0 to below 1, got {probability}");

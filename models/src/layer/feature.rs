@@ -46,9 +46,9 @@ impl Feature {
 /// `x scale + shift` for each channel behind a convolution: batch normalisation in evaluation.
 #[derive(Debug, Clone, Copy)]
 pub struct Affine<'a> {
-    /// A factor for each output.
+    /// Factor for each output.
     pub scale: &'a [f32],
-    /// Added to each output.
+    /// Summand for each output.
     pub shift: &'a [f32],
 }
 

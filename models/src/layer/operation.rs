@@ -30,7 +30,7 @@ pub(super) trait Operation: Send + Sync + 'static {
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
-/// Choice whether the backward pass computes the gradient of a layer's input.
+/// Selects whether the backward pass computes the gradient of a layer's input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InputGradient {
     /// The input comes from another layer.

@@ -68,7 +68,8 @@ impl PreparedBlock {
         Ok(PreparedBlock { inputs, outputs, weight, level: level.available() })
     }
 
-    /// `input` `[batch][row][column][i]`; `output` becomes `[batch][row / 2][column / 2][o]` and keeps its memory.
+    /// Runs the block on `input` `[batch][row][column][i]`. `output` becomes `[batch][row / 2][column / 2][o]` and
+    /// keeps its memory.
     ///
     /// # Errors
     /// The input has another number of channels, or fewer than two rows or columns.
@@ -126,7 +127,7 @@ fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
 }
 
 dispatch! {
-    /// A pooled row from four padded rows of a single channel, whose every cell is read once for a window.
+    /// Computes a pooled row from four padded rows of a single channel. Each cell is read once for a window.
     fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) = single_generic
 }
 

@@ -12,7 +12,8 @@ use candle_core::{Result, bail};
 
 /// Least number of input channels for which Winograd's transforms are worth their cost.
 const FEW_CHANNELS: usize = 8;
-/// Most weights for which they are. There are 16 transformed weights for nine, and loading more takes longer than the saved sums.
+/// Largest number of weights for which Winograd's transforms are worth their cost. There are 16 transformed weights for
+/// nine, and loading more takes longer than the saved sums.
 const MOST_TRANSFORMED: usize = 1 << 16;
 
 /// Convolution with folded batch normalisation, bias and activation.

@@ -1,5 +1,7 @@
-//! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a
-//! probability, and f32 sums over a thousand features have such errors.
+//! Dense layer prepared for inference, summed in f64.
+//!
+//! The circuit amplifies an error of 1e-6 in the latent to 1e-5 in a probability, and f32 sums over a thousand features
+//! have such errors.
 
 use candle_core::{Result, bail};
 

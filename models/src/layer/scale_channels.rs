@@ -20,7 +20,7 @@ pub fn scale_channels(input: &Tensor, scale: &Tensor) -> Result<Tensor> {
 
 struct ScaleChannels;
 
-/// Values of a map, and channels.
+/// Number of values of a map, and number of channels.
 fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
     match inputs {
         &[Argument { dims: &[batch, rows, columns, channels], .. }, Argument { dims: &[b, c], .. }]

@@ -41,7 +41,7 @@ pub fn concatenate(a: &Tensor, b: &Tensor) -> Result<Tensor> {
 
 struct Concatenate;
 
-/// Rows, and widths of both.
+/// Number of rows, and widths of both arrays.
 fn widths(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
     match inputs {
         &[Argument { dims: &[batch, a], .. }, Argument { dims: &[rows, b], .. }] if batch == rows && a * b > 0 => {

@@ -31,7 +31,7 @@ impl Scores {
 }
 
 impl BeforeAfter {
-    /// Whether the adaptation makes the mean of both scores lower.
+    /// Returns whether the adaptation lowers the mean of both scores.
     pub fn is_worse(&self) -> bool {
         self.after.sum() < self.before.sum() - 1e-9
     }
@@ -44,7 +44,8 @@ pub struct Adapted {
     pub seconds: [f64; CLASSES],
     /// Number of recordings.
     pub recordings: usize,
-    /// Strength of the quadratic penalty towards the parameters before, s of labelled frames for a squared deviation.
+    /// Strength of the quadratic penalty on the distance from the parameters before, s of labelled frames for a squared
+    /// deviation.
     pub strength: f64,
     /// Number of simulated maps that were mixed in.
     pub simulated_maps: usize,

@@ -57,8 +57,9 @@ pub struct ModelCard {
     pub input_shape: [usize; 3],
     /// Names of the axes of the input, slowest first.
     pub axes: [String; 3],
-    /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may
-    /// come from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
+    /// Waveform that maps must come from. With physical axes in `rdm_spec`, it is the waveform that a board is
+    /// programmed with, and maps may come from any waveform within the limits of
+    /// [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
     pub waveform: Waveform,
     /// Settings by which maps must be made.
     pub rdm_spec: RdmSpec,
@@ -148,7 +149,7 @@ impl ModelCard {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
     }
 
-    /// Whether the network sees range and Doppler exchanged.
+    /// Returns whether the network sees range and Doppler exchanged.
     pub fn is_transposed(&self) -> bool {
         self.axes == input_axes(true)
     }

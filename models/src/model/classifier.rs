@@ -81,7 +81,7 @@ pub enum ClassifyError {
     NonFinite {
         sequence: u64,
         cells: usize,
-        /// Index of the first in `db`.
+        /// Index in `db` of the first such cell.
         first: usize,
     },
     /// The model standardises maps by scene and class, so it needs labels.
@@ -89,7 +89,7 @@ pub enum ClassifyError {
         "the model standardises maps by scene and class, so it classifies only maps with known labels\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
     )]
     NeedsLabels,
-    /// The network put out a number that is not finite.
+    /// The output of the network holds a number that is not finite.
     #[error("the network's output is not finite; cells of the map reach {largest_db} dB in magnitude")]
     Diverged {
         /// Largest magnitude of a cell.

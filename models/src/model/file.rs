@@ -13,13 +13,13 @@ use crate::whole_file;
 
 /// A network with its card.
 pub struct Model {
-    /// Everything but the numbers.
+    /// Card of the network.
     pub card: ModelCard,
     /// Network with its numbers.
     pub network: Network,
 }
 
-/// Whether the name of a file says that it is ONNX.
+/// Returns whether the name of a file says that it is ONNX.
 pub(crate) fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }

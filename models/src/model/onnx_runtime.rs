@@ -102,14 +102,14 @@ impl OnnxSession {
     }
 }
 
-/// Whether a value is float32 of a batch of this shape. Dynamic sizes fit any.
+/// Returns whether a value is float32 of a batch of this shape. Dynamic sizes fit any.
 fn fits(of: &ValueType, shape: &[i64]) -> bool {
     let ValueType::Tensor { ty: TensorElementType::Float32, shape: found, .. } = of else { return false };
     found.len() == shape.len() + 1
         && found.iter().skip(1).zip(shape).all(|(&found, &size)| found == -1 || found == size)
 }
 
-/// The one environment of the process; it stays, since there can be no second one.
+/// Environment of the process. It is kept, because a process can have only one.
 fn environment() -> Result<Environment, OnnxError> {
     static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
     let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);

@@ -21,15 +21,15 @@ pub(crate) enum Layer {
     Convolution { inputs: usize, outputs: usize, kernel: usize, geometry: ConvGeometry, bias: bool },
     /// Batch normalisation of channels or features, then an activation.
     BatchNorm { channels: usize, activation: Activation },
-    /// Element by element.
+    /// Activation, element by element.
     Activate(Activation),
     /// Largest value of windows.
     MaxPool { kernel: usize, stride: usize, padding: usize },
     /// Means over a grid of bins in range and Doppler, flattened channel-first: a vector.
     AveragePool { rows: usize, columns: usize },
-    /// Fully connected.
+    /// Fully connected layer.
     Linear { inputs: usize, outputs: usize },
-    /// A feature map times a vector of a factor for each channel.
+    /// Product of a feature map with a vector that has a factor for each channel.
     ScaleChannels,
     /// Sum of two values, then perhaps a ReLU.
     Add { rectified: bool },
@@ -45,14 +45,14 @@ pub(crate) enum Layer {
     Circuit { circuit: CircuitSpec, frozen: bool },
     /// The five features of which the two-qubit circuit is a linear combination (see [`crate::quantum`]).
     Trigonometric,
-    /// Two vectors one after the other.
+    /// Concatenation of two vectors.
     Concatenate,
 }
 
-/// A layer, its name and what it reads.
+/// Layer with its name and its inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Node {
-    /// Also the prefix of its parameters' names.
+    /// Name of the layer, also the prefix of its parameters' names.
     pub name: String,
     pub layer: Layer,
     pub inputs: Vec<Value>,
@@ -61,11 +61,11 @@ pub(crate) struct Node {
 /// Initial distribution of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Start {
-    /// Uniform in plus or minus this.
+    /// Uniform between minus and plus this value.
     Uniform(f32),
     /// Gaussian of this standard deviation.
     Normal(f32),
-    /// This number.
+    /// Constant.
     Constant(f32),
 }
 
@@ -106,7 +106,7 @@ impl Graph {
         self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
     }
 
-    /// For each node, whether it has to run to compute `wanted` from the values `given`.
+    /// Returns, for each node, whether it has to run to compute `wanted` from the values `given`.
     pub fn needed(&self, wanted: &[Value], given: &[Value]) -> Vec<bool> {
         let mut values = vec![false; self.nodes.len() + 1];
         for &value in wanted {
@@ -172,7 +172,7 @@ impl Graph {
     /// holds the results of all layers, which the backward pass reads, and each parameter with its gradient and Adam's moments.
     pub fn least_training_bytes(&self, range: usize, doppler: usize, batch: usize) -> u64 {
         let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
-        // These may return their input.
+        // These layers may return their input.
         let is_free = |layer: &Layer| {
             matches!(layer, Layer::Dropout { .. } | Layer::DropSamples { .. } | Layer::Standardise { .. })
         };
@@ -270,8 +270,8 @@ impl Layer {
 impl Node {
     /// Trained arrays of this layer; shapes as PyTorch's.
     ///
-    /// Starts are He's (He et al., ICCV 2015): uniform over the inputs before a ReLU, and, as torchvision's networks have it,
-    /// Gaussian over the outputs for convolutions before a batch normalisation.
+    /// Initial distributions are He's (He et al., ICCV 2015): uniform over the inputs before a ReLU. For convolutions
+    /// before a batch normalisation they are Gaussian over the outputs, as in torchvision's networks.
     pub fn declarations(&self) -> Vec<Declaration> {
         let declare =
             |what: &str, shape: Vec<usize>, start| Declaration { name: format!("{}.{what}", self.name), shape, start };
@@ -293,7 +293,7 @@ impl Node {
                 declare("bias", vec![*channels], Start::Constant(0.0)),
             ],
             Layer::Linear { inputs, outputs } => {
-                // Before a ReLU six, else three: unit variance in, unit variance out.
+                // The gain is six before a ReLU, else three: unit variance in, unit variance out.
                 let gain = if self.name == "fc1" { 6.0 } else { 3.0 };
                 vec![
                     declare("weight", vec![*outputs, *inputs], Start::Uniform((gain / *inputs as f32).sqrt())),

@@ -26,7 +26,7 @@ use crate::quantum::CircuitSpec;
 
 /// Rows and columns (range, Doppler) after the adaptive pooling, in the paper.
 pub const PAPER_POOLED: [usize; 2] = [2, 15];
-/// Rows or columns that may be pooled to at most.
+/// Largest number of rows or columns that can be pooled to.
 pub const MOST_POOLED: usize = 64;
 /// Channels of the second block.
 const CHANNELS: usize = 32;
@@ -89,7 +89,7 @@ impl Head {
         }
     }
 
-    /// Whether the latent goes through `pi * sigmoid`.
+    /// Returns whether the latent goes through `pi * sigmoid`.
     pub fn uses_scaled_sigmoid(&self) -> bool {
         !matches!(self, Head::Linear | Head::Dequantization)
     }
@@ -106,8 +106,8 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     behind(g, centred, count, true, head)
 }
 
-/// Completes a network behind `count` features: a hidden layer if `deep` or if the circuit is in front of one, the latent, the
-/// head, and the linear head of the warm-up.
+/// Completes a network behind `count` features with the latent, the head, and the linear head of the warm-up. A hidden
+/// layer comes first if `deep` or if the circuit is in front of one.
 pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, head: &Head) -> Graph {
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {

@@ -1,6 +1,7 @@
-//! Inference: a network prepared once and run often, without gradients. Batch normalisations are folded into the convolutions and
-//! dense layers before them, activations and residual sums are fused with them, weights are packed, and buffers keep their memory
-//! from one run to the next.
+//! Inference with a network that is prepared once and run often, without gradients.
+//!
+//! Batch normalisations are folded into the convolutions and dense layers before them. Activations and residual sums
+//! are fused with these layers. Weights are packed, and buffers keep their memory from one run to the next.
 //!
 //! Results are the same bits for any number of threads and for any batch that a map is in (except circuits with shots, whose draws
 //! are numbered by row). They agree with `run.rs` within rounding.
@@ -18,10 +19,11 @@ use crate::layer::{
 };
 use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, features};
 
-/// Values that one task of a step without sums passes over.
+/// Number of values that one task processes in a step without sums.
 const CHUNK: usize = 1 << 14;
 
-/// Weights of a dense layer up to which it is summed in f64, on one thread; those of the HQNN are no larger.
+/// Largest number of weights of a dense layer that is summed in f64, on one thread. The dense layers of the HQNN are no
+/// larger.
 const MOST_EXACT: usize = 1 << 17;
 
 /// A network ready to run.
@@ -41,7 +43,7 @@ struct Step {
     output: usize,
 }
 
-// A few dozen in a network, walked through in order.
+// A network has a few dozen kernels, which run in order.
 #[allow(clippy::large_enum_variant)]
 enum Kernel {
     Descriptors,
@@ -184,7 +186,7 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
         for input in &mut step.inputs {
             *input = buffer_of[*input];
         }
-        // A map that is scaled for its last reader is scaled where it is.
+        // A map that is scaled for its last reader is scaled in place.
         let in_place = step.inputs.first().copied().filter(|first| step.kernel.is_in_place() && done.contains(first));
         step.output = in_place.or_else(|| free.pop()).unwrap_or_else(|| {
             count += 1;
@@ -196,18 +198,18 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
     Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], pool: SpinPool::default() }
 }
 
-/// Steps as they are found.
+/// Steps found so far.
 struct Plan<'a> {
     network: &'a Network,
     /// Nodes that read each value.
     readers: Vec<Vec<usize>>,
-    /// Step whose result each value is, from 1; values that never leave a step are their step's too.
+    /// Number (from 1) of the step that computes each value, also for values that only this step uses.
     results: Vec<Option<usize>>,
     steps: Vec<Step>,
 }
 
 impl Plan<'_> {
-    /// The node that alone reads `value`.
+    /// Only node that reads `value`, and its result. `None` if there are several or none, or if `value` is the output.
     fn only_reader(&self, value: Value) -> Option<(Value, &Node)> {
         match self.readers.get(value).map(Vec::as_slice) {
             Some(&[index]) if value != self.network.graph().output => {
@@ -292,14 +294,14 @@ impl Plan<'_> {
         Ok(())
     }
 
-    /// Takes a node that changes nothing in inference.
+    /// Handles a node that changes nothing in inference.
     fn pass(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
         self.results[value] = inputs.first().copied();
         Ok(())
     }
 
-    /// A convolution or dense layer with what follows it: batch normalisation, a sum with something that is there already, an
-    /// activation, or the pooling of a fused block.
+    /// Adds a convolution or dense layer, fused with the layers behind it. These are batch normalisation, a sum with a
+    /// value that is already computed, an activation, or the pooling of a fused block.
     fn add_convolution(&mut self, value: Value, node: &Node, mut inputs: Vec<usize>) -> Result<()> {
         let level = self.network.level();
         let weight = self.numbers(node, "weight")?;
@@ -355,7 +357,7 @@ impl Plan<'_> {
         Ok(())
     }
 
-    /// Takes in the sum behind the last of `values`, if the other summand is there already.
+    /// Fuses the sum behind the last of `values`, if the other summand is already computed.
     fn follow_sum(&self, inputs: &mut Vec<usize>, activation: &mut Activation, values: &mut Vec<Value>) {
         let (mut last, mut passed) = (values.last().copied().unwrap_or_default(), Vec::new());
         while let Some((next, Node { layer: Layer::DropSamples { .. } | Layer::Dropout { .. }, .. })) =
@@ -377,7 +379,7 @@ impl Plan<'_> {
 }
 
 impl Kernel {
-    /// Whether the first input may be overwritten by the output.
+    /// Returns whether the first input may be overwritten by the output.
     fn is_in_place(&self) -> bool {
         use Kernel::*;
         matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | ScaledSigmoid)
@@ -494,7 +496,7 @@ fn trigonometric(input: &Feature, output: &mut Feature) {
     }
 }
 
-/// Puts the rows of two inputs one behind the other.
+/// Concatenates the rows of two inputs.
 fn concatenate(first: &Feature, second: &Feature, output: &mut Feature) {
     let [width, other] = [first, second].map(|input| input.dims()[1..].iter().product::<usize>());
     output.reshape([first.dims()[0], 1, 1, width + other]);

@@ -9,7 +9,7 @@ use super::parameters::{Normalisation, Parameter, Parameters};
 use super::spec::NetworkSpec;
 use crate::kernel::KernelLevel;
 
-/// A network and its numbers.
+/// Network with its numbers.
 pub struct Network {
     spec: NetworkSpec,
     graph: Graph,

@@ -44,12 +44,13 @@ pub struct UnreadableMaps {
 }
 
 impl NetworkKind {
-    /// Whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not standardised.
+    /// Returns whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not
+    /// standardised.
     pub fn reads_descriptors(self) -> bool {
         matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
     }
 
-    /// Whether the network has a narrow latent and a [`Head`](super::Head).
+    /// Returns whether the network has a narrow latent and a [`Head`](super::Head).
     pub fn has_latent(self) -> bool {
         matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
     }

@@ -14,17 +14,17 @@ use crate::random::stream;
 /// Normalisation of a vector by constants: `(x - mean) / sigma`, element by element. Empty constants change nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Normalisation {
-    /// Subtracted.
+    /// Mean, which is subtracted.
     pub mean: Vec<f32>,
-    /// Divided by.
+    /// Divisor.
     pub sigma: Vec<f32>,
 }
 
 /// One trained array.
 pub struct Parameter {
-    /// Name in files: the layer's and what it is.
+    /// Name in files: the name of the layer and the kind of the array.
     pub name: String,
-    /// Its values.
+    /// Values of the array.
     pub variable: Var,
 }
 
@@ -36,10 +36,10 @@ pub(crate) struct Parameters {
     normalisations: BTreeMap<String, Normalisation>,
 }
 
-/// Names of what a batch normalisation keeps besides its parameters, as PyTorch's.
+/// Names of the arrays that a batch normalisation keeps besides its parameters, as in PyTorch.
 const RUNNING: [&str; 2] = ["running_mean", "running_var"];
 
-/// Whether an array is only there while training.
+/// Returns whether an array exists only in training.
 fn is_transient(name: &str) -> bool {
     name.starts_with("warm_up.")
 }
@@ -65,7 +65,8 @@ impl Parameters {
         Self::build(graph, start)
     }
 
-    /// Parameters by name. What only training needs may be missing; anything else is named in the error.
+    /// Loads parameters by name. Arrays that only training needs may be missing; any other missing array is named in
+    /// the error.
     ///
     /// # Errors
     /// An array is missing or has another length.
@@ -127,7 +128,7 @@ impl Parameters {
         }
     }
 
-    /// Constants of a standardisation; none leaves values as they are.
+    /// Constants of a standardisation; `None` if values stay as they are.
     pub fn normalisation(&self, name: &str) -> Option<&Normalisation> {
         self.normalisations.get(name)
     }
@@ -141,7 +142,7 @@ impl Parameters {
         }
     }
 
-    /// Copies of an array's numbers.
+    /// Copy of an array's numbers.
     ///
     /// # Errors
     /// There is no array of this name.
@@ -206,7 +207,7 @@ impl Parameters {
     }
 }
 
-/// Names and shapes of what travels with a model, in the order of files.
+/// Names and shapes of the arrays that are saved with a model, in the order of files.
 pub(crate) fn layout(graph: &Graph) -> Vec<(String, Vec<usize>)> {
     let mut layout = Vec::new();
     for node in &graph.nodes {

@@ -68,7 +68,7 @@ impl Values<'_> {
 }
 
 impl Network {
-    /// The latent before its standardisation, `[batch][width]`; nothing for networks without one.
+    /// The latent before its standardisation, `[batch][width]`; `None` for networks without one.
     ///
     /// # Errors
     /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
@@ -79,13 +79,13 @@ impl Network {
         }
     }
 
-    /// Runs what `wanted` needs on standardised maps `[batch][range][doppler]`.
+    /// Runs the layers that `wanted` needs on standardised maps `[batch][range][doppler]`.
     pub(crate) fn run(&self, input: &Tensor, wanted: Value, mode: Mode) -> Result<Values<'_>> {
         let input = input.unsqueeze(3)?;
         self.run_from(INPUT, &input, &[wanted], mode)
     }
 
-    /// Runs what `wanted` needs where one value is given.
+    /// Runs the layers that `wanted` needs, where one value is given.
     pub(crate) fn run_from(&self, given: Value, tensor: &Tensor, wanted: &[Value], mode: Mode) -> Result<Values<'_>> {
         let nodes = &self.graph().nodes;
         let needed = self.graph().needed(wanted, &[given]);
@@ -117,7 +117,7 @@ impl Network {
             Some(Some(tensor)) => Ok(tensor),
             _ => candle_core::bail!("input {k} was not computed"),
         };
-        // Gradients are followed from variables; their bare tensors have none.
+        // Only variables have gradients; detached tensors have none.
         let parameter = |what: &str| {
             let tensor = self.parameters().get(&format!("{}.{what}", node.name))?;
             Ok::<Tensor, candle_core::Error>(if mode == Mode::Evaluation { tensor.detach() } else { tensor.clone() })

@@ -1,8 +1,10 @@
 //! Initial weights from torchvision: ResNet-18 and EfficientNet-B0 have its names and its layout.
 //!
-//! Three things differ and are converted: the first convolution is summed over its three channels where ours has one (as if each of
-//! the three saw the map), squeeze-and-excitation's convolutions of one cell become dense layers, and a head for other classes
-//! stays as it was initialised.
+//! Three differences are converted:
+//! - The first convolution is summed over its three channels if this network has one, as if each of the three saw the
+//!   map.
+//! - The 1x1 convolutions of squeeze-and-excitation become dense layers.
+//! - A head for other classes stays as it was initialised.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,17 +22,17 @@ use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\
     import torch, safetensors.torch\n\
     safetensors.torch.save_file(torch.load(\"resnet18.pth\"), \"resnet18.safetensors\")";
-/// Most names in an error or a report.
+/// Largest number of names in an error or a report.
 const MOST_NAMES: usize = 6;
 
-/// Weights that cannot be started from.
+/// Error: a network cannot start from these weights.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum WeightsError {
     /// The file cannot be read.
     #[error("{path}: reading failed: {source}")]
     Io { path: PathBuf, source: std::io::Error },
-    /// No whole safetensors file.
+    /// The file is not a complete safetensors file.
     #[error("{path}: expected weights as safetensors, but {reason}\n\n{CONVERT_HINT}")]
     NotSafetensors { path: PathBuf, reason: String },
     /// torchvision has no such network.

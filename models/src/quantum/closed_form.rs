@@ -46,7 +46,7 @@ fn coefficients(angles: [(f64, f64); 4]) -> Coefficients {
 #[derive(Debug, Clone, Copy)]
 pub struct Trained {
     coefficients: Coefficients,
-    /// Their derivatives by each angle.
+    /// Derivatives of the coefficients by each angle.
     by_angle: [Coefficients; 4],
 }
 
@@ -163,8 +163,8 @@ fn widen(rows: &[[f32; 2]]) -> [[f64; 2]; LANES] {
     wide
 }
 
-/// Compiles a function of slices once more for AVX2, and calls that where the processor has it. Multiply and add are not
-/// fused, so the answer is the same.
+/// Compiles a function of slices a second time for AVX2, and calls that version where the processor has AVX2. Multiply
+/// and add are not fused, so both versions give the same result.
 macro_rules! vectorised {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$doc])*
@@ -189,7 +189,7 @@ macro_rules! vectorised {
 pub(super) use vectorised;
 
 vectorised! {
-    /// `[<ZI>, <IZ>]` of each of `x` into `result` of the same length.
+    /// Writes `[<ZI>, <IZ>]` of each of `x` into `result`, which has the same length.
     pub fn expectations_of_rows(trained: &Trained, x: &[[f32; 2]], result: &mut [[f32; 2]]) {
         for (x, result) in x.chunks(LANES).zip(result.chunks_mut(LANES)) {
             let waves = waves(&widen(x));
@@ -204,8 +204,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// Gradients by each of `x` into `by_x`, and by the angles summed over rows, given the gradients of a loss by the
-    /// expectations.
+    /// Writes the gradients by each of `x` into `by_x`, and returns the gradient by the angles, summed over rows.
+    /// `cotangents` are the gradients of a loss by the expectations.
     pub fn gradients_of_rows(
         trained: &Trained,
         x: &[[f32; 2]],

@@ -35,14 +35,14 @@ pub struct Jacobian {
     pub by_x: Vec<Vec<f64>>,
 }
 
-/// Whether all numbers are finite. If not, all results are NaN, even those that do not depend on the bad number, so that no caller
-/// uses them.
+/// Returns whether all numbers are finite. If not, all results are NaN, even those that do not depend on the bad
+/// number, so that no caller uses them.
 fn are_finite(x: &[f64], theta: &[f64]) -> bool {
     x.iter().chain(theta).all(|v| v.is_finite())
 }
 
 impl Circuit {
-    /// Whether [`closed_form`] applies: to the paper's circuit, exact and without noise.
+    /// Returns whether [`closed_form`] applies: to the paper's circuit, exact and without noise.
     pub(crate) fn is_closed_form(&self) -> bool {
         self.spec == CircuitSpec::default()
     }
@@ -54,7 +54,7 @@ impl Circuit {
         }
     }
 
-    /// Exact probability of each outcome as it is read; bit `q` of an index is qubit `q`.
+    /// Exact probability of each outcome, readout errors included; bit `q` of an index is qubit `q`.
     fn probabilities(&self, angles: &[f64]) -> Vec<f64> {
         let mut probabilities = if self.spec.noise.is_depolarising() {
             noise::probabilities(self, angles)
@@ -159,7 +159,7 @@ impl Circuit {
         Ok(Jacobian { expectations, by_theta, by_x })
     }
 
-    /// Gradient of the exact expectations' weighted sum by the angle of each turned gate.
+    /// Gradient by the angle of each rotation gate of the exact expectations' weighted sum.
     fn exact_gradient(&self, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
         // Readout errors scale every expectation by the same factor.
         let read: Vec<f64> = cotangent.iter().map(|g| g * (1.0 - 2.0 * self.spec.noise.readout_flip)).collect();

@@ -1,11 +1,11 @@
-//! A circuit as a list of gates, each with what its angle depends on.
+//! Circuit as a list of gates, each with the value that its angle depends on.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 use super::spec::{CircuitError, CircuitSpec, Encoding};
 
-/// One gate. A turned gate names its place in the list of angles ([`Circuit::gate_angles`]).
+/// One gate. A rotation gate names its place in the list of angles ([`Circuit::gate_angles`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Gate {
     Hadamard {
@@ -150,7 +150,7 @@ impl Circuit {
         count("angles, qubits x (depth + 1)", self.angle_count(), theta.len())
     }
 
-    /// The angle of each turned gate in its order, at inputs and trained angles of the right numbers.
+    /// Angle of each rotation gate in its order, at inputs and trained angles of the right numbers.
     pub(super) fn gate_angles(&self, x: &[f64], theta: &[f64]) -> Vec<f64> {
         let angle = |angle: &Angle| match *angle {
             Angle::Input(i) => x[i],

@@ -1,9 +1,9 @@
 //! Simulation of any circuit, layer by layer on a state vector, with adjoint gradients (Jones and Gacon 2020, arXiv:2009.02823).
 //!
-//! Real parts of all amplitudes stand before all imaginary ones, so that turns and Hadamards, which are real, act on one
-//! list of real numbers. The phases of a whole feature map are one Walsh-Hadamard transform, so are their gradients, and
-//! the entangler with all its CX is one permutation: full entanglement in Qiskit's order takes bit `q` to the sum of
-//! bits `q` and `q - 1`, as Qiskit's `reverse_linear` does.
+//! The real parts of all amplitudes are stored before the imaginary parts. Rotations and Hadamards, which are real,
+//! therefore act on one list of real numbers. The phases of a whole feature map are one Walsh-Hadamard transform, and
+//! so are their gradients. The entangler with all its CX is one permutation: full entanglement in Qiskit's order takes
+//! bit `q` to the sum of bits `q` and `q - 1`, as Qiskit's `reverse_linear` does.
 
 use super::closed_form::vectorised;
 use super::gates::{Circuit, Layer, pairs};
@@ -14,7 +14,7 @@ pub(super) struct Workspace {
     qubits: usize,
     /// `[real or imaginary][basis state]`
     state: Vec<f64>,
-    /// The state with the observable applied, carried back.
+    /// State with the observable applied, propagated backwards.
     adjoint: Vec<f64>,
     /// Buffer as long as the state.
     scratch: Vec<f64>,
@@ -168,7 +168,8 @@ fn hadamards(data: &mut [f64], qubits: usize) {
     data.iter_mut().for_each(|v| *v *= scale);
 }
 
-/// Bit masks of the phases, in the order of the angles. A phase turns the basis states with an odd number of ones under its mask.
+/// Bit masks of the phases, in the order of the angles. A phase acts on the basis states with an odd number of ones
+/// under its mask.
 fn masks(qubits: usize) -> impl Iterator<Item = usize> {
     (0..qubits).map(|q| 1 << q).chain(pairs(qubits).map(|(i, j)| (1 << i) | (1 << j)))
 }
@@ -189,7 +190,7 @@ fn phases(work: &mut Workspace, angles: &[f64], first: usize) {
     sin_cos(sums, sines, cosines);
 }
 
-/// Turns each amplitude by its phase, or back.
+/// Multiplies each amplitude by its phase factor, or divides by it if `BACK`.
 #[inline(always)]
 fn turn<const BACK: bool>(data: &mut [f64], phases: &[f64]) {
     let (re, im) = data.split_at_mut(data.len() / 2);
@@ -249,7 +250,7 @@ fn short_gradient<const WIDTH: usize>(state: &[f64], adjoint: &[f64], sums: &mut
     }
 }
 
-/// All CX of a full entanglement at once, or undone.
+/// Applies all CX of a full entanglement at once, or undoes them if `BACK`.
 #[inline(always)]
 fn entangle<const BACK: bool>(data: &mut [f64], scratch: &mut [f64]) {
     let size = data.len() / 2;

@@ -1,7 +1,8 @@
 //! Exact simulation of circuits with gate errors, by density matrix.
 //!
-//! A density matrix of `n` qubits is kept as a [`State`] of `2n`: bit `q` of an index is row bit `q`'s partner in the
-//! column, bit `q + n` the row's. A gate acts on both, conjugated on the column; a depolarising channel mixes them.
+//! A density matrix of `n` qubits is kept as a [`State`] of `2n` qubits: bit `q` of an index is bit `q` of the column,
+//! and bit `q + n` is bit `q` of the row. A gate acts on both, conjugated on the column; a depolarising channel mixes
+//! them.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -105,8 +106,9 @@ pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
     rho.probabilities()
 }
 
-/// Gradient by the angle of each turned gate of the expectations' sum weighted by `cotangent`: parameter shift, which is
-/// exact because channels are linear. What follows a shifted gate is not run again: the observable is carried back to it.
+/// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`, by parameter shift. It
+/// is exact because channels are linear. Gates behind a shifted gate are not run again: the observable is propagated
+/// back to it.
 pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
     let qubits = circuit.qubits();
     // State before each rotation gate: 64 KiB each with six qubits.

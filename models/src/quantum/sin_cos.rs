@@ -31,8 +31,8 @@ const COSINE: [f64; 8] = {
     [-f(2), f(4), -f(6), f(8), -f(10), f(12), -f(14), f(16)]
 };
 
-/// `(sin, cos)` of an angle of magnitude up to 1e5, within 3e-16; NaN of NaN. Multiplies and adds are never fused, so
-/// that every machine answers the same.
+/// `(sin, cos)` of an angle of magnitude up to 1e5, within 3e-16; NaN for NaN. Multiplies and adds are never fused, so
+/// that every machine gives the same result.
 #[inline(always)]
 pub(super) fn small(angle: f64) -> (f64, f64) {
     let rounded = angle * std::f64::consts::FRAC_2_PI + ROUND;
@@ -47,7 +47,7 @@ pub(super) fn small(angle: f64) -> (f64, f64) {
     (sign(s, (quadrant >> 1) & 1), sign(c, ((quadrant >> 1) ^ quadrant) & 1))
 }
 
-/// Whether [`small`] serves. Not for NaN, which it would pass on, nor infinities.
+/// Returns whether [`small`] can be used: not for infinities, nor for NaN, which it would pass on.
 #[inline(always)]
 pub(super) fn is_small(angle: f64) -> bool {
     angle.abs() <= LARGEST

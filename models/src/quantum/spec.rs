@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Qubits of a circuit at most.
+/// Largest number of qubits of a circuit.
 pub const MOST_QUBITS: usize = 12;
-/// Qubits of a circuit with depolarising gates at most: its density matrix has `4^qubits` entries.
+/// Largest number of qubits of a circuit with depolarising gates: its density matrix has `4^qubits` entries.
 pub const MOST_DEPOLARISED_QUBITS: usize = 6;
-/// Repetitions of the trained part at most.
+/// Largest number of repetitions of the trained part.
 pub const MOST_DEPTH: usize = 1000;
 
 /// A circuit that encodes one input a qubit, turns it by trained angles and measures Z on each qubit.
@@ -105,7 +105,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Whether gates have errors, which need a density matrix. Readout errors alone do not.
+    /// Returns whether gates have errors, which need a density matrix. Readout errors alone do not.
     pub fn is_depolarising(&self) -> bool {
         self.depolarising_one_qubit > 0.0 || self.depolarising_two_qubit > 0.0
     }

@@ -106,8 +106,8 @@ pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
 }
 
 impl Circuit {
-    /// The trained part of the circuit at angles `theta`, a real orthogonal matrix `[from][to]` over the `2^qubits` basis
-    /// states: row `k` is what becomes of state `k`.
+    /// The trained part of the circuit at angles `theta`, a real orthogonal matrix `[from][to]` over the `2^qubits`
+    /// basis states: row `k` is the image of state `k`.
     ///
     /// # Errors
     /// [`CircuitError::Count`] if the number of angles is not the circuit's.
@@ -135,9 +135,9 @@ pub(crate) fn paper(x: [f64; 2], theta: [f64; 4]) -> State {
     run(&circuit, &x, &theta).expect("as many numbers as it takes")
 }
 
-/// Derivatives of what `run` answers by the angle of each turned gate, `[observable][gate]`: half the difference at
-/// `+- pi/2`, exact for gates with two eigenvalues (Mitarai et al., Phys. Rev. A 98 (2018) 032309), through whatever
-/// linear noise follows them.
+/// Derivatives of the result of `run` by the angle of each rotation gate, `[observable][gate]`: half the difference at
+/// `+- pi/2`. This is exact for gates with two eigenvalues (Mitarai et al., Phys. Rev. A 98 (2018) 032309), through any
+/// linear noise that follows them.
 pub(super) fn parameter_shift(angles: &[f64], mut run: impl FnMut(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
     let (mut shifted, mut jacobian) = (angles.to_vec(), Vec::new());
     for (gate, &angle) in angles.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Conditions of a study: other sets of maps that its trained models are put to.
+//! Conditions of a study: other sets of maps on which its trained models are evaluated.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +17,7 @@ const LONGEST_NAME: usize = 100;
 /// Balanced accuracy and accuracy of a guess among three classes.
 const CHANCE: f64 = 1.0 / 3.0;
 
-/// A set of maps that the models of a study are put to. No model is trained on it.
+/// Set of maps on which the models of a study are evaluated. No model is trained on it.
 #[derive(Debug, Clone)]
 pub struct Condition {
     pub(super) name: String,
@@ -44,8 +44,8 @@ impl Condition {
         })
     }
 
-    /// Indices of the maps that are put to a model: all but those of sequences that the training saw or chose its numbers by.
-    /// `splits` are those of the training, one for each map of the study's dataset.
+    /// Indices of the maps on which a model is evaluated: all except those of sequences that the training used, for
+    /// training or for validation. `splits` are those of the training, one for each map of the study's dataset.
     ///
     /// # Errors
     /// [`StudyError::NothingUnseen`] if no map is left.
@@ -81,7 +81,7 @@ fn check_name(what: &str, name: &str) -> Result<(), StudyError> {
     check_setting(is_plain && has_letter && is_short, what, format!("{name:?}"), expected)
 }
 
-/// Checks that the models of a study can be put to conditions.
+/// Checks that the models of a study can be evaluated under conditions.
 ///
 /// # Errors
 /// [`StudyError::Setting`] if two conditions have one name in files, or if the study trains no model on all labels, and
@@ -117,7 +117,7 @@ pub struct Judgement {
     pub job: Job,
     /// Name of the condition.
     pub condition: String,
-    /// Hash of the condition's dataset. With another one the models are judged anew.
+    /// Hash of the condition's dataset. If it changes, the models are evaluated again.
     pub dataset_hash: String,
     /// Scores; absent where the training broke off and left no model.
     pub metrics: Option<Metrics>,
@@ -132,13 +132,14 @@ pub struct ConditionReport {
     pub group: Option<String>,
     /// Hash of its dataset.
     pub dataset_hash: String,
-    /// Maps that were put to a model, at most: test splits of studies that hold out each recording differ.
+    /// Largest number of maps on which a model was evaluated. Test splits of studies that hold out each recording
+    /// differ.
     pub maps: usize,
-    /// Number of models that were judged, trainings that broke off included.
+    /// Number of models that were evaluated, trainings that broke off included.
     pub done: usize,
     /// Number of trainings on all labels.
     pub planned: usize,
-    /// One for each variant.
+    /// Scores of the networks, one for each variant.
     pub cells: Vec<ConditionCell>,
 }
 
@@ -147,11 +148,11 @@ pub struct ConditionReport {
 pub struct ConditionCell {
     /// Name of the variant.
     pub variant: String,
-    /// Number of its models that were judged, trainings that broke off included.
+    /// Number of its models that were evaluated, trainings that broke off included.
     pub done: usize,
     /// Balanced accuracy; chance where a training broke off.
     pub balanced_accuracy: Option<Interval>,
-    /// The same by training.
+    /// Balanced accuracy of each training.
     #[serde(default)]
     pub scores: Vec<Score>,
     /// Accuracy; chance where a training broke off.
@@ -161,7 +162,8 @@ pub struct ConditionCell {
 }
 
 impl ConditionReport {
-    /// Makes the report of one condition. `jobs` are the trainings on all labels, and `judgement` reads what is known of one.
+    /// Makes the report of one condition. `jobs` are the trainings on all labels, and `judgement` reads the scores of
+    /// one, if they exist.
     pub(super) fn new(
         spec: &StudySpec,
         jobs: &[Job],

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Cost of a piece of work.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
-    /// Processor time of all threads of the process, s; absent where the system does not tell it.
+    /// Processor time of all threads of the process, s; absent where the system does not report it.
     pub cpu_seconds: Option<f64>,
     /// Energy of the machine's processors, whatever else ran on them, J; absent where the machine does not count it.
     pub energy_joules: Option<f64>,
@@ -61,7 +61,8 @@ struct EnergyCounter {
 }
 
 impl EnergyCounter {
-    /// Energy since the start, J. Work that takes longer than one turn of the counter, minutes at full power, is told too little.
+    /// Energy since the start, J. It is too low for work that takes longer than one turn of the counter, minutes at
+    /// full power.
     fn used_joules(&self) -> Option<f64> {
         let now = read_number(&self.file)?;
         let turned = if now < self.began_uj { self.range_uj } else { 0 };
@@ -69,7 +70,7 @@ impl EnergyCounter {
     }
 }
 
-/// Counters of whole packages: `intel-rapl:0` and so on. Their parts (`intel-rapl:0:0`) are in them.
+/// Counters of whole packages: `intel-rapl:0` and so on. They include their parts (`intel-rapl:0:0`).
 fn energy_counters(folder: &Path) -> Vec<EnergyCounter> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let is_package = |name: &str| name.strip_prefix("intel-rapl:").is_some_and(|number| number.parse::<u32>().is_ok());

@@ -60,8 +60,8 @@ impl StudySpec {
     }
 }
 
-/// Jobs of shard `index` of `count`, in their order. Trainings of one network on one share of the maps are dealt out one by one,
-/// so that shards take about as long as each other.
+/// Jobs of shard `index` of `count`, in their order. Trainings of one network on one share of the maps are distributed
+/// one by one, so that all shards take about the same time.
 pub(super) fn of_shard(jobs: &[Job], (index, count): (usize, usize)) -> Vec<Job> {
     let mut dealt: Vec<&Job> = jobs.iter().collect();
     dealt.sort_by(|a, b| a.variant.cmp(&b.variant).then(b.label_fraction.total_cmp(&a.label_fraction)));

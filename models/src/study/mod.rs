@@ -2,9 +2,9 @@
 //! file, and a report on the files that exist. A stopped study continues where it was, also within a training.
 //!
 //! # Shards
-//! Several processes may run the shards of a study in one folder. Each job is locked by the process that runs it, and its outcome
-//! but for the times is a function of job, dataset and kernel level. The report holds no times: it is the same, byte for byte,
-//! however the jobs were spread.
+//! Several processes may run the shards of a study in one folder. Each job is locked by the process that runs it. Its
+//! outcome, except for the times, is a function of job, dataset and kernel level. The report holds no times: it is the
+//! same, byte for byte, however the jobs were spread.
 //!
 //! # Equal treatment
 //! Every variant is trained by the same recipe ([`crate::train`]) with the same grid of learning rates. The best rate by balanced
@@ -13,11 +13,12 @@
 //! means.
 //!
 //! # Conditions
-//! Models of trainings on all labels are kept, and put to other sets ([`Condition`]) without training again. A map is put to a model
-//! unless its sequence is, by name, one of the study's that is not in the test split of the training. So the same frames under
-//! other noise are judged by the test split, and strangers by all of their maps. Conditions are no part of a study's identity:
-//! they can be added to one that is whole. Each model and condition has one file, which names the hash of the condition's dataset;
-//! a dataset with another hash is judged anew.
+//! Models of trainings on all labels are kept and evaluated on other sets ([`Condition`]) without training again. A
+//! model is not evaluated on maps whose sequence has the name of one of the study's sequences outside the test split of
+//! the training. So for the same frames under other noise only the test split counts, and for unknown recordings all
+//! maps count. Conditions are not part of a study's identity: they can be added to a complete study. Each model and
+//! condition has one file, which contains the hash of the condition's dataset. A dataset with another hash is evaluated
+//! again.
 
 mod condition;
 mod cost;

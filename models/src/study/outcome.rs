@@ -42,14 +42,15 @@ pub struct Outcome {
     pub noisy: Vec<Noisy>,
     /// Epochs until the target was reached on the validation split.
     pub epochs_to_target: Option<usize>,
-    /// Time of that, s.
+    /// Time until the target was reached on the validation split, s.
     pub seconds_to_target: Option<f64>,
     /// Epochs of the initialisation that was chosen; none if the training broke off.
     #[serde(default)]
     pub curve: Vec<EpochReport>,
     /// Time of the epochs, s.
     pub training_seconds: f64,
-    /// Cost of the training to this process: less than all of it if it carried on with a checkpoint.
+    /// Cost of the training to this process. It is lower than the whole cost if the training continued from a
+    /// checkpoint.
     #[serde(default)]
     pub training_cost: Cost,
     /// Cost of one map through the classifier.
@@ -57,14 +58,14 @@ pub struct Outcome {
     pub label_cost: Cost,
     /// Median time of one map through the classifier, ms.
     pub latency_ms: f64,
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub parameters: usize,
     /// Multiply-adds of one map.
     pub multiply_adds: u64,
 }
 
 impl Outcome {
-    /// Whether the training failed.
+    /// Returns whether the training failed.
     pub fn failed(&self) -> bool {
         self.error.is_some() || self.training < FAILED_BELOW
     }

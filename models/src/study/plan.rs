@@ -19,11 +19,11 @@ pub struct PlannedNetwork {
     pub trainings: usize,
     /// Number of them that are done.
     pub done: usize,
-    /// Steps of the others.
+    /// Number of steps of the remaining trainings.
     pub steps: usize,
-    /// Measured time of a step, s; absent where all are done.
+    /// Measured time of a step, s; absent where all trainings are done.
     pub step_seconds: Option<f64>,
-    /// Time of the others on this machine, hours.
+    /// Time of the remaining trainings on this machine, hours.
     pub hours: f64,
 }
 
@@ -36,20 +36,20 @@ pub struct Plan {
     pub done: usize,
     /// Threads of a training.
     pub threads: usize,
-    /// Time of the others, one after the other on this machine, hours.
+    /// Time of the remaining trainings, one after the other on this machine, hours.
     pub hours: f64,
-    /// The same times the number of threads, hours.
+    /// Product of `hours` and the number of threads, hours.
     pub cpu_hours: f64,
-    /// Scores of models under conditions that are left; their time is not in the hours.
+    /// Number of remaining evaluations of models under conditions. Their time is not in the hours.
     pub judgings_left: usize,
-    /// One for each variant.
+    /// Trainings of each variant.
     pub networks: Vec<PlannedNetwork>,
 }
 
 impl Study<'_> {
-    /// Counts the trainings of all shards, and times a few steps of each network that has some left. `tell` gets the name of each
-    /// before it is timed. `conditions` is the number of the study's conditions, with those that it was not given because their datasets
-    /// are not built yet.
+    /// Counts the trainings of all shards, and times a few steps of each network that has trainings left. `tell` gets
+    /// the name of each network before it is timed. `conditions` is the number of the study's conditions, including
+    /// those whose datasets are not built yet.
     ///
     /// Times are those of steps, of fitting the head and of the validation after each epoch. Reading the maps and the scores at the
     /// end are not in them.
@@ -59,7 +59,7 @@ impl Study<'_> {
     pub fn plan(&self, conditions: usize, tell: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
         let held_out = self.spec.held_out(self.dataset);
         let (rates, chosen) = (self.spec.rates(), self.chosen_rates()?);
-        // Whatever rate is chosen, one training at it is among those that choose.
+        // Whichever rate is chosen, one of the trainings that choose rates already uses it.
         let rate = |name: &str| chosen.get(name).or(rates.first()).copied().unwrap_or_default();
         let compared = self.spec.compared_jobs(&held_out, rate);
         let models = compared.iter().filter(|job| job.label_fraction == 1.0).count();
@@ -114,7 +114,8 @@ impl Study<'_> {
         })
     }
 
-    /// Steps of a job, and maps that it validates on over all epochs. `sizes` holds the number of maps of jobs that were met before.
+    /// Number of steps of a job, and number of maps that it validates on over all epochs. `sizes` caches the number of
+    /// maps of earlier jobs.
     fn size(&self, job: &Job, sizes: &mut Sizes) -> Result<(usize, usize), StudyError> {
         let spec = self.spec.train_spec(job)?;
         let key = (job.held_out.clone(), job.label_fraction.to_bits());
@@ -132,5 +133,5 @@ impl Study<'_> {
     }
 }
 
-/// Training and validation maps by the recording that is held out and the share of the maps, which both decide them.
+/// Numbers of training and validation maps, by the held-out recording and the share of the maps, which determine both.
 type Sizes = BTreeMap<(Option<String>, u64), [usize; 2]>;

@@ -30,7 +30,7 @@ pub struct Cell {
     pub failed: usize,
     /// Balanced accuracy on the test split; chance where a training broke off.
     pub test: Option<Interval>,
-    /// The same by training.
+    /// Balanced accuracy on the test split by training.
     #[serde(default)]
     pub scores: Vec<Score>,
     /// Accuracy on the test split.
@@ -52,9 +52,9 @@ pub struct Cell {
     pub curve: Vec<CurvePoint>,
     /// Trainings that reached the target on the validation split.
     pub reached_target: usize,
-    /// Median epochs until then.
+    /// Median number of epochs until the target was reached.
     pub epochs_to_target: Option<f64>,
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub parameters: usize,
     /// Multiply-adds of one map.
     pub multiply_adds: u64,
@@ -84,8 +84,8 @@ pub struct Failure {
     pub reason: String,
 }
 
-/// A study's results. They are the same however the trainings were spread and interrupted: what differs from run to run is in
-/// [`Times`](super::Times).
+/// Results of a study. They do not depend on how the trainings were spread and interrupted. [`Times`](super::Times) has
+/// the values that differ from run to run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Heading.
@@ -100,9 +100,9 @@ pub struct Report {
     pub done: usize,
     /// Trainings of the plan, less those that only choose learning rates.
     pub planned: usize,
-    /// Balanced accuracy whose first epoch is reported.
+    /// Target of balanced accuracy: the report gives the first epoch that reaches it.
     pub target: f64,
-    /// One for each variant and label fraction.
+    /// Results, one for each variant and label fraction.
     pub cells: Vec<Cell>,
     /// All trainings that failed, those that learning rates were chosen by included.
     #[serde(default)]
@@ -222,7 +222,7 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
     }
 }
 
-/// Means over outcomes by epoch, as far as any of them went.
+/// Means over outcomes by epoch, up to the last epoch of any outcome.
 fn curve(outcomes: &[&Outcome]) -> Vec<CurvePoint> {
     let epochs = outcomes.iter().map(|outcome| outcome.curve.len()).max().unwrap_or_default();
     let point = |index: usize| {
@@ -473,7 +473,7 @@ impl Report {
     }
 }
 
-/// A number that there may not be.
+/// Formats an optional number; `-` if it is absent.
 pub(super) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
 }

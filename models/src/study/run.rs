@@ -27,9 +27,10 @@ use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
-/// Time between two looks at jobs that other processes run.
+/// Interval between two checks of jobs that other processes run.
 const OTHERS_WAIT: Duration = Duration::from_millis(200);
-/// Maps before the times of labels are taken, maps that are timed at least, and how long: energy counters step every millisecond.
+/// Number of maps to warm up, least number of timed maps, and least timed duration: energy counters step every
+/// millisecond.
 const WARM_UP_LABELS: usize = 3;
 const LEAST_LABELS: usize = 30;
 const LABELS_LAST: Duration = Duration::from_millis(300);
@@ -42,14 +43,14 @@ pub enum Progress<'a> {
     Epoch(&'a EpochReport),
     /// End of the job.
     Done(&'a Outcome),
-    /// Maps of a condition are put to the model of the job: name of the condition, number
-    /// of this work, and of all such work that is done in turn.
+    /// Start of an evaluation of the job's model under a condition: name of the condition, number of this evaluation,
+    /// and of all evaluations that are done in turn.
     Judging(&'a Job, &'a str, usize, usize),
-    /// End of that.
+    /// End of such an evaluation.
     Judged(&'a Judgement),
 }
 
-/// Work whose outcome is one file: a training, or maps of a condition that are put to its model.
+/// Work whose outcome is one file: a training, or the evaluation of its model under a condition.
 #[derive(Clone, Copy)]
 struct Task<'j> {
     job: &'j Job,
@@ -112,7 +113,7 @@ impl<'a> Study<'a> {
         Ok(Study { spec, dataset, maps, conditions: &[], folder: folder.to_owned(), shard })
     }
 
-    /// The study with conditions that the models of its trainings are put to.
+    /// The study with conditions under which the models of its trainings are evaluated.
     ///
     /// # Errors
     /// [`StudyError::Setting`] if two conditions have one name in files, or if no training is on all labels, and
@@ -122,11 +123,11 @@ impl<'a> Study<'a> {
         Ok(Study { conditions, ..self })
     }
 
-    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and puts the conditions to the model of each as soon as
-    /// it is trained. Returns all outcomes that exist.
+    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and evaluates the model of each under the
+    /// conditions as soon as it is trained. Returns all outcomes that exist.
     ///
-    /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it first. The
-    /// learning rates that a shard needs and another has not tried yet are tried by it, or waited for.
+    /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it
+    /// first. A shard tries the learning rates that it needs and that no other shard has tried, or waits for them.
     ///
     /// # Errors
     /// [`DatasetError::Busy`] if another process works on the study as a whole, or on a shard where this is no shard, and otherwise
@@ -233,12 +234,13 @@ impl<'a> Study<'a> {
         whole.flat_map(of_job).collect()
     }
 
-    /// Number of scores that there are of the models among `jobs` under the conditions.
+    /// Number of existing scores of the models among `jobs` under the conditions.
     pub(super) fn judged(&self, jobs: &[Job]) -> usize {
         self.judgings(jobs).into_iter().filter(|task| self.is_done(*task)).count()
     }
 
-    /// Does the tasks that have no result: first those that no other process works on, then those whose process ended without one.
+    /// Runs the tasks that have no result: first those that no other process works on, then those whose process ended
+    /// without a result.
     fn work(&self, tasks: &[Task], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
         let mut left: Vec<(usize, Task)> = tasks.iter().copied().enumerate().collect();
         loop {
@@ -278,7 +280,7 @@ impl<'a> Study<'a> {
         self.folder.join("results").join(format!("{}.json", name(job)))
     }
 
-    /// Model of a job on all training maps: other sets are put to it without training it again.
+    /// Path of the model of a job on all training maps. It is kept for evaluations on other sets.
     fn model_path(&self, job: &Job) -> PathBuf {
         self.folder.join("models").join(format!("{}.safetensors", name(job)))
     }
@@ -291,7 +293,7 @@ impl<'a> Study<'a> {
         self.folder.join("judged").join(format!("{}.json", task.name()))
     }
 
-    /// Scores of a job's model under a condition; `None` if there are none of this content of its dataset.
+    /// Scores of a job's model under a condition; `None` if there are none for the present content of its dataset.
     fn judgement(&self, job: &Job, condition: &Condition) -> Option<Judgement> {
         let path = self.judgement_path(Task { job, condition: Some(condition) });
         let found: Judgement = serde_json::from_str(&read_text(&path, TEXT_LIMIT_BYTES).ok()?).ok()?;
@@ -311,7 +313,7 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Does a task that is claimed, unless its result has come meanwhile, and writes the result.
+    /// Runs a claimed task, unless its result has come meanwhile, and writes the result.
     fn finish(
         &self,
         task: Task,
@@ -336,7 +338,7 @@ impl<'a> Study<'a> {
                 }
             }
         }
-        // Whoever opened the file before it was removed finds the result. One that stays does no harm.
+        // A process that opened the file before it was removed finds the result. A file that stays does no harm.
         let _ = std::fs::remove_file(self.claim_path(task));
         Ok(())
     }
@@ -357,7 +359,7 @@ impl<'a> Study<'a> {
         Ok(())
     }
 
-    /// Puts the maps of a condition to the model of a job, with the instructions that it was trained with.
+    /// Evaluates the model of a job on the maps of a condition, with the instructions that it was trained with.
     fn judge(&self, job: &Job, condition: &Condition) -> Result<Judgement, StudyError> {
         let (path, result) = (self.model_path(job), self.result_path(job));
         let metrics = if path.exists() {
@@ -452,14 +454,15 @@ impl<'a> Study<'a> {
         let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
         let trained = train();
         if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
-            // It may be of a machine with other instructions.
+            // The checkpoint may come from a machine with other instructions.
             tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
             return train();
         }
         trained
     }
 
-    /// Median time of one map, ms, and its mean cost, over as many maps as energy counters need, after a few to warm up.
+    /// Median time of one map, ms, and its mean cost. A few maps warm up first, then as many are timed as energy
+    /// counters need.
     fn time_labels(&self, classifier: &mut Classifier, test: &[usize]) -> Result<(f64, Cost), StudyError> {
         let mut maps = test.iter().cycle();
         for &index in maps.by_ref().take(WARM_UP_LABELS) {

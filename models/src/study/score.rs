@@ -22,7 +22,7 @@ impl Score {
         Score { seed: job.seed, held_out: job.held_out.clone(), balanced_accuracy }
     }
 
-    /// The score among others whose training had the same seed and held out the same recording.
+    /// Score in `others` of the training with the same seed and the same recording held out.
     fn partner<'a>(&self, others: &'a [Score]) -> Option<&'a Score> {
         others.iter().find(|other| other.seed == self.seed && other.held_out == self.held_out)
     }

@@ -10,7 +10,7 @@ use super::outcome::Job;
 use crate::network::{Head, NetworkSpec, networks};
 use crate::train::TrainSpec;
 
-/// Most trainings and variants of a study. A spec of a megabyte could list more than fit into memory.
+/// Largest number of trainings and variants of a study. A spec of a megabyte could list more than fit into memory.
 const MOST_JOBS: usize = 1_000_000;
 const MOST_VARIANTS: usize = 1000;
 

@@ -39,10 +39,11 @@ pub struct CellTimes {
 pub struct Times {
     /// Time of the epochs of all trainings that are done, s.
     pub seconds: f64,
-    /// Processor time of the same trainings, s, as far as the system told it; less than all of it where one carried on with a checkpoint.
+    /// Processor time of the same trainings, s, as far as the system reports it. It is lower than the whole time if a
+    /// training continued from a checkpoint.
     #[serde(default)]
     pub cpu_seconds: f64,
-    /// One for each variant and label fraction.
+    /// Times, one for each variant and label fraction.
     pub cells: Vec<CellTimes>,
 }
 

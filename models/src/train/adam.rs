@@ -10,7 +10,7 @@ use rayon::prelude::*;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
-/// Numbers that one task takes.
+/// Number of values that one task processes.
 const CHUNK: usize = 1 << 14;
 
 /// Moments of all arrays.

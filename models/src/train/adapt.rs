@@ -44,14 +44,14 @@ const SAFE_STRENGTH: f64 = 1000.0;
 /// Weakest strength that is tried, times the square of the labelled seconds, s^3: 100 s at two minutes. Measured on simulated rooms
 /// (`radome model adapt --curve`).
 const WEAKEST_BY_TIME: f64 = 1.44e6;
-/// Most parts of the recordings that are held out in turn.
+/// Largest number of parts of the recordings that are held out in turn.
 const MOST_FOLDS: usize = 10;
 
 /// Result of an adaptation.
 pub struct Adaptation {
     /// The adapted model; its card has an [`Adapted`] entry.
     pub model: Model,
-    /// The entry.
+    /// Entry of the card.
     pub adapted: Adapted,
     /// Scores of each recording by a model that was adapted on others; absent if one of its classes is in no other recording.
     pub held_out: Vec<Option<BeforeAfter>>,
@@ -76,7 +76,7 @@ pub struct Adapter {
     classifier: Classifier,
     /// Input of the adapted layers.
     given: Value,
-    /// Parameters of the model as it was.
+    /// Parameters of the model before the adaptation.
     before: Vec<f64>,
     /// Features and classes of simulated maps.
     simulated: Vec<(Vec<f32>, usize)>,
@@ -222,8 +222,8 @@ impl Adapter {
         Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Holds out each part of the recordings in turn, of which `by_recording` are the labelled seconds. Returns the predictions on
-    /// each recording that was held out, and which classes those showed.
+    /// Holds out each part of the recordings in turn. `by_recording` are the labelled seconds of each recording.
+    /// Returns the predictions on each recording that was held out, and the classes that those recordings show.
     fn hold_out(
         &self,
         tail: &Tail,

@@ -1,8 +1,9 @@
 //! Augmentation of training maps: random changes that imitate differences between rooms, boards and people.
 //!
-//! All but noise and flip work on maps over their own noise ([`MapReference::OverNoise`]), in powers `p = P / N` of a cell over the
-//! noise of its range bin, in which a cell of noise is exponential about 1. They come in the order of the fields of
-//! [`Augmentation`] from `superpose` to `sway`; then the bound of the reference, standardisation, flip and noise.
+//! All but noise and flip work on maps over their own noise ([`MapReference::OverNoise`]). They change the power
+//! `p = P / N` of a cell over the noise of its range bin; `p` of a cell of noise is exponential with mean 1. They are
+//! applied in the order of the fields of [`Augmentation`] from `superpose` to `sway`. The bound of the reference,
+//! standardisation, flip and noise follow.
 
 use std::collections::BTreeMap;
 
@@ -20,11 +21,11 @@ use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noi
 const MOST_GAIN_DB: f32 = 15.0;
 /// Largest stretch of an axis.
 const MOST_STRETCH: f32 = 0.5;
-/// Most range bins that a map is shifted by, and most stretches and bins of sway.
+/// Largest number of range bins that a map is shifted by, and largest number of stretches and bins of sway.
 const MOST_BINS: usize = 256;
 /// Strongest sway, dB over noise.
 const MOST_SWAY_DB: f32 = 60.0;
-/// Most draws of a map of another sequence.
+/// Largest number of draws of a map of another sequence.
 const TRIES: usize = 16;
 /// Number of classes.
 const CLASSES: usize = radome_dsp::Occupancy::ALL.len();
@@ -228,7 +229,7 @@ impl Augmentation {
 /// Choice of maps that are added to other maps.
 pub(super) struct Partners {
     probability: f64,
-    /// A number for the sequence of each map.
+    /// Number of the sequence of each map.
     sequences: Vec<usize>,
     /// Positions of the maps of each class.
     of_class: [Vec<usize>; CLASSES],
@@ -251,7 +252,7 @@ impl Partners {
         Partners { probability: superpose.probability, sequences, of_class }
     }
 
-    /// Classes that can be added to a map of this one, of which there are maps.
+    /// Classes with maps that can be added to a map of this class.
     fn beside(&self, label: usize) -> Vec<usize> {
         (0..CLASSES.saturating_sub(label)).filter(|&class| !self.of_class[class].is_empty()).collect()
     }

@@ -46,7 +46,7 @@ pub(super) struct RunState {
     /// Parameters and running statistics.
     #[serde(skip)]
     pub values: BTreeMap<String, Vec<f32>>,
-    /// Adam's.
+    /// Adam's moments.
     #[serde(skip)]
     pub moments: BTreeMap<String, Vec<f32>>,
     pub best: Option<Best>,

@@ -38,7 +38,7 @@ impl Part {
 pub(super) struct Data {
     pub train: Part,
     pub validation: Part,
-    /// Indices only: the test maps are read at the end.
+    /// Indices of the test maps, which are read only at the end.
     pub test: Vec<usize>,
     pub standardisation: Standardisation,
     pub class_weights: Vec<f32>,
@@ -60,7 +60,7 @@ pub(crate) struct Indices {
 }
 
 impl Indices {
-    /// Chooses the maps. How many there are does not depend on the seed.
+    /// Chooses the maps. Their number does not depend on the seed.
     ///
     /// # Errors
     /// Those of [`Dataset::splits`].
@@ -82,7 +82,7 @@ impl Indices {
 }
 
 impl Data {
-    /// Reads the maps of a training. `maps` are those of the reference of `spec`.
+    /// Reads the maps of a training. `maps` must have the reference of `spec`.
     pub(super) fn load(maps: &Maps, spec: &TrainSpec) -> Result<Self, TrainError> {
         let dataset = maps.dataset();
         let shape = dataset.header().shape;
@@ -184,7 +184,7 @@ impl Data {
         Ok((self.tensor(maps)?, labels))
     }
 
-    /// One use of a training map, and its class.
+    /// Cells of one use of a training map, and its class.
     fn shown(&self, position: usize, augmentation: &Augmentation, map_use: MapUse) -> Option<(Vec<f32>, usize)> {
         let part = &self.train;
         let (mut cells, mut label) = (part.maps.get(position)?.to_vec(), *part.labels.get(position)?);
@@ -234,7 +234,7 @@ fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Resu
     let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
     let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
     if spec.network.reads_descriptors() {
-        // They are of levels in dB.
+        // Descriptors are computed from levels in dB, which must not be standardised.
         (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
     }
     if spec.label_leaking_cells {

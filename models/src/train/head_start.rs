@@ -21,7 +21,7 @@ const SEARCHES: u64 = 24;
 const STEPS: usize = 200;
 const RATE: f32 = 0.05;
 
-/// The points of the search.
+/// Points of the search.
 pub(super) struct Points<'a> {
     /// Standardised latents, `[map][component]`.
     pub latents: &'a [Vec<f32>],
@@ -131,7 +131,7 @@ pub(super) fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parame
     network.trained().iter().filter(|parameter| names.contains(&parameter.name)).collect()
 }
 
-/// Whether an array is trained at all: angles may be frozen.
+/// Returns whether an array is trained at all: angles may be frozen.
 pub(super) fn is_trained(network: &Network, parameter: &Parameter) -> bool {
     let frozen = |layer: &Layer| matches!(layer, Layer::Circuit { frozen: true, .. });
     !(parameter.name == "circuit.theta" && network.graph().nodes.iter().any(|node| frozen(&node.layer)))

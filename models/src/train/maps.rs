@@ -1,11 +1,11 @@
-//! Maps that trainings share.
+//! Maps that several trainings share.
 
 use std::sync::{Arc, OnceLock};
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::standardise::MapReference;
 
-/// Maps of a dataset in a reference, each read and measured once however many trainings ask for it.
+/// Maps of a dataset in one reference. Each map is read and measured once for all trainings.
 pub(crate) struct Maps<'a> {
     dataset: &'a Dataset,
     reference: MapReference,

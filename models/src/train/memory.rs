@@ -1,4 +1,4 @@
-//! Estimate of a training's memory, beside what there is.
+//! Check of a training's memory against the available memory.
 
 use std::path::Path;
 

@@ -5,9 +5,10 @@ use std::collections::VecDeque;
 /// Steps in the memory of L-BFGS.
 const MEMORY: usize = 10;
 
-/// Finds a minimum near `start` of a function with its gradient, in so many steps at most: L-BFGS (Nocedal and Wright, Numerical
-/// Optimization, 2006, algorithm 7.5) with steps that are halved until the function falls. It ends early where a step gains less
-/// than the share `least_gain` of the value. `None` if the function is not finite at the start.
+/// Finds a minimum near `start` of a function with its gradient, in at most `most_steps` steps. The method is L-BFGS
+/// (Nocedal and Wright, Numerical Optimization, 2006, algorithm 7.5) with steps that are halved until the function
+/// falls. It ends early if a step gains less than the share `least_gain` of the value. `None` if the function is not
+/// finite at the start.
 ///
 /// # Errors
 /// Those of the function.

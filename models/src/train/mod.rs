@@ -15,8 +15,8 @@
 //!    [`TrainSpec::start_epochs`]. Angles and head have their own step sizes; the step size warms up and then falls by a cosine to
 //!    a twentieth.
 //! 6. *Best epoch* by balanced accuracy on the validation split, by loss among equals.
-//! 7. *All maps at once.* A network of descriptors may go on to a minimum of the loss over all training maps ([`FullBatch`]), which hardly
-//!    depends on the seed.
+//! 7. *All maps at once.* The training of a network of descriptors may end with a minimisation of the loss over all
+//!    training maps ([`FullBatch`]), which hardly depends on the seed.
 //! 8. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
 //!
 //! `docs/studies` has results over seeds and comparisons of heads under equal treatment. Networks without a narrow latent are

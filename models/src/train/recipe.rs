@@ -47,7 +47,8 @@ pub fn train_with_checkpoint(
     train_on(&Maps::new(dataset, spec.reference), spec, checkpoint, report)
 }
 
-/// [`train_with_checkpoint`] on maps that other trainings may share. They are those of the reference of `spec`.
+/// Trains as [`train_with_checkpoint`] does, on maps that other trainings may share. `maps` must have the reference of
+/// `spec`.
 pub(crate) fn train_on(
     maps: &Maps,
     spec: &TrainSpec,

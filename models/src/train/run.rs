@@ -76,7 +76,7 @@ impl<'a> Run<'a> {
                 .parameters_mut()
                 .set_normalisation("features", feature_normalisation(&features, spec.feature_sigma));
         }
-        // In front of the latent there may be no hidden layer.
+        // The network may have no hidden layer before the latent.
         let graph = run.network.graph();
         if graph.value("hidden").is_some_and(|hidden| Some(hidden) < graph.value("latent")) {
             place_hidden(&run.network, &of(&run.network, "hidden", &positions)?)?;
@@ -253,7 +253,7 @@ impl<'a> Run<'a> {
         order.shuffle(&mut stream(self.spec.seed, "order", self.epoch as u64));
         let (mut loss, mut pairs, mut maps) = (0.0, Vec::with_capacity(order.len()), 0);
         for batch in order.chunks(self.spec.batch_size) {
-            // A batch normalisation has no variance of one map; it is in another batch in the next epoch.
+            // One map gives a batch normalisation no variance. The map is in another batch in the next epoch.
             if batch.len() == 1 && order.len() > 1 && self.network.graph().batch_norms().next().is_some() {
                 continue;
             }
@@ -289,8 +289,8 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Measures the end of the warm-up, steps behind it on the first batch, and the validation of one batch. Of the last two, the
-    /// first is not counted.
+    /// Measures the end of the warm-up, steps behind it on the first batch, and the validation of one batch. The first
+    /// of the steps and of the validations is not counted.
     pub(super) fn time_steps(mut self) -> Result<StepTimes, TrainError> {
         let began = Instant::now();
         self.start_head()?;
@@ -443,7 +443,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Mean time of `count` calls, s, behind one that is not counted.
+/// Mean time of `count` calls, s, after one call that is not counted.
 fn mean_s(count: usize, mut call: impl FnMut() -> Result<(), TrainError>) -> Result<f64, TrainError> {
     call()?;
     let began = Instant::now();

@@ -10,7 +10,7 @@ use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 const LEAST_PROBABILITY: f64 = 1e-9;
 /// Start of the search: dwell and time of evidence, s, and temperature.
 const START: [f64; 3] = [4.0, 0.7, 1.4];
-/// First and last step of the search, of logarithms.
+/// First and last step size of the search, in logarithms of the settings.
 const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);
 /// Least gain of a step.
 const LEAST_GAIN: f64 = 1e-6;
@@ -38,13 +38,14 @@ pub struct SmoothingFit {
 /// Sum of losses and number of frames.
 type Sums = (f64, u64);
 
-/// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over
-/// the groups. `None` without a labelled frame.
+/// Fits the settings of the filter with the least log loss. The loss is the mean over the labelled frames of a group of
+/// recordings, and then over the groups. `None` without a labelled frame.
 ///
-/// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
-/// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
-/// than errors last, and people who come and go: of frames a second apart it cannot tell how long errors last. `newest` is
-/// [`Smoothing::newest`]: the log loss alone would have it near 1, where answers flicker.
+/// The method is a compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and
+/// [`Smoothing::temperature`] from [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs
+/// frames that follow each other more closely than errors last, and people who come and go. Frames a second apart do
+/// not show how long errors last. `newest` is [`Smoothing::newest`]: the log loss alone would set it near 1, where
+/// answers flicker.
 pub fn fit_smoothing(groups: &[Vec<FilterSequence>], newest: f64) -> Option<SmoothingFit> {
     let settings = |logarithms: [f64; 3]| {
         let [dwell_s, independent_s, temperature] = logarithms.map(f64::exp);
@@ -78,8 +79,8 @@ pub fn fit_smoothing(groups: &[Vec<FilterSequence>], newest: f64) -> Option<Smoo
     Some(SmoothingFit { smoothing: settings(at), log_loss: least, log_loss_by_frame })
 }
 
-/// Log loss of the answers of a filter with these settings, or of the frames by themselves: the mean over the labelled frames of a
-/// group, and then over the groups.
+/// Log loss of the answers of a filter with these settings, or of single frames without settings. It is the mean over
+/// the labelled frames of a group, and then over the groups.
 fn log_loss(groups: &[Vec<FilterSequence>], smoothing: Option<Smoothing>) -> Option<f64> {
     let of_group = |group: &Vec<FilterSequence>| {
         // Summed in the order of the recordings, on any number of threads.

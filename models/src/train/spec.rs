@@ -13,7 +13,8 @@ use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::MapReference;
 
-/// Most epochs, maps in a step and initialisations: far beyond any training, and their products do not overflow.
+/// Largest number of epochs, of maps in a step, and of initialisations. They are far beyond any training, and their
+/// products do not overflow.
 const MOST_EPOCHS: usize = 100_000;
 const MOST_IN_BATCH: usize = 65_536;
 const MOST_STARTS: u64 = 1000;

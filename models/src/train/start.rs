@@ -72,8 +72,8 @@ pub(super) fn descriptor_normalisation(rows: &[Vec<f32>]) -> Normalisation {
     Normalisation { mean, sigma: sigma.into_iter().map(|sigma| sigma.max(LEAST_DESCRIPTOR_SIGMA)).collect() }
 }
 
-/// Rescales the dense layer before the hidden one so that the hidden values have a mean square of 1/2, as the ReLU of unit
-/// variance would.
+/// Rescales the dense layer before the hidden one so that the hidden values have a mean square of 1/2. The ReLU of a
+/// value of unit variance has this mean square.
 pub(super) fn place_hidden(network: &Network, hidden: &[Vec<f32>]) -> Result<(), TrainError> {
     let count = hidden.iter().map(Vec::len).sum::<usize>().max(1);
     let square = hidden.iter().flatten().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count as f64;

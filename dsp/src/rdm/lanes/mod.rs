@@ -59,8 +59,8 @@ impl LaneTransform {
         }))
     }
 
-    /// Transforms one channel into `cells`, `[doppler][range]`. Returns true if all cells are finite. If it returns false, there may
-    /// still be none that is not finite.
+    /// Transforms one channel into `cells`, `[doppler][range]`. Returns true only if all cells are finite. It may
+    /// return false even though all cells are finite.
     pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         match &mut self.0 {
             Level::Portable(stages) => stages.channel(input, output, cells),

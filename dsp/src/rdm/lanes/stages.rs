@@ -51,7 +51,8 @@ pub(super) struct Stages<const L: usize, V> {
     samples: usize,
     range: usize,
     doppler: usize,
-    /// Distance between tiles of `matrix`: no power of two, so that tiles do not compete for the same cache sets.
+    /// Distance between tiles of `matrix`. It is not a power of two, so that tiles do not compete for the same cache
+    /// sets.
     tile_length: usize,
     removes_chirp_mean: bool,
     removes_slow_time_mean: bool,
@@ -240,7 +241,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             let rows = &rows[..self.doppler];
             let mut mean = Complex { re: V::splat(0.0), im: V::splat(0.0) };
             if REMOVES_MEAN {
-                // Four sums at a time: one would wait for each addition.
+                // Four independent sums, because a single sum would wait for each addition.
                 let mut sums = [mean; 4];
                 for four in rows[..self.chirps].as_chunks::<4>().0 {
                     for (sum, x) in sums.iter_mut().zip(four) {

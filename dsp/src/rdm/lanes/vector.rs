@@ -6,9 +6,9 @@ use crate::decibel::{self, SQRT_HALF_BITS};
 
 /// Vector of `L` numbers.
 ///
-/// Implementations for registers that not every processor has must be used only inside functions that were entered
-/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available); `channel` of the parent module's transform
-/// is the one place. Every method is inlined into such a function, and so becomes one instruction.
+/// Some implementations need registers that not every processor has. Use them only inside functions that are entered
+/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available). Only `channel` of the parent
+/// module's transform does so. Every method is inlined into such a function, and so becomes one instruction.
 pub(super) trait Vector<const L: usize>:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {

@@ -7,7 +7,7 @@
 use super::writer::{ExportError, Writer, int};
 use crate::quantum::{Circuit, CircuitSpec, Encoding, Execution};
 
-/// Most qubits that are written: matrices of 65,536 numbers.
+/// Largest number of qubits of a circuit that is written. Its matrices have 65,536 numbers.
 const MOST_QUBITS: usize = 8;
 
 /// Adds the operators of a circuit. Returns the name of its expectations.
@@ -73,7 +73,7 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
             phases[qubit * states + state] = 2.0 * bit(state, qubit) as f32;
         }
         for (k, &(i, j)) in pairs.iter().enumerate() {
-            // CX, P, CX turns the states in which the two differ.
+            // CX, P, CX shifts the phase of the states in which the two qubits differ.
             phases[(qubits + k) * states + state] = 2.0 * (bit(state, i) ^ bit(state, j)) as f32;
         }
     }

@@ -1,7 +1,7 @@
 //! Networks as ONNX (opset 17), for runtimes and tools elsewhere.
 //!
-//! The input `map` is `[batch][1][range][doppler]`, standardised; the output `logits` is `[batch][3]`. The model's card travels
-//! in the metadata under `radome`, so that the file can replace the model file.
+//! The input `map` is `[batch][1][range][doppler]`, standardised; the output `logits` is `[batch][3]`. The metadata
+//! contain the model's card under `radome`, so that the file can replace the model file.
 //!
 //! Operations that ONNX lacks are matrix products: adaptive pooling multiplies by matrices of means from both sides, and a circuit
 //! consists of phases, a trained real matrix and squares ([`circuit`]).

@@ -7,7 +7,7 @@ use crate::layer::Activation;
 use crate::network::{Network, Size};
 use crate::quantum::CircuitError;
 
-/// A network that cannot be written as ONNX.
+/// Error: a network cannot be written as ONNX.
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum ExportError {

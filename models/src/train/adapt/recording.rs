@@ -3,9 +3,10 @@
 use radome_dsp::Occupancy;
 
 pub(super) const CLASSES: usize = Occupancy::ALL.len();
-/// Most time that a frame counts for, s. It counts for the time since the frame before it, as in the occupancy filter.
+/// Longest time that a frame counts for, s. A frame counts for the time since the frame before it, as in the occupancy
+/// filter.
 const INDEPENDENT_S: f64 = 1.0;
-/// Approximate number of labelled frames in a fit, and most simulated maps.
+/// Approximate number of labelled frames in a fit, and largest number of simulated maps.
 pub(super) const MOST_FRAMES: usize = 2000;
 
 /// Input of the adapted layers for one frame of a recording.

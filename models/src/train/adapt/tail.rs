@@ -18,14 +18,15 @@ use crate::train::parameter_vector::ParameterVector;
 /// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
 /// few biases; weights would overfit to the few people in it.
 const BIAS_STRENGTH: f64 = 100.0;
-/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds: a longer
-/// recording of the empty room must not make the model miss people.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds. A
+/// longer recording of the empty room must not make the model miss people.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 const LONG_S: f64 = 10.0;
 /// Least deviation that a feature is divided by, as in training (`train/start.rs`).
 const LEAST_SIGMA: f64 = 0.1;
-/// Most steps of a fit, and the least gain of one as a share of the loss: smaller ones are below the rounding errors of f32 sums.
+/// Largest number of steps of a fit, and least gain of a step as a share of the loss. Smaller gains are below the
+/// rounding errors of f32 sums.
 const MOST_STEPS: usize = 100;
 const LEAST_GAIN: f64 = 1e-6;
 /// Frames of a forward pass without gradients.
@@ -51,7 +52,7 @@ impl Confusions {
     }
 }
 
-/// Whether a labelled frame shows people.
+/// Returns whether a labelled frame shows people.
 pub(super) fn shows_people(recordings: &[&AdaptRecording]) -> bool {
     let mut labels = recordings.iter().flat_map(|recording| &recording.frames).filter_map(|frame| frame.label);
     labels.any(|label| label != Occupancy::Empty)
@@ -75,7 +76,8 @@ struct Sample<'a> {
     weight: f64,
 }
 
-/// Labelled frames of recordings and simulated maps with their weights; those of each of the two sum to the labelled seconds.
+/// Labelled frames of recordings and simulated maps with their weights. The weights of each of the two sum to the
+/// labelled seconds.
 fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usize)]) -> Vec<Sample<'a>> {
     let seconds: Vec<[f64; CLASSES]> = recordings.iter().map(|recording| recording.seconds()).collect();
     let total_s: f64 = seconds.iter().flatten().sum();
