@@ -1,6 +1,8 @@
-//! The paper's waveform (3 x 128 x 256 samples every 100 ms) from an emulated board through a pseudo-terminal and the
-//! client, many times as fast as a board sends it, or with 0 as fast as it goes: `throughput [TIMES [SECONDS]]`. Says what arrived, what was lost and
-//! what the client took of one core; fails if anything was lost.
+//! Throughput of the client with the paper's waveform (3 x 128 x 256 samples every 100 ms).
+//!
+//! An emulated board sends through a pseudo-terminal, at TIMES the speed of a real board, or at full speed with 0:
+//! `throughput [TIMES [SECONDS]]`. Prints the frames received and lost, and the client's share of one core. Fails if
+//! anything was lost.
 
 #![allow(clippy::print_stdout)]
 
@@ -10,7 +12,7 @@ use std::time::{Duration, Instant};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 
-/// Frames that cost nothing to make.
+/// Source of equal frames, without computing cost.
 struct Same {
     waveform: Waveform,
     next: u64,
@@ -34,7 +36,7 @@ impl FrameSource for Same {
     }
 }
 
-/// Time that this thread has spent on a core.
+/// Processor time of this thread.
 fn thread_time() -> Result<Duration, Box<dyn Error>> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat")?;
     let nanoseconds = text.split_whitespace().next().ok_or("schedstat is empty")?.parse()?;

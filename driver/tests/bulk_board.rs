@@ -1,4 +1,4 @@
-//! The bulk variant of the board, its endpoints emulated: the same frames, the same faults, the same recovery.
+//! Tests of the bulk variant of the board with emulated endpoints: the same frames, faults and recovery.
 
 use std::time::Duration;
 
@@ -8,7 +8,8 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 use crate::common::{POLICY, Pattern, board, options, read_frames, waveform};
 use crate::emulated_board::start_and_stop;
 
-/// Sequence numbers of frames whose codes are the source's, of others, and gaps, to the source's end.
+/// Sequence numbers of frames with the source's codes, those of other frames, and the gaps, up to the end of the
+/// source.
 fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<u64>, Vec<Gap>) {
     let pattern = Pattern::new(waveform.clone(), frames);
     let mut source =
@@ -37,7 +38,7 @@ fn frames_of_any_shape_arrive_bit_exact() {
         (&[1, 2, 3], 128, 256, 12),
         (&[1, 2, 3], 1, 8, 50),
         (&[3], 3, 33, 60),
-        // 332 codes would be 512 bytes with header and clock: another slice is asked for.
+        // 332 codes would be 512 bytes with header and clock, so that the client requests another slice.
         (&[1], 4, 83, 30),
     ] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
@@ -56,7 +57,7 @@ fn the_board_says_that_it_is_the_bulk_variant() {
     assert_eq!((identity.chip.as_str(), identity.extended_version.as_str()), ("BGT60TR13C", "emulated"));
     assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
     drop(start_and_stop(client, &waveform).start(&waveform).expect("starts"));
-    // Who only asks leaves the chip as it is; who opens the board has reset it.
+    // A query of the identity does not change the chip; opening the board resets it.
     assert_eq!(Mcu7Board::identity_at(board.address()).expect("answers"), identity);
     let (client, left) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");
     left.expect("programmed").check_compatible(&waveform).expect("the same");
@@ -90,7 +91,8 @@ mod hard_cases {
         }
     }
 
-    /// USB checks what is on the cable; nothing checks what happens at its ends.
+    /// Asserts that a bit flipped after the USB transfer is undetected and appears in the frame: USB checks only the
+    /// transfer.
     #[test]
     fn what_cannot_be_seen_without_a_checksum_is_in_the_frame() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -98,13 +100,14 @@ mod hard_cases {
         assert_eq!((good.len(), bad, gaps), (9, vec![4], vec![]));
     }
 
-    /// A length that is wrong by little is a packet of another length than the slice's: the board is started anew.
+    /// Asserts that a slightly wrong length is detected, since it differs from the slice's, and that the board is
+    /// restarted.
     #[test]
     fn a_wrong_length_is_seen() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        // Bits 32 and 33 of the header are the length's lowest.
+        // Bits 32 and 33 of the header are the lowest of the length.
         for bit in [32, 33, 40] {
-            // More frames than the sockets hold: what waits there goes with the new start.
+            // More frames than the sockets hold, since a restart discards their content.
             let (_, bad, gaps) = stream(&waveform, 1000, &[Fault::FlipBit { packet: 4, bit }]);
             assert!(bad.is_empty() && !gaps.is_empty(), "bit {bit}: {bad:?}, {gaps:?}");
         }
@@ -114,8 +117,8 @@ mod hard_cases {
     fn a_board_that_is_plugged_in_again_or_stalls_goes_on() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let unplug = |packet| Fault::Unplug { packet, duration: Duration::from_millis(100) };
-        // The board is ahead of its host by what the socket holds, some ninety packets: the first fault comes after the
-        // start, however slow that is.
+        // The board is ahead of its host by the content of the socket, about ninety packets. The first fault must
+        // therefore come late enough to follow a slow start.
         let faults = [unplug(300), Fault::Stall(320), unplug(340)];
         let board = board(&waveform, u64::MAX, Kind::Mcu7Bulk, &faults);
         let client = Mcu7Board::open_at(board.address()).expect("opens");
@@ -129,7 +132,7 @@ mod hard_cases {
         let nowhere = Address::Usb(UsbAddress::Emulated("/no/such/board".into()));
         let Err(error) = Mcu7Board::open_at(&nowhere) else { panic!("opened") };
         assert!(matches!(error, BoardError::Absent { .. }) && error.to_string().contains("hint:"), "{error}");
-        // On a machine without USB too.
+        // This error also occurs on a machine without USB.
         let Err(error) = Mcu7Board::open_at(&Address::Usb(UsbAddress::Serial("no such serial number".into()))) else {
             panic!("opened")
         };

@@ -1,4 +1,4 @@
-//! The DEEPCRAFT protocol as bytes: against bytes written by hand, against protobuf, and against a bad line.
+//! Compares the DEEPCRAFT protocol with bytes written by hand and with protobuf, and tests it on a faulty link.
 
 use proptest::prelude::*;
 use prost::Message;
@@ -8,7 +8,7 @@ use crate::common::{captured_waveform, unhex};
 
 const LAYOUT: ChunkLayout = ChunkLayout { device: 0, stream: 0, frame_codes: 40 };
 
-/// Codes of a frame: every one follows from the frame's number. The last one cannot be taken for a length (see
+/// Codes of a frame as a function of its number. The last code cannot be mistaken for a length (see
 /// [`hard_cases::a_code_that_could_be_a_length_waits_for_more`]).
 fn codes(layout: ChunkLayout, number: u32) -> Vec<u16> {
     let code = |i: u32| (i.wrapping_mul(2_654_435_761).wrapping_add(number.wrapping_mul(40_503)) >> 7) as u16 & 0xFFF;
@@ -23,7 +23,7 @@ fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
     line
 }
 
-/// Words of the captured blob, written out by hand.
+/// Compares words of the captured blob with values written by hand.
 #[test]
 fn words_are_where_the_firmware_looks_for_them() {
     let blob = Custom::compile(&captured_waveform()).expect("fits").encode();
@@ -36,11 +36,11 @@ fn words_are_where_the_firmware_looks_for_them() {
     assert_eq!(blob.len(), 4 * (16 + 38));
     // ADC0 and PACR1 of the captured list as SPI write words.
     assert_eq!([word(16), word(17)], [0x030A_0210, 0x09E9_67FD]);
-    // MAIN waits for the firmware to start it.
+    // MAIN does not contain the start, which the firmware adds.
     assert_eq!(word(16 + 37), 0x011E_8270);
 }
 
-/// Result of a parser.
+/// Events that a parser reported.
 #[derive(Debug, Default, PartialEq)]
 struct Found {
     frames: Vec<u32>,
@@ -49,7 +49,7 @@ struct Found {
     damaged: bool,
 }
 
-/// Takes all events out. Frames must have the codes that their numbers say.
+/// Collects all events of a parser. Asserts that frames have the codes of their numbers.
 fn take(parser: &mut ChunkParser, layout: ChunkLayout, found: &mut Found) {
     while let Some(event) = parser.next_event() {
         match event {
@@ -72,7 +72,8 @@ fn take(parser: &mut ChunkParser, layout: ChunkLayout, found: &mut Found) {
     }
 }
 
-/// Hands bytes over in pieces; after each the line is silent if `silent` says so, and at the end.
+/// Passes bytes to a parser in pieces. Reports silence of the line at the end, and after each piece if `silent` is
+/// true.
 fn receive(layout: ChunkLayout, first: u32, line: &[u8], pieces: &[usize], silent: bool) -> Found {
     let (mut parser, mut found) = (ChunkParser::new(layout, first), Found::default());
     let (mut rest, mut pieces) = (line, pieces.iter().cycle());
@@ -95,14 +96,14 @@ fn receive(layout: ChunkLayout, first: u32, line: &[u8], pieces: &[usize], silen
     found
 }
 
-/// Bytes written as hexadecimal digits; what follows a bar is said of them.
+/// Parses hexadecimal digits; text after a bar is a remark.
 fn hex(text: &str) -> Vec<u8> {
     unhex(&text.lines().filter_map(|line| line.split('|').next()).flat_map(str::split_whitespace).collect::<String>())
 }
 
-/// The messages below were written by hand from the rules of protobuf (key = field << 3 | wire type; varints seven bits
-/// at a time, lowest first; sint32 zig-zag; int32 negative as 64 bits; zeros left out) and the fields of the captured
-/// messages.
+/// Messages written by hand from the rules of protobuf and the fields of the captured messages. Rules: key = field << 3
+/// | wire type; varints have seven bits at a time, lowest first; sint32 is zig-zag; negative int32 has 64 bits; zeros
+/// are omitted.
 mod by_hand {
     use super::*;
 
@@ -227,7 +228,7 @@ fn layouts() -> impl Strategy<Value = ChunkLayout> {
 }
 
 proptest! {
-    /// The hot path reads and writes what protobuf does.
+    /// Asserts that the fast encoder and decoder agree with protobuf.
     #[test]
     fn chunks_are_what_protobuf_makes_of_them(layout in layouts(), number: u32, frames in 1u32..4) {
         let line = chunk(layout, number, frames);
@@ -242,13 +243,13 @@ proptest! {
         let Beginning::Chunk(header) = layout.beginning(&line) else { panic!("a chunk") };
         prop_assert_eq!((header.frame_number, header.frame_count, header.end), (number, frames as usize, line.len()));
         prop_assert_eq!(&line[header.payload_start..header.payload_end], &chunk.payload[..]);
-        // Whatever part of it has come, it is not taken for anything else.
+        // Any incomplete part of the message is reported as incomplete.
         for length in 0..header.payload_start {
             prop_assert_eq!(layout.beginning(&line[..length]), Beginning::Incomplete);
         }
     }
 
-    /// Time stamps and what a newer firmware may add are passed over.
+    /// Asserts that time stamps and unknown fields of newer firmware are skipped.
     #[test]
     fn fields_that_are_not_known_are_skipped(layout in layouts(), number in 0u32..1_000_000, extra: u32, stamp: i64) {
         let mut chunk_of = DataChunk {
@@ -259,7 +260,7 @@ proptest! {
             payload: codes(layout, number).into_iter().flat_map(u16::to_le_bytes).collect(),
             timestamps: vec![Timestamp { timestamp: stamp, duration: 1 }],
         };
-        // Field 9, a varint, before the others.
+        // Adds an unknown field 9, a varint, before the others.
         let mut inner = vec![9 << 3];
         prost::encoding::encode_varint(u64::from(extra), &mut inner);
         chunk_of.encode(&mut inner).expect("room");
@@ -277,7 +278,7 @@ proptest! {
         line.extend(chunk(layout, number + 1, 1));
         let found = receive(layout, number, &line, &[line.len()], false);
         prop_assert_eq!(found.frames, vec![number, number + 1]);
-        // The same in an answer.
+        // Adds the same field to an answer.
         let tag = extra as i32;
         let mut message = Response::from(Answer::Capabilities(CapabilitiesResponse { board: None, tag })).encode_to_vec();
         message.extend([0x98, 0x06, 5]);
@@ -313,7 +314,7 @@ proptest! {
         }
     }
 
-    /// However the line cuts the bytes, the same comes out.
+    /// Asserts that the result does not depend on how the bytes are divided into pieces.
     #[test]
     fn pieces_make_no_difference(
         layout in layouts(),
@@ -348,7 +349,7 @@ proptest! {
 mod hard_cases {
     use super::*;
 
-    /// Shapes of all lengths of header: messages below 128 bytes, below 2048, and longer.
+    /// Layouts with each length of header: messages below 128 bytes, below 2048, and longer.
     const LAYOUTS: [ChunkLayout; 4] = [
         ChunkLayout { device: 0, stream: 0, frame_codes: 8 },
         ChunkLayout { device: 0, stream: 0, frame_codes: 60 },
@@ -356,7 +357,8 @@ mod hard_cases {
         ChunkLayout { device: 0, stream: 0, frame_codes: 1536 },
     ];
 
-    /// Found by fuzzing: an inner length of ten bytes reaches past the end of a message of that length.
+    /// Asserts that an inner length of ten bytes that extends past its message is reported as damage (found by
+    /// fuzzing).
     #[test]
     fn a_length_that_goes_on_past_its_message_is_damage() {
         for layout in LAYOUTS {
@@ -371,8 +373,8 @@ mod hard_cases {
         assert_eq!(layout.beginning(&bytes), Beginning::No);
     }
 
-    /// A message that is cut short anywhere, on a line that is silent nowhere or after every byte: what comes out has
-    /// no wrong sample.
+    /// Asserts that a message cut at any position gives no wrong sample, on a line that is never silent or silent after
+    /// every byte.
     #[test]
     fn a_message_cut_short_anywhere_falsifies_nothing() {
         for layout in LAYOUTS {
@@ -385,7 +387,7 @@ mod hard_cases {
                     let line = [&before, &cut[..length], &after].concat();
                     for (pieces, silent) in [(vec![line.len()], false), (vec![1], true)] {
                         let found = receive(layout, first, &line, &pieces, silent);
-                        // A message that is gone as a whole is not damage.
+                        // A message that is lost completely leaves no damage.
                         let lost = found.damaged || length == 0;
                         assert!(lost, "{layout:?}, cut to {length}: {found:?}");
                         let later = found.frames.iter().filter(|number| **number >= first + 2 * frames).count();
@@ -396,8 +398,8 @@ mod hard_cases {
         }
     }
 
-    /// The last code of a chunk may be the length of the next one. If the line falls silent right behind it nobody can
-    /// know whether it is whole: it waits for its successor.
+    /// Asserts that the parser waits for more bytes if the last code of a chunk could be the length of the next one.
+    /// When the line is silent after it, the parser cannot know whether the chunk is complete.
     #[test]
     fn a_code_that_could_be_a_length_waits_for_more() {
         let layout = ChunkLayout { device: 0, stream: 0, frame_codes: 128 };
@@ -419,8 +421,8 @@ mod hard_cases {
         assert!(matches!(parser.next_event(), Some(ChunkEvent::Frames { frame_number: 0, .. })));
     }
 
-    /// Every bit of a message flipped, one after the other, but for those in samples that make another code: no frame
-    /// comes out under another's number, none out of order.
+    /// Asserts that no flipped bit gives a frame another number or changes the order of frames. Bits of samples that
+    /// only give another code are excluded.
     #[test]
     fn a_flipped_bit_before_the_samples_falsifies_nothing() {
         for layout in LAYOUTS {
@@ -461,7 +463,7 @@ mod hard_cases {
         for (sent, expected, misnumbered) in [
             (&[0, 1, 1, 2, 3][..], &[0, 1, 1, 2, 3][..], 0),
             (&[0, 2, 3, 4], &[0, 2, 3, 4], 0),
-            // The one that came too early goes: nothing says that its number is right.
+            // The early frame is dropped, since its number may be wrong.
             (&[0, 2, 1, 3, 4], &[0, 1, 3, 4], 1),
             (&[9, 10, 11], &[9, 10, 11], 0),
         ] {
@@ -473,7 +475,7 @@ mod hard_cases {
                 "{sent:?}"
             );
         }
-        // Alone, a jump is not believed.
+        // A jump in the numbers needs a second frame that confirms it.
         let found = receive(LAYOUT, 0, &line(&[0, 3]), &[1], true);
         assert_eq!(found, Found { frames: vec![0], ..Found::default() });
     }

@@ -1,4 +1,4 @@
-//! Frames through the whole driver: source, emulated PSoC 6 kit, pseudo-terminal, client.
+//! Tests of frames through the whole driver: source, emulated PSoC 6 kit, pseudo-terminal and client.
 
 use std::io::{Read, Write};
 use std::time::Duration;
@@ -19,7 +19,7 @@ fn options(faults: &[Fault]) -> EmulatorOptions {
         pace: Pace::AsFastAsRead,
         kind: Kind::Deepcraft,
         faults: faults.to_vec(),
-        // Faults are counted in chunks: how many the board sends while it is asked something is not to matter.
+        // Faults are counted in chunks, whose number must not depend on the time of a request.
         latency: Duration::ZERO,
         ..EmulatorOptions::default()
     }
@@ -34,7 +34,7 @@ fn start(board: &EmulatedBoard, waveform: &Waveform) -> DeepcraftStream {
     DeepcraftBoard::open(board.path()).expect("opens").start(waveform).expect("starts")
 }
 
-/// Reads so many frames, each at the time of its number. Returns the gaps.
+/// Reads this number of frames; asserts that each has the time of its number. Returns the gaps.
 fn read(stream: &mut DeepcraftStream, frames: usize) -> Vec<Gap> {
     let interval_ns = stream.waveform().frame_interval_s() * 1e9;
     read_frames(stream, frames, |frame| {
@@ -42,8 +42,8 @@ fn read(stream: &mut DeepcraftStream, frames: usize) -> Vec<Gap> {
     })
 }
 
-/// The payload is in FIFO order although the stream's shape says otherwise: three receivers and unlike axes would show
-/// it.
+/// Asserts that the payload is in FIFO order, although the stream's shape states another order. Three receivers and
+/// axes of different lengths reveal any error.
 #[test]
 fn frames_come_through_sample_for_sample() {
     for (antennas, chirps, samples) in
@@ -80,14 +80,14 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
     }
 }
 
-/// Request and answer written by hand from the rules of protobuf and the captured messages: client, emulated board
-/// and codec cannot agree on a common error.
+/// Compares the emulated board's answer with bytes written by hand from the rules of protobuf and the captured
+/// messages. Client, emulated board and codec therefore cannot share an error.
 #[test]
 fn the_emulated_board_answers_as_written_by_hand() {
     let board = board(&Preset::Gesture.waveform().expect("valid"), &[]);
     let path = board.path().display().to_string();
     let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
-    // Capabilities of all devices (-1, zig-zag) with tag 2^24 + 1.
+    // Request for the capabilities of all devices (-1, zig-zag) with tag 2^24 + 1.
     port.write_all(&[9, 0x0A, 7, 0x08, 1, 0x10, 0x81, 0x80, 0x80, 0x08]).expect("asks");
     let expected: [&[u8]; 31] = [
         &[0xA4, 0x02, 0x0A, 0xA1, 0x02, 0x0A, 0x99, 0x02], // 292 bytes; capabilities; board
@@ -128,9 +128,9 @@ fn the_emulated_board_answers_as_written_by_hand() {
     assert_eq!(got, expected);
 }
 
-/// Chunks hold what one read of the FIFO completes, although the stream says that a chunk has one frame at most. The
-/// vendor's firmware says and does so (its `dev_bgt60trxx.c` adds the stream with 1 and sends all the frames that it
-/// has): a client that relies on the number fails with the real board, and is to fail with this one.
+/// Asserts that chunks hold all frames that one read of the FIFO completes, although the stream announces at most one
+/// frame a chunk. The vendor's firmware announces and does the same: its `dev_bgt60trxx.c` adds the stream with 1 and
+/// sends all its frames. A client that relies on the number fails with the real board and must fail with this one.
 #[test]
 fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
     let w = small();
@@ -139,7 +139,7 @@ fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
     let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
     let mut asked = Vec::new();
     Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut asked);
-    // Start of device 0.
+    // Starts device 0.
     asked.extend([2, 0x1A, 0]);
     port.write_all(&asked).expect("asks");
     let mut parser = MessageParser::new(MAX_RESPONSE);
@@ -160,17 +160,17 @@ fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
     assert_eq!((stated, held), (Some(1), Some(4)));
 }
 
-/// One read of the emulated firmware completes four of these frames.
+/// Waveform of which one read of the emulated firmware completes four frames.
 fn small() -> Waveform {
     waveform(&[1, 2, 3], 8, 64, 0.1)
 }
 
-/// One frame in three reads.
+/// Waveform of which a frame takes three reads.
 fn large() -> Waveform {
     waveform(&[1, 2, 3], 32, 128, 0.1)
 }
 
-/// Gaps that these faults cost.
+/// Gaps that these faults cause.
 fn gaps_with(waveform: &Waveform, faults: &[Fault], frames: usize) -> Vec<Gap> {
     let board = board(waveform, faults);
     read(&mut start(&board, waveform), frames)
@@ -182,7 +182,7 @@ fn a_lost_message_costs_its_frames() {
     assert_eq!(gaps, [Gap { first_sequence: 12, frames: 4, reason: GapReason::PacketLost }]);
     let gaps = gaps_with(&large(), &[Fault::DropPacket(3), Fault::DropPacket(4)], 10);
     assert_eq!(gaps, [Gap { first_sequence: 3, frames: 2, reason: GapReason::PacketLost }]);
-    // The first one of all: the board has said what number it will have.
+    // The first message of all can be counted as lost, since the board has announced its number.
     let gaps = gaps_with(&large(), &[Fault::DropPacket(0)], 10);
     assert_eq!(gaps, [Gap { first_sequence: 0, frames: 1, reason: GapReason::PacketLost }]);
 }
@@ -206,8 +206,8 @@ fn a_counter_that_jumps_is_a_gap_of_that_length() {
     assert_eq!(gaps, [Gap { first_sequence: 3, frames: 7, reason: GapReason::PacketLost }]);
 }
 
-/// The board says which of them it has dropped itself. It is asked when they are missed: faults are further apart than
-/// it can be ahead of the line.
+/// Asserts that the reason of a gap is right: the board reports the frames that it dropped itself. The client asks when
+/// frames are missing, so that faults must be further apart than the board can be ahead of the line.
 #[test]
 fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
     let faults = [Fault::Overflow(20), Fault::DropPacket(60), Fault::Overflow(100), Fault::DropPacket(101)];
@@ -216,7 +216,7 @@ fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
         let gaps = read(&mut start(&board, &w), 140 * frames);
         use GapReason::{FifoOverflow, PacketLost};
         let gap = |chunk, reason| Gap { first_sequence: chunk * frames as u64, frames: frames as u64, reason };
-        // Of two reasons in one gap the order is not known.
+        // The order of two reasons within one gap is unknown.
         assert_eq!(gaps, [gap(20, FifoOverflow), gap(60, PacketLost), gap(100, FifoOverflow), gap(101, PacketLost)]);
         assert_eq!(board.counts().overflows, 2);
     }
@@ -228,7 +228,7 @@ fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
     for bytes in [1, 2, 3, 5, 9, 11, 12, 13, 100, 4095, 6000, 24_575, 24_580] {
         faults.push(Fault::TruncatePacket { packet: 3, bytes });
     }
-    // Bits of the length, of the tags and of the numbers.
+    // Flips bits of the length, the tags and the numbers.
     for bit in (0..13 * 8).step_by(5) {
         faults.push(Fault::FlipBit { packet: 3, bit });
     }
@@ -236,7 +236,7 @@ fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
         let gaps = gaps_with(&large(), &[fault], 8);
         assert_eq!(gaps.len(), 1, "{fault:?}: {gaps:?}");
         let Gap { first_sequence, reason, .. } = gaps[0];
-        // Its predecessor goes with it if nothing is left to confirm that by.
+        // The previous frame is lost too if nothing is left to confirm its end.
         assert!((2..=3).contains(&first_sequence) && reason == GapReason::Crc, "{fault:?}: {gaps:?}");
     }
 }
@@ -260,11 +260,12 @@ fn a_board_that_stalls_is_started_anew() {
     let mut stream = start(&board, &w).with_reconnect(POLICY);
     let gaps = read(&mut stream, 10);
     assert_eq!(gaps.iter().map(|g| (g.first_sequence, g.reason)).collect::<Vec<_>>(), [(4, GapReason::Disconnected)]);
-    // By the host's clock: the deadline is 1.3 s.
+    // According to the host's clock; the deadline is 1.3 s.
     assert!(gaps[0].frames >= 12, "{gaps:?}");
 }
 
-/// At the pace of the source every chunk is followed by silence, which confirms it: the last one has no successor.
+/// Asserts that frames of a slow stream arrive as they are measured: silence after a chunk confirms it without a
+/// successor.
 #[test]
 fn frames_of_a_slow_stream_come_as_they_are_measured() {
     const FRAMES: u64 = 24;
@@ -352,7 +353,7 @@ mod hard_cases {
         assert!(matches!(&error, BoardError::Deepcraft { source: DeepcraftError::Device { .. }, .. }), "{error}");
         assert!(error.to_string().contains("16 chirps") && error.to_string().contains("8 chirps"), "{error}");
         assert!(board.refusal().is_some_and(|reason| reason.contains("map size")));
-        // It may be asked again.
+        // The board accepts further requests.
         assert!(read(&mut start(&board, &w), 10).is_empty());
         assert_eq!(board.refusal(), None);
     }
@@ -381,9 +382,8 @@ mod hard_cases {
         }
     }
 
-    /// A board that was left measuring, and one that waits for the rest of what somebody else has asked: a modem
-    /// manager's
-    /// `AT` announces 65 bytes.
+    /// Asserts that a board can be opened while it still measures. It can also be opened while it waits for the rest of
+    /// another program's request: the `AT` of a modem manager announces 65 bytes.
     #[test]
     fn a_board_in_any_state_is_opened() {
         let w = small();
@@ -392,14 +392,14 @@ mod hard_cases {
         port.write_all(b"AT+GCAP\r").expect("writes");
         drop(port);
         DeepcraftBoard::open(board.path()).expect("opens after a modem manager");
-        // Somebody else keeps the port open: where the last one leaves, the board stops.
+        // Another program keeps the port open, so that the board does not stop: it stops when the last client leaves.
         let mut port = std::fs::File::options().read(true).write(true).open(board.path()).expect("opens");
         port.write_all(&[2, 0x1A, 0]).expect("starts");
         let mut some = [0; 100];
         port.read_exact(&mut some).expect("measures");
         assert!(read(&mut start(&board, &w), 20).is_empty(), "opens while it measures");
         drop(port);
-        // Again, after a stream that was dropped.
+        // Opens the board again after a dropped stream.
         assert!(read(&mut start(&board, &w), 20).is_empty());
         let stream = start(&board, &w);
         let client = stream.stop().expect("stops");
@@ -425,7 +425,7 @@ mod hard_cases {
         }
     }
 
-    /// A client that is silent for longer than the watchdog waits finds the board stopped.
+    /// Asserts that the board stops if a client is silent for longer than the watchdog's time.
     #[test]
     fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
         let w = small();
@@ -434,7 +434,7 @@ mod hard_cases {
         let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
         let mut port = raw(&board);
         port.write_all(&[2, 0x1A, 0]).expect("starts");
-        // Its status between its chunks: active, and at some time ready again.
+        // The status between chunks is first active and later ready again.
         let mut parser = MessageParser::new(MAX_RESPONSE);
         let mut some = vec![0; 4096];
         let (mut chunks, mut states) = (0, Vec::new());
@@ -458,17 +458,17 @@ mod hard_cases {
         assert!(chunks > 0 && states.first() == Some(&device_status::ACTIVE), "{chunks} chunks, {states:?}");
         drop(port);
 
-        // A client that is polled keeps it alive for longer than that.
+        // A client that is polled keeps the board running for longer than the watchdog's time.
         let mut stream = start(&board, &w);
         let gaps = read_for(&mut stream, Duration::from_secs(4));
         assert_eq!(gaps, []);
-        // One that is not finds a gap.
+        // A client that is not polled finds a gap.
         std::thread::sleep(Duration::from_millis(3100));
         let gaps = read_for(&mut stream, Duration::from_secs(1));
         assert!(matches!(gaps[..], [Gap { reason: GapReason::Disconnected, .. }]), "{gaps:?}");
     }
 
-    /// Reads frames for so long; gives the gaps.
+    /// Reads frames for this duration; returns the gaps.
     fn read_for(stream: &mut DeepcraftStream, duration: Duration) -> Vec<Gap> {
         let mut frame = Frame::zeroed(stream.waveform().shape());
         let end = std::time::Instant::now() + duration;

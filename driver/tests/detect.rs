@@ -1,4 +1,4 @@
-//! Detection of the board on a serial port by listening and asking.
+//! Tests of board detection on a serial port by listening and asking.
 
 use radome_driver::{BoardError, Detected, Fault, Kind};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
@@ -53,7 +53,8 @@ fn a_board_that_prints_is_heard_from_its_first_frame_on() {
 mod hard_cases {
     use super::*;
 
-    /// Opening the port resets such a board: who opens it again hears it from its start.
+    /// Asserts that a printing board can be opened again: opening the port resets it, and the client reads from its
+    /// start.
     #[test]
     fn a_board_that_prints_can_be_opened_again() {
         let w = waveform(&[1], 16, 32, 0.05);
@@ -70,7 +71,7 @@ mod hard_cases {
     fn a_port_that_keeps_silent_is_told_so_in_the_end() {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, 20, Kind::Esp32, &[Fault::Stall(0)]);
-        // It says its banner and waveform and nothing more: lines, but no frame.
+        // The board prints its banner and waveform but no frame.
         let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
             panic!("another kind of board");
         };

@@ -1,4 +1,4 @@
-//! Discovery in a synthetic /sys and /dev.
+//! Tests of discovery in a synthetic /sys and /dev.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 use crate::common;
 
-/// A machine's devices, as files in a folder.
+/// Devices of a machine, as files in a folder.
 struct Machine {
     folder: tempfile::TempDir,
 }
@@ -41,7 +41,7 @@ impl Machine {
         fs::write(path, text).expect("written");
     }
 
-    /// Plugs in a USB device: `socket` as the kernel names it, ids, address, product and serial number.
+    /// Adds a USB device: `socket` is its kernel name; then ids, address, product and serial number.
     fn plug(&self, socket: &str, id: (u16, u16), address: u8, product: &str, serial: &str) {
         let Roots { sys, dev } = self.roots();
         let device = sys.join("devices/usb1").join(socket);
@@ -62,7 +62,7 @@ impl Machine {
         Self::write(&dev.join(format!("bus/usb/001/{address:03}")), "");
     }
 
-    /// Gives a plugged device a node of a class, below its first interface.
+    /// Adds a node of this class to a plugged device, below its first interface.
     fn give(&self, socket: &str, class: &str, name: &str, below: &str) {
         let Roots { sys, dev } = self.roots();
         let device = sys.join("devices/usb1").join(socket).join(format!("{socket}:1.0")).join(below);
@@ -108,7 +108,7 @@ fn a_bulk_board_is_found_by_its_usb_node() {
     assert_eq!(board.usb.as_ref().expect("USB").serial_number, None);
 }
 
-/// A kit's probe is known by the USB device that both are, or by a serial number that both have.
+/// Asserts that a port finds its kit's debug probe by their common USB device, or by their common serial number.
 #[test]
 fn a_port_knows_the_debug_probe_of_its_kit() {
     let machine = Machine::new();
@@ -131,7 +131,8 @@ fn a_port_knows_the_debug_probe_of_its_kit() {
     assert_eq!(found.len(), 4);
 }
 
-/// Its bulk transfers are spoken to at the USB device, whatever else it has; HID goes first.
+/// Asserts that a probe with bulk transfers is found at its USB device, whatever other interfaces it has; HID takes
+/// precedence.
 #[test]
 fn a_probe_by_bulk_transfers_is_found_by_its_interface() {
     let machine = Machine::new();
@@ -156,7 +157,7 @@ fn other_probes_are_known_by_their_name_and_other_hid_devices_are_passed_over() 
     machine.give("1-1", "hidraw", "hidraw0", "0003:0D28:0204.0001");
     machine.plug("1-2", (0x046D, 0xC31C), 4, "Keyboard", "2");
     machine.give("1-2", "hidraw", "hidraw1", "0003:046D:C31C.0002");
-    // Only the interface's name says it.
+    // Only the name of the interface identifies this probe.
     machine.plug("1-3", (0x1366, 0x0101), 5, "Something", "3");
     machine.give("1-3", "hidraw", "hidraw2", "0003:1366:0101.0003");
     Machine::write(&machine.roots().sys.join("devices/usb1/1-3/1-3:1.0/interface"), "CMSIS-DAP v1\n");
@@ -175,14 +176,14 @@ fn a_watch_tells_what_comes_and_goes() {
     let changes = watch.look();
     assert!(matches!(changes.as_slice(), [Change::Added(c)] if c.path.ends_with("ttyACM0")), "{changes:?}");
     assert_eq!(watch.look(), []);
-    // Plugged in anew between two looks: under the same name, yet not the same stay.
+    // A device that is replugged between two looks has the same name but counts as a new device.
     machine.plug("1-1", (0x058B, 0x0251), 6, "IFX CDC", "77");
     assert!(matches!(watch.look().as_slice(), [Change::Removed(_), Change::Added(_)]));
     machine.unplug("1-1", "tty", "ttyACM0");
     assert!(matches!(watch.look().as_slice(), [Change::Removed(_)]));
 }
 
-/// The candidate of an emulated board's port.
+/// Candidate for the port of an emulated board.
 fn candidate_at(machine: &Machine, board: &EmulatedBoard) -> Candidate {
     let mut found = machine.found();
     let mut candidate = found.remove(0);
@@ -198,7 +199,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
         let board = common::board(&waveform, 10, Kind::default(), faults);
         let candidate = candidate_at(&machine, &board);
         let state = ask(&candidate, false);
-        // As long as somebody has it, it is busy.
+        // The port is busy while another client holds it.
         let held = radome_driver::Mcu7Board::open(board.path());
         assert!(held.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
         state
@@ -233,7 +234,7 @@ fn ports_of_unknown_devices_are_asked_in_every_protocol_if_that_is_wanted() {
     }
 }
 
-/// State of the chip for the next client.
+/// Waveform that the chip holds for the next client.
 fn left(board: &EmulatedBoard) -> Option<Waveform> {
     let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
         panic!("another kind of board")
@@ -241,14 +242,15 @@ fn left(board: &EmulatedBoard) -> Option<Waveform> {
     left
 }
 
-/// Found by hand: after `radome board list` nothing could be recorded without naming the waveform anew.
+/// Asserts that a query keeps the programmed waveform. Found by hand: after `radome board list`, recordings had to name
+/// it again.
 #[test]
 fn whoever_was_asked_keeps_what_it_was_programmed_with() {
     let machine = Machine::with_board();
     let waveform = common::waveform(&[1, 3], 8, 64, 0.1);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
         let board = common::board(&waveform, 1000, kind, &[]);
-        // Opened and not started, a chip has been reset: what is found below is not what the emulator began with.
+        // Opening without starting resets the chip, so that the waveform below cannot be the emulator's initial one.
         let opened = Mcu7Board::open(board.path()).expect("opens");
         let identity = opened.identity().clone();
         drop(opened);
@@ -271,7 +273,7 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
 mod hard_cases {
     use super::*;
 
-    /// Devices come and go while they are looked at: half of one is none.
+    /// Asserts that an incomplete entry of a device, which may disappear during a look, counts as no device.
     #[test]
     fn half_a_device_is_no_device_and_nonsense_is_none() {
         let machine = Machine::with_board();
@@ -284,7 +286,7 @@ mod hard_cases {
         assert_eq!(machine.found(), []);
     }
 
-    /// Without cdc_acm a board has no port; it is shown all the same.
+    /// Asserts that a board without port, because cdc_acm is absent, is still listed.
     #[test]
     fn a_board_without_driver_is_shown() {
         let machine = Machine::new();
@@ -296,7 +298,7 @@ mod hard_cases {
         );
     }
 
-    /// Nothing is sent to a port of which nothing is known, unless that is wanted.
+    /// Asserts that nothing is sent to an unknown port, unless the caller permits it.
     #[test]
     fn unknown_ports_are_left_alone_unless_asked_for() {
         let machine = Machine::new();
@@ -305,7 +307,7 @@ mod hard_cases {
         let found = machine.found();
         let [port] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((port.belief, port.address(), ask(port, false)), (Belief::SerialPort, None, State::NotAsked));
-        // It is a plain file here: it opens as no port.
+        // Here the port is a plain file, which cannot be opened as a port.
         assert!(matches!(ask(port, true), State::NotAnswering { .. }));
     }
 }

@@ -1,4 +1,4 @@
-//! Frames through the whole driver: source, emulated board, pseudo-terminal, client.
+//! Tests of frames through the whole driver: source, emulated board, pseudo-terminal and client.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Tru
 
 use crate::common::{Pattern, waveform};
 
-/// Starts and stops a board three times: no frame of an earlier run comes in a later one.
+/// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
     let mut frame = Frame::zeroed(waveform.shape());
     for _ in 0..3 {
@@ -28,7 +28,7 @@ fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
 }
 
-/// Reads to the end; every frame must be the one that its sequence number says. Gives the sequence numbers and gaps.
+/// Reads to the end; asserts that every frame is the one of its sequence number. Returns the sequence numbers and gaps.
 fn read_all(source: &mut EmulatedSource, pattern: &Pattern) -> (Vec<u64>, Vec<Gap>) {
     let mut frame = Frame::zeroed(pattern.waveform.shape());
     let mut expected = frame.clone();
@@ -57,7 +57,7 @@ fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<
 
 #[test]
 fn frames_of_any_shape_arrive_bit_exact() {
-    // The last one has an odd number of codes: slices and frames share bytes.
+    // The last waveform has an odd number of codes, so that slices and frames share bytes.
     for (antennas, chirps, samples, frames) in [
         (&[1u8, 2, 3][..], 8, 64, 40),
         (&[1, 2, 3], 128, 256, 12),
@@ -84,7 +84,7 @@ fn identity_and_registers_are_read_as_from_the_real_board() {
     assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
 }
 
-/// A board that refuses the codes of version 4 is spoken to in version 3.
+/// Asserts that the client uses version 3 with a board that refuses the codes of version 4.
 #[test]
 fn boards_of_protocol_3_measure_as_well() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -116,12 +116,12 @@ fn real_time_follows_the_time_stamps() {
     let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
     let start = std::time::Instant::now();
     let (sequences, gaps) = read_all(&mut source, &pattern());
-    // At least: a busy machine may take longer, never less.
+    // A lower limit only, since a busy machine may take longer.
     assert!(start.elapsed() > Duration::from_millis(280), "{:?}", start.elapsed());
     assert_eq!((sequences.len(), gaps.len()), (30, 0));
 }
 
-/// The truth about a frame stays with it, across gaps too.
+/// Asserts that the truth of a frame stays with it, also across gaps.
 #[test]
 fn truth_goes_past_the_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -174,7 +174,7 @@ fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
     assert_eq!(board.refusal(), None);
 }
 
-/// Counters and time go on, and the seam is as any two frames.
+/// Asserts that counters and times continue when a source is repeated, as between any two frames.
 #[test]
 fn a_source_that_is_repeated_begins_again() {
     let w = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -216,7 +216,8 @@ mod hard_cases {
         (0..frames).filter(|f| !lost.contains(f)).collect()
     }
 
-    /// 3 x 8 x 64 codes are one packet a frame; 3 x 128 x 256 are 12 slices of 4 packets.
+    /// Asserts that a lost packet loses only its frame. 3 x 8 x 64 codes are one packet a frame; 3 x 128 x 256 are 12
+    /// slices of 4 packets.
     #[test]
     fn a_lost_packet_costs_its_frame_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -263,18 +264,19 @@ mod hard_cases {
     #[test]
     fn a_flipped_bit_anywhere_costs_its_frame_only() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        // Type, channel, counter, both bytes of the length, payload, CRC.
+        // Bits of type, channel, counter, both bytes of the length, payload and CRC.
         for bit in [0, 7, 9, 17, 32, 44, 47, 100, 12_000, 18_560, 18_570] {
             let (sequences, gaps, _) = stream(&waveform, 8, &[Fault::FlipBit { packet: 2, bit }]);
             assert_eq!((sequences, gaps), (without(8, 2..3), lost(2, 1, GapReason::Crc)), "bit {bit}");
         }
     }
 
-    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only
-    /// the board's clock tells. No frame is cut from the wrong codes, none gets another's number.
+    /// Asserts that a counter that jumps without loss is detected. After jumps by whole slices or frames every packet
+    /// looks valid, and only the board's clock reveals them. No frame is cut from the wrong codes or gets another's
+    /// number.
     #[test]
     fn a_counter_that_jumps_by_whole_slices_is_seen_through() {
-        // What is on the line when the board is started anew is lost: 64 KiB in the kernel and as much that was just
+        // A restart of the board loses the bytes on the line: 64 KiB in the kernel, and as many that were just
         // received.
         const LINE_BYTES: u64 = 2 * 65_536;
         // 12 slices of 4 packets a frame; a slice a frame; slices that end anywhere in a frame.
@@ -306,7 +308,7 @@ mod hard_cases {
         }
     }
 
-    /// The board stops, is started anew, and its clock says how many frames were lost meanwhile.
+    /// Asserts that the board stops at an overflow, is restarted, and that its clock gives the number of lost frames.
     #[test]
     fn an_overflow_is_a_gap_and_the_stream_goes_on() {
         for (chirps, samples, packet) in [(8, 64, 3), (128, 256, 48 + 17)] {
@@ -320,14 +322,14 @@ mod hard_cases {
         }
     }
 
-    /// A host that does not read loses frames, is told, and never gets a wrong one.
+    /// Asserts that a host that does not read loses frames, gets a gap, and never gets a wrong frame.
     #[test]
     fn a_host_that_sleeps_overflows_the_board() {
         let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
         let pattern = || Pattern::new(waveform.clone(), 60);
         let options = EmulatorOptions { pace: Pace::RealTime(8.0), ..EmulatorOptions::default() };
         let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
-        // Sequence numbers count from the first frame that arrived: without one nobody knows what was lost.
+        // Sequence numbers count from the first frame that arrived, so that earlier losses are unknown.
         let mut first = Frame::zeroed(waveform.shape());
         assert_eq!(source.next_frame(&mut first).expect("frame"), SourceEvent::Frame);
         std::thread::sleep(Duration::from_millis(300));
@@ -340,8 +342,9 @@ mod hard_cases {
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
     }
 
-    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a
-    /// board that is silent it asks for another waveform.
+    /// Asserts that the board answers a start with a waveform other than its source's, but sends no frames. The
+    /// vendor's library gives a board up for good after an error answer or an error frame. From a silent board it
+    /// requests another waveform.
     #[test]
     fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -411,7 +414,7 @@ mod hard_cases {
         let said = {
             let _first = spawn().expect("free");
             let said = spawn().err().expect("taken").to_string();
-            // What somebody has put in its place is not the board's to remove.
+            // A file that has replaced the link does not belong to the board.
             std::fs::remove_file(&link).expect("removes");
             std::fs::write(&link, "mine").expect("writes");
             said
@@ -453,7 +456,7 @@ mod hard_cases {
         assert!(stream.next_frame(&mut frame).expect_err("gone").to_string().contains("connection broke"));
     }
 
-    /// Whatever a host sends, the board answers the next proper request.
+    /// Asserts that the board answers the next valid request after any bytes of the host.
     #[test]
     fn garbage_from_the_host_is_survived() {
         let waveform = waveform(&[1], 8, 64, 0.1);

@@ -1,4 +1,4 @@
-//! Frames through the lines of an ESP32, sample for sample, on a pseudo-terminal.
+//! Frames pass unchanged through the text lines of an ESP32 on a pseudo-terminal.
 
 use std::time::Duration;
 
@@ -37,7 +37,7 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
     assert_eq!(gaps, [Gap { first_sequence: 10, frames: 3, reason: GapReason::PacketLost }]);
 }
 
-/// A board that is unplugged is found again; what it counts from its beginning goes on where the stream was.
+/// Asserts that a board that is unplugged is found again, and that its restarted numbers continue those of the stream.
 #[test]
 fn a_printing_board_that_is_plugged_in_again_goes_on() {
     let folder = tempfile::tempdir().expect("folder");

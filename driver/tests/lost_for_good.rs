@@ -1,5 +1,5 @@
-//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an
-//! error that says why, never with an end, and never with a wait.
+//! Boards that stay lost, over every transport, and emulated boards whose sources fail. The stream ends with an error
+//! that states the cause, without a regular end and without a hang.
 
 use std::path::Path;
 use std::time::Duration;
@@ -18,11 +18,11 @@ const POLICY: Reconnect = Reconnect {
 };
 
 fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
-    // The number of a terminal that has gone is soon that of another test's board.
+    // A unique link, since the terminal number of a closed board is soon reused by another test's board.
     EmulatorOptions { link: Some(folder.join("board")), ..common::options(kind, &[]) }
 }
 
-/// The stream of a board of this kind that is lost behind three frames.
+/// Error of a stream whose board of this kind disappears after three frames.
 fn lost(kind: Kind, open: impl FnOnce(&EmulatedBoard, &Waveform) -> Box<dyn FrameSource>) -> SourceError {
     let folder = tempfile::tempdir().expect("a folder");
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -38,10 +38,10 @@ fn lost(kind: Kind, open: impl FnOnce(&EmulatedBoard, &Waveform) -> Box<dyn Fram
     loop {
         match stream.next_frame(&mut frame) {
             Ok(SourceEvent::End) => panic!("a board does not end"),
-            // What was on its way.
+            // Frames in transit still arrive.
             Ok(_) => {}
             Err(error) => {
-                // It stays so.
+                // Later calls return the error too.
                 assert!(stream.next_frame(&mut frame).is_err());
                 return error;
             }
@@ -79,7 +79,7 @@ fn a_board_that_prints() {
     }));
 }
 
-/// A source that fails behind five frames, by an error or by a panic.
+/// Source that fails after five frames, by an error or by a panic.
 struct Failing {
     pattern: Pattern,
     panics: bool,
@@ -133,7 +133,7 @@ fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_sto
     }
     board.wait();
     assert!(board.failure().is_some_and(|reason| reason.contains("chunk 3 is damaged")), "{:?}", board.failure());
-    // It still answers.
+    // The board still answers.
     drop(stream);
     assert!(Mcu7Board::open(board.path()).is_ok());
     board.stop();

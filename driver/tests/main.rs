@@ -1,4 +1,4 @@
-//! Boards, protocols and recordings from outside: one program, so that it is linked once.
+//! Tests of boards, protocols and recordings through the public API, in one program, so that it is linked once.
 
 mod bulk_board;
 mod common;

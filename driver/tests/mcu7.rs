@@ -1,4 +1,4 @@
-//! The codec against the transcript of an unmodified vendor client, and against arbitrary bytes.
+//! Compares the codec with the transcript of an unmodified vendor client, and tests it with arbitrary bytes.
 
 use proptest::prelude::*;
 use radome_driver::chip::ChipConfiguration;
@@ -44,7 +44,8 @@ fn requests_of_the_session_are_those_of_the_vendor_client() {
     }
 }
 
-/// Requests of a version are decoded to the same command; those of the other version alone are refused.
+/// Asserts that requests of a version decode to the same command, and that requests that only the other version has are
+/// refused.
 #[test]
 fn commands_round_trip_in_both_versions() {
     let both = session().into_iter().filter(|c| !matches!(c, Command::ComponentCount { .. }));
@@ -91,7 +92,7 @@ fn answers_and_data_of_the_session_decode_to_an_unbroken_ramp() {
         if host {
             continue;
         }
-        // In three pieces, as a serial port may deliver it.
+        // Three pieces, as a serial port may deliver them.
         let third = bytes.len() / 3;
         for piece in [&bytes[..third], &bytes[third..2 * third], &bytes[2 * third..]] {
             parser.push(piece);
@@ -185,7 +186,7 @@ proptest! {
         let _ = Command::from_request(&Request { protocol, kind, request, value, index, length: 0, payload });
     }
 
-    /// Messages between garbage are found, whatever the garbage and however the bytes are delivered.
+    /// Asserts that messages between any garbage are found, however the bytes are delivered.
     #[test]
     fn parser_finds_messages_after_garbage(
         garbage in prop::collection::vec(any::<u8>(), 0..200),
@@ -199,7 +200,7 @@ proptest! {
         prop_assert_eq!((found.first(), found.last()), (Some(&1), Some(&2)));
     }
 
-    /// A flipped bit costs the packet that it is in and no other.
+    /// Asserts that a flipped bit loses only its own packet.
     #[test]
     fn one_flipped_bit_costs_one_packet(at in 0usize..3 * 108, bit in 0u32..8) {
         let payload: Vec<u8> = (0..100).collect();

@@ -1,5 +1,5 @@
-//! Clients as particular as the vendor's: one that misses answers which come too soon, one that reads the temperature
-//! all the time, ones that are killed in the middle of everything, and one whose board is stopped.
+//! Clients as strict as the vendor's. One misses answers that come too early, and one reads the temperature
+//! continuously. Some are killed at any time, and one has its board stopped.
 
 use std::io::{ErrorKind, Read, Write};
 use std::process::{Command as Process, Stdio};
@@ -15,16 +15,17 @@ use serialport::TTYPort;
 
 use crate::common::{Pattern, waveform};
 
-/// Far more than any machine needs: only a hang takes so long.
+/// Time limit for any answer, far above the need of any machine.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// The vendor's library marks a command as sent after it has sent it, and drops an answer that comes before.
+/// Time in which answers are missed: the vendor's library marks a command as sent only after sending it, and drops an
+/// earlier answer.
 const TOO_SOON: Duration = Duration::from_micros(200);
-/// MAIN as the vendor's library writes it, without its triggers.
+/// MAIN register as the vendor's library writes it, without its triggers.
 const MAIN: u32 = 0x1E_8270;
 const CONTINUOUS_WAVE_START: u32 = MAIN | 1 << 16 | 1;
 const STOP: u32 = MAIN | 0xC;
 
-/// A client of protocol 4.
+/// Client of protocol 4.
 struct Client {
     port: TTYPort,
     parser: BoardParser,
@@ -32,7 +33,7 @@ struct Client {
     deaf_for: Duration,
     /// Counters of the data packets since the last start, and whether each ends a slice.
     packets: Vec<(u16, bool)>,
-    /// Bytes that are no message.
+    /// Number of bytes that belong to no message.
     damaged: usize,
 }
 
@@ -43,7 +44,7 @@ impl Client {
         Client { port, parser: BoardParser::new(), deaf_for, packets: Vec::new(), damaged: 0 }
     }
 
-    /// Takes what comes within some milliseconds; whether the line is still there.
+    /// Receives bytes for some milliseconds; returns whether the line is still open.
     fn receive(&mut self) -> bool {
         let mut buffer = [0; 4096];
         match self.port.read(&mut buffer) {
@@ -57,7 +58,7 @@ impl Client {
         }
     }
 
-    /// The next answer among what has been received; packets are counted.
+    /// Next answer in the received bytes; counts the packets before it.
     fn next_answer(&mut self) -> Option<(Status, Vec<u8>)> {
         loop {
             match self.parser.next_event()? {
@@ -68,9 +69,9 @@ impl Client {
         }
     }
 
-    /// The answer to a request.
+    /// Sends a request and returns its answer.
     fn request(&mut self, command: &Command) -> (Status, Vec<u8>) {
-        // From before it is sent: whatever else the machine does, an answer cannot seem to come sooner than it does.
+        // Measured from before the request is sent, so that a busy machine cannot make an answer seem too early.
         let sent = Instant::now();
         self.port.write_all(&command.to_request(Protocol::V4).encode()).expect("writes");
         loop {
@@ -124,7 +125,7 @@ impl Client {
         self.write(&[(address::MAIN, STOP)]);
     }
 
-    /// Waits until so many more packets have come. None may be missing among those since the start.
+    /// Waits for this number of further packets. Asserts that none has been missing since the start.
     fn stream(&mut self, more: usize) {
         let (began, wanted) = (Instant::now(), self.packets.len() + more);
         while self.packets.len() < wanted {
@@ -135,8 +136,8 @@ impl Client {
         assert_eq!((missing, self.damaged), (None, 0));
     }
 
-    /// Measures as the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing
-    /// transmitted, and reset in the end.
+    /// Measures as the vendor's library does with a sleeping chip: wakes it in continuous-wave mode without
+    /// transmission, and resets it at the end.
     fn measure_temperature(&mut self) -> f64 {
         self.write(&[
             (address::CSP_D_0, 0),
@@ -158,7 +159,7 @@ impl Client {
         celsius(result)
     }
 
-    /// Reads a register until it is as wanted, as often as the vendor's library does.
+    /// Reads a register until it has the wanted value, at most as often as the vendor's library does.
     fn wait_for(&mut self, what: &str, address: u8, is_there: impl Fn(u32) -> bool) -> u32 {
         for _ in 0..1000 {
             let content = self.read(address);
@@ -182,13 +183,13 @@ fn start_commands(waveform: &Waveform) -> [Command; 3] {
     ]
 }
 
-/// The vendor's formula.
+/// Converts the sensor's ADC result to degrees Celsius by the vendor's formula.
 fn celsius(sadc_result: u32) -> f64 {
     let volts = f64::from(field::SADC_RESULT::SADC_RESULT.of(sadc_result)) * 1.21 / 1023.0;
     (volts - 0.789_84) / 0.002_86
 }
 
-/// One packet a frame.
+/// Waveform with one packet a frame.
 fn small() -> Waveform {
     waveform(&[1, 2, 3], 8, 64, 0.1)
 }
@@ -199,7 +200,7 @@ fn board(waveform: &Waveform, latency: Duration) -> EmulatedBoard {
     EmulatedBoard::spawn(Box::new(source), options).expect("spawns")
 }
 
-/// Waits until the board has noticed that its clients have gone, once more than so often.
+/// Waits until the board has noticed more departures of clients than `before`.
 fn wait_for_departure(board: &EmulatedBoard, before: u64) {
     let began = Instant::now();
     while board.counts().departures <= before {
@@ -221,7 +222,7 @@ fn two_hundred_starts_without_an_answer_that_comes_too_soon() {
     }
 }
 
-/// The latency is that of requests: frames do not wait for it.
+/// Asserts that the latency delays answers only: frames do not wait for it.
 #[test]
 fn a_long_latency_delays_answers_and_not_frames() {
     let w = small();
@@ -230,7 +231,7 @@ fn a_long_latency_delays_answers_and_not_frames() {
     let mut client = Client::open(&board, latency);
     client.start(&w);
     let began = client.packets.len();
-    // Comes while the answer is under way.
+    // These packets arrive while the answer is delayed.
     client.demand(&Command::DataStatus);
     assert!(client.packets.len() > began + 100, "{} packets in 300 ms", client.packets.len() - began);
     client.stream(1);
@@ -255,7 +256,7 @@ fn the_temperature_is_read_a_thousand_times_and_streaming_goes_on() {
     assert_eq!(readings.len(), 1000);
     assert!(readings.iter().all(|reading| (30.0..45.0).contains(reading)), "{readings:?}");
     assert!(readings.iter().any(|reading| *reading != readings[0]), "it never changes");
-    // A code is 0.41 C, and the board warms up meanwhile.
+    // One code is 0.41 C, and the board warms up meanwhile.
     let (low, high) = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), r| (low.min(*r), high.max(*r)));
     assert!(high - low < 5.0, "from {low} to {high}");
     client.start(&w);
@@ -271,7 +272,7 @@ fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
     let [configure, start, _] = start_commands(&w);
     client.demand(&configure);
     client.demand(&start);
-    // The chip has the source's registers, as somebody left them.
+    // The chip has the registers of the source, as an earlier client would have left them.
     client.wait_for("active mode", address::STAT0, |status| field::STAT0::PM.of(status) == 5);
     for mode in [3, 1, 1] {
         client.write(&[(address::MAIN, CONTINUOUS_WAVE_START)]);
@@ -285,8 +286,8 @@ fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
     client.stream(10);
 }
 
-/// Each client is killed while it streams and half a request of it is under way. The next one asks at once what the
-/// vendor's asks first, and is answered as by a board that nobody has used.
+/// Asserts that a killed client leaves no trace. Each one is killed while it streams and half a request is sent. The
+/// next one sends the first request of the vendor's client and gets the answer of an unused board.
 #[test]
 fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
     let w = small();
@@ -320,14 +321,14 @@ fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
         client.identify();
         client.start(&w);
         client.stream(5);
-        // It goes without a word as well.
+        // This client also leaves without stopping the board.
         drop(client);
         wait_for_departure(&board, before);
     }
 }
 
-/// A client that reads hears nothing that is cut short: a slice without its end is a dropped frame to the vendor's
-/// library.
+/// Asserts that a stopped board ends with a whole slice, since the vendor's library takes an incomplete slice for a
+/// dropped frame.
 #[test]
 fn a_board_that_is_stopped_ends_with_a_whole_slice() {
     let w = waveform(&[1, 2, 3], 128, 256, 0.1);
@@ -348,6 +349,6 @@ fn a_board_that_is_stopped_ends_with_a_whole_slice() {
         let ends = client.packets.last().is_some_and(|(_, last)| *last);
         whole += u32::from(ends && client.damaged == 0 && !client.parser.is_waiting());
     }
-    // A machine that does not let the client read for half a second may cut one short.
+    // A busy machine that stops the client for half a second may cut one slice short.
     assert!(whole + 1 >= boards, "{whole} of {boards}");
 }

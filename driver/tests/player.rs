@@ -1,4 +1,4 @@
-//! A recording played like a tape, and labels set in one that is finished.
+//! Tests of playback of a recording, and of labels that are set in a finished recording.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
 use crate::common::{Pattern, waveform};
 
-/// 40 frames at 10 Hz, numbers 10 to 19 missing.
+/// Records 40 frames at 10 Hz, with numbers 10 to 19 missing.
 fn record(path: &Path) {
     let mut source = Pattern::new(waveform(&[1, 2], 8, 64, 0.1), 40);
     source.gap = Some(Gap { first_sequence: 10, frames: 10, reason: GapReason::PacketLost });
@@ -54,7 +54,7 @@ fn keys_lead_to_the_frame_that_is_meant() {
     assert_eq!(tape.next(), 31);
     tape.keys.seek_time_s(2.01);
     assert_eq!(tape.next(), 21, "the first frame at or after it");
-    // Back across the frames that are missing.
+    // Steps back across the missing frames.
     tape.keys.step(-2);
     assert_eq!([tape.next(), tape.next()], [20, 9]);
     tape.keys.seek_frame(15);
@@ -69,7 +69,7 @@ fn keys_lead_to_the_frame_that_is_meant() {
     }
     tape.keys.step(-1);
     assert_eq!(tape.next(), 0, "before the first there is none");
-    // It waits at its end, and starts again when played.
+    // Playback waits at the end and starts again when resumed.
     tape.keys.seek_frame(39);
     assert_eq!(tape.next(), 39);
     tape.keys.play();
@@ -98,7 +98,7 @@ fn what_came_before_comes_before_a_frame_that_is_sought() {
     assert_eq!(tape.keys.playback().position.map(|p| p.sequence), Some(33));
     tape.keys.step(1);
     assert_eq!(tape.next(), 34);
-    // Another place asked for on the way there.
+    // A second seek during the pre-roll of the first.
     tape.keys.seek_frame(33);
     assert_eq!(tape.next(), 30);
     tape.keys.seek_frame(2);
@@ -119,7 +119,7 @@ fn it_keeps_time_and_changes_speed() {
         std::thread::sleep(std::time::Duration::from_millis(50));
         keys.set_speed(f64::NAN);
     });
-    // A frame that is due in days comes when somebody says so.
+    // At this speed the frame is due in days; a change of speed releases it.
     tape.next();
     press.join().expect("presses");
     assert_eq!(tape.keys.playback().speed, 0.0);
@@ -146,7 +146,7 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
     assert!(McapReader::open(&path).expect("opens").labels().expect("labels").is_empty());
     native::set_labels(&path, &[LabelSpan::new(1.0, 2.0, "two")]).expect("sets");
 
-    // Frames are where they were, and who was reading meanwhile reads to the end.
+    // Frames keep their positions, and a reader that was open meanwhile reads to the end.
     let after = std::fs::read(&path).expect("reads");
     let data = before.len() - before.iter().rev().position(|b| *b == 0x0f).expect("an end") - 1;
     assert!(after.len() > before.len() && after[..data.min(30_000)] == before[..data.min(30_000)]);
@@ -159,7 +159,7 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
         }
     }
     assert_eq!(count, 30);
-    // The format's own library.
+    // The format's own library reads the file too.
     let summary = mcap::Summary::read(&after).expect("reads").expect("a summary");
     let statistics = summary.stats.as_ref().expect("statistics");
     assert_eq!(statistics.chunk_count as usize, summary.chunk_indexes.len());
@@ -174,7 +174,7 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
         }
     }
 
-    // More of them take the place of these; a repair keeps what counts.
+    // New labels replace the old ones, and a repair keeps the valid ones.
     let mut labels = McapReader::open(&path).expect("opens").labels().expect("labels");
     labels.push(LabelSpan::new(3.0, 3.5, "one"));
     native::set_labels(&path, &labels).expect("sets");
@@ -210,7 +210,7 @@ mod hard_cases {
         let path = folder.path().join("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
-        // Every byte of the footer's two places, and of the summary's first records.
+        // Damages every byte of the footer's two positions, and of the first records of the summary.
         let footer = whole.len() - 8 - 20;
         for at in (footer..footer + 8).chain(whole.len() - 700..whole.len() - 600) {
             for bit in [0, 7] {

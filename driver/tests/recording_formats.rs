@@ -1,4 +1,5 @@
-//! The vendor's formats, written and read back: what they can hold comes back exactly, what they cannot is named.
+//! Round trips through the vendor's formats: supported content is preserved exactly, and unsupported content is
+//! reported.
 
 use std::path::Path;
 
@@ -58,7 +59,7 @@ fn waveforms() -> impl Strategy<Value = Waveform> {
 proptest! {
     #![proptest_config(cases(48))]
 
-    /// Whatever a board's frames are: samples, times and temperatures come back, and so does the waveform.
+    /// Asserts that the folder preserves samples, times, temperatures and the waveform of any frames of a board.
     #[test]
     fn the_folder_gives_everything_back(
         waveform in waveforms(),
@@ -73,7 +74,7 @@ proptest! {
         for (frame, (step, temperature)) in frames.iter_mut().zip(steps) {
             frame.time_ns = now;
             now += step;
-            // A temperature holds until the next is known.
+            // A temperature holds until the next measurement.
             known = temperature.or(known);
             frame.temperature_millicelsius = known;
         }
@@ -83,7 +84,7 @@ proptest! {
         prop_assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 
-    /// The native file holds everything there is, in order.
+    /// Asserts that the native file preserves all content, in order.
     #[test]
     fn the_native_file_gives_everything_back(
         waveform in waveforms(),
@@ -174,7 +175,7 @@ fn text_is_laid_out_as_the_vendor_lays_it_out() {
     assert!(folder.path().join("session.txt_config.json").exists());
 }
 
-/// The keys of a real file, in its order.
+/// Asserts that the folder has the keys of a real file, in the same order.
 #[test]
 fn the_folder_has_the_vendors_files_and_keys() {
     let folder = tempfile::tempdir().expect("folder");
@@ -257,13 +258,13 @@ mod hard_cases {
             let path = folder.path().join(name);
             let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
             simulated(&waveform, 5, 1).iter().for_each(|frame| writer.frame(frame).expect("writes"));
-            // As a killed program leaves it.
+            // State of the files after the program was killed.
             let partial = folder.path().join(format!(".{name}.partial"));
             assert!(!path.exists() && partial.exists());
             if format != Format::Mcap {
                 assert!(Recording::open(&partial).is_err());
             }
-            // As a failed one leaves it.
+            // State of the files after a failure.
             drop(writer);
             assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 0);
         }
@@ -324,7 +325,7 @@ mod hard_cases {
     proptest! {
         #![proptest_config(cases(128))]
 
-        /// Any bytes, whole or grafted onto a good file, in each file of each format: an error or frames.
+        /// Asserts that any bytes, alone or within a valid file, in each file of each format, give an error or frames.
         #[test]
         fn any_bytes_are_refused_or_read(
             bytes in prop::collection::vec(any::<u8>(), 0..600),

@@ -1,4 +1,4 @@
-//! Recordings: the vendor's real one, the native format, and what happens to broken ones.
+//! Tests of recordings: a real one of the vendor's format, the native format, and damaged files.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, Sou
 
 use crate::common::{Pattern, waveform};
 
-/// The recording of a breathing person; `None` where the shared data are absent.
+/// Path of the recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {
     radome_skip::shared("data/recordings/breathing-person-20260106")
 }
@@ -24,7 +24,7 @@ fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {
     all
 }
 
-/// Frames until the source ends or fails.
+/// Number of frames until the source ends or fails, and the error if it failed.
 fn readable(source: &mut dyn FrameSource) -> (u64, Option<SourceError>) {
     let mut frame = Frame::zeroed(source.waveform().shape());
     let mut count = 0;
@@ -45,7 +45,7 @@ const CONFIG: &str = r#"{"device_config": {"fmcw_single_shape": {
 
 const FRAME_BYTES: usize = 2 * 4 * 16 * 2;
 
-/// A small recording in the old format: 5 frames of 2 x 4 x 16, code = its index.
+/// Writes a small recording in the old format: 5 frames of 2 x 4 x 16; each code equals its index.
 fn old_recording(folder: &Path) {
     std::fs::write(folder.join("config.json"), CONFIG).expect("writes");
     std::fs::write(folder.join("format.version"), "1.0.0\r\n").expect("writes");
@@ -72,7 +72,7 @@ const SCENE: &str = r#"{"device_config": {"fmcw_scene": {
     "range_resolution_m": 0.15, "max_range_m": 4.8, "max_speed_m_s": 2.45, "speed_resolution_m_s": 0.2,
     "sample_rate_Hz": 1000000, "center_frequency_Hz": 60750000000, "frame_repetition_time_s": 0.2}}}"#;
 
-/// Two frames configured by metrics.
+/// Writes a recording of two frames that is configured by metrics.
 fn scene_recording(folder: &Path, config: &str, chirps: usize, samples: usize) {
     std::fs::write(folder.join("config.json"), config).expect("writes");
     std::fs::write(folder.join("format.version"), "1.0.0\n").expect("writes");
@@ -81,11 +81,11 @@ fn scene_recording(folder: &Path, config: &str, chirps: usize, samples: usize) {
     std::fs::write(folder.join("radar.npy"), npy("<u2", &shape, codes)).expect("writes");
 }
 
-/// Metrics instead of a waveform: what they make, with as many chirps as the data have.
+/// Asserts that metrics in place of a waveform give the waveform, with the number of chirps of the data.
 #[test]
 fn a_folder_configured_by_metrics_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
-    // 24.5 chirps: rounded up, or to a power of two.
+    // The metrics give 24.5 chirps, which the SDK rounds up, or up to a power of two.
     for chirps in [25, 32] {
         scene_recording(folder.path(), SCENE, chirps, 64);
         let mut reader = recording::Recording::open(folder.path()).expect("opens");
@@ -95,12 +95,12 @@ fn a_folder_configured_by_metrics_is_read() {
         let bandwidth = request.end_frequency_hz - request.start_frequency_hz;
         assert!((299_792_458.0 / (2.0 * bandwidth) - 0.15).abs() < 1e-9, "{bandwidth}");
         assert!((0.5 * (request.start_frequency_hz + request.end_frequency_hz) - 60.75e9).abs() < 1.0);
-        // A wave of 4.935 mm over four times 2.45 m/s.
+        // A wavelength of 4.935 mm divided by four times 2.45 m/s.
         assert!((request.chirp_interval_s - 503.55e-6).abs() < 0.01e-6, "{}", request.chirp_interval_s);
         assert_eq!((request.frame_interval_s, request.sample_rate_hz, request.if_gain_db), (0.2, 1e6, 33.0));
         assert_eq!(frames(&mut reader).len(), 2);
     }
-    // What may be left to the SDK.
+    // Optional keys, for which the SDK has defaults.
     let left = SCENE.replace("\"sample_rate_Hz\": 1000000, \"center_frequency_Hz\": 60750000000, ", "");
     scene_recording(folder.path(), &left, 32, 64);
     let same = recording::Recording::open(folder.path()).expect("opens").waveform().clone();
@@ -131,14 +131,15 @@ fn metrics_and_data_that_contradict_each_other_are_refused() {
         );
         assert!(said.contains("range_resolution_m") || said.contains("not JSON"), "{said}");
     }
-    // Finer than the chip's band is wide.
+    // This resolution needs more bandwidth than the chip has.
     let said = refused(&SCENE.replace("0.15", "0.01"), 32, 1024);
     assert!(said.contains("waveform is impossible"), "{said}");
     let said = refused(&SCENE.replace("fmcw_scene", "doppler_ltr11"), 32, 64);
     assert!(said.contains("fmcw_scene"), "{said}");
 }
 
-/// Properties of the capture: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each receiver.
+/// Asserts the known properties of the capture: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each
+/// receiver.
 #[test]
 fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
     let Some(path) = breathing() else { return };
@@ -199,7 +200,8 @@ fn truthful(count: u64) -> Pattern {
     Pattern { truth, ..Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), count) }
 }
 
-/// 25 frames at 10 Hz, a gap after the tenth, two labels. `None` instead of finishing.
+/// Writes 25 frames at 10 Hz with a gap after the tenth and two labels. Returns `None` without finishing if `finish` is
+/// false.
 fn record(path: &Path, finish: bool) -> Option<recording::mcap::RecordingSummary> {
     let mut source = truthful(25);
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
@@ -256,8 +258,8 @@ fn native_recording_gives_everything_back() {
     assert_eq!(reader.next_frame(&mut frame).expect("end"), SourceEvent::End);
 }
 
-/// All labels anew while frames go on: every reader finds them at once, whatever comes after, and the recording itself
-/// has the last ones when it is finished.
+/// Asserts that readers find all labels as soon as they are set during a recording, whatever follows. The finished
+/// recording has the last ones.
 #[test]
 fn labels_given_while_recording_are_found_when_the_call_returns() {
     let folder = tempfile::tempdir().expect("folder");
@@ -292,7 +294,7 @@ fn the_same_frames_give_the_same_bytes() {
     assert!(a == b);
 }
 
-/// The reader of the format's own library finds every message too.
+/// Asserts that the reader of the format's own library finds every message.
 #[test]
 fn other_mcap_readers_read_it() {
     let folder = tempfile::tempdir().expect("folder");
@@ -366,7 +368,8 @@ mod hard_cases {
         assert_contains(&text, &["radar.npy", "shorter than"]);
     }
 
-    /// Found by fuzzing: each bracket within brackets doubles the time that the parser of the header takes.
+    /// Asserts that a header of nested brackets is refused at once. Each level doubles the parser's time (found by
+    /// fuzzing).
     #[test]
     fn an_npy_header_of_brackets_is_refused_at_once() {
         for bracket in ["[", "(", "{"] {
@@ -426,7 +429,7 @@ mod hard_cases {
         assert!(matches!(recording::open(&other), Err(RecordingError::Unknown { .. })));
     }
 
-    /// A file may end anywhere, as after `kill -9`. A chunk spans a second, so at most ten frames are lost.
+    /// Asserts that a file cut anywhere, as after `kill -9`, loses at most ten frames: a chunk spans a second.
     #[test]
     fn an_unfinished_recording_is_readable_to_its_last_chunk() {
         let folder = tempfile::tempdir().expect("folder");
@@ -455,7 +458,7 @@ mod hard_cases {
         assert_contains(&error.expect("strict").to_string(), &["not finished", "byte"]);
     }
 
-    /// A recorder that is dropped leaves all its frames, and a file that does not claim to be whole.
+    /// Asserts that a dropped recorder leaves all its frames, in a file that is not marked as finished.
     #[test]
     fn a_dropped_recorder_leaves_what_it_was_given() {
         let folder = tempfile::tempdir().expect("folder");
@@ -466,7 +469,7 @@ mod hard_cases {
         assert_eq!(readable(&mut reader).0, 25);
     }
 
-    /// Found by fuzzing: a wrong length in the middle of a finished file was taken for its end.
+    /// Asserts that a wrong length in the middle of a finished file is not taken for its end (found by fuzzing).
     #[test]
     fn a_length_gone_wrong_is_no_end() {
         let folder = tempfile::tempdir().expect("folder");
@@ -509,7 +512,7 @@ mod hard_cases {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(150))]
 
-        /// Whatever bytes are changed: an error or frames, never a panic.
+        /// Asserts that any changed bytes give an error or frames, and never a panic.
         #[test]
         fn changed_bytes_do_not_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..5)) {
             let folder = tempfile::tempdir().expect("folder");

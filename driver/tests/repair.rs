@@ -1,4 +1,4 @@
-//! Repairs and labels added afterwards: nothing that can be read is lost, and what is lost is told.
+//! Tests of repairs, and of labels that are added later: readable content is kept, and losses are reported.
 
 use std::path::Path;
 
@@ -16,13 +16,13 @@ fn pattern() -> Pattern {
     Pattern { gap: Some(RECORDED_GAP), ..Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES) }
 }
 
-/// 50 numbers at 10 Hz, 20 to 22 lost, a chunk a second, a label.
+/// Writes a recording of 50 numbers at 10 Hz: 20 to 22 lost, a chunk for each second, one label. Returns its bytes.
 fn record(path: &Path) -> Vec<u8> {
     crate::common::record(pattern(), &LabelSpan::new(0.0, 2.0, "one"), path);
     std::fs::read(path).expect("reads")
 }
 
-/// Numbers of the frames, checked against the pattern, and the gaps.
+/// Sequence numbers of the frames, which are compared with the pattern, and the gaps.
 fn content(path: &Path) -> (Vec<u64>, Vec<Gap>) {
     let mut source = McapReader::open(path).expect("opens").strict(true);
     assert!(source.is_complete());
@@ -42,7 +42,7 @@ fn content(path: &Path) -> (Vec<u64>, Vec<Gap>) {
     }
 }
 
-/// Repairs these bytes; the input must stay as it is.
+/// Repairs these bytes; asserts that the input file does not change.
 fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), RecordingError> {
     let folder = tempfile::tempdir().expect("folder");
     let (broken, fixed) = (folder.path().join("broken.mcap"), folder.path().join("fixed.mcap"));
@@ -56,7 +56,7 @@ fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), Recordin
     Ok((report, numbers, gaps))
 }
 
-/// Chunks: start and end.
+/// Byte range of each chunk.
 fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
     let summary = mcap::Summary::read(bytes).expect("reads").expect("a summary");
     let mut chunks: Vec<_> = summary
@@ -86,13 +86,13 @@ fn a_whole_file_loses_nothing() {
 fn a_damaged_chunk_becomes_a_gap() {
     let bytes = whole();
     let chunks = chunks(&bytes);
-    // The first chunk holds channels only; then a chunk a second.
+    // The first chunk holds only channels; each other chunk holds a second.
     let (start, end) = chunks[2];
     for at in [start + 60, (start + end) / 2, end - 1] {
         let mut bytes = bytes.clone();
         bytes[at] ^= 0x40;
         let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
-        // The recorded gap stood at its end and is gone with it; the numbers tell.
+        // The lost chunk contained the recorded gap; the sequence numbers still show it.
         let lost = Gap { first_sequence: 10, frames: 13, reason: GapReason::Recorded };
         assert_eq!(report.lost, [lost], "{:?}", report.damage);
         assert_eq!((report.damage.len(), report.damage[0].offset), (1, start as u64));
@@ -122,7 +122,7 @@ fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
         let mut bytes = bytes.clone();
         bytes[at] = byte;
         let (report, numbers, _) = repaired(&bytes).expect("repairs");
-        // A length a little wrong leaves all frames, since the chunk inside has lengths and a check sum of its own.
+        // A slightly wrong outer length loses no frames, since the chunk inside has its own length and check sum.
         let lost = if numbers.len() == 47 { 20..20 } else { 10..23 };
         assert!(numbers.into_iter().eq((0..50).filter(|n| !lost.contains(n) && !(20..23).contains(n))), "{:?}", report);
         assert_eq!(report.frames_lost(), lost.end - lost.start);
@@ -164,8 +164,8 @@ fn labels_are_added_to_a_finished_recording() {
 mod hard_cases {
     use super::*;
 
-    /// A recording that was never finished is repaired first; one with a damaged chunk takes labels and loses nothing
-    /// more.
+    /// Asserts that an unfinished recording refuses labels until it is repaired, and that a recording with a damaged
+    /// chunk accepts them without further loss.
     #[test]
     fn labels_are_refused_by_what_is_unfinished_and_leave_what_is_damaged() {
         let folder = tempfile::tempdir().expect("folder");
@@ -196,7 +196,7 @@ mod hard_cases {
         assert!(std::fs::read(&path).expect("reads") == bytes);
     }
 
-    /// Complete chunks in front of the cut are saved wherever it falls.
+    /// Asserts that all complete chunks before a cut are saved.
     #[test]
     fn a_cut_costs_what_lies_behind_its_chunk() {
         let bytes = whole();
@@ -218,8 +218,8 @@ mod hard_cases {
     proptest! {
         #![proptest_config(cases(100))]
 
-        /// Whatever is damaged behind the header: no frame is wrong, and what is not there is within a gap or at the
-        /// end.
+        /// Asserts that after any damage behind the header no frame is wrong, and that every missing frame lies in a
+        /// gap or at the end.
         #[test]
         fn every_missing_frame_lies_in_a_gap(
             changes in prop::collection::vec((any::<prop::sample::Index>(), prop::collection::vec(any::<u8>(), 1..40)), 1..6),
@@ -245,7 +245,7 @@ mod hard_cases {
             }
         }
 
-        /// Arbitrary bytes behind the magic, or anywhere in a good file.
+        /// Asserts that arbitrary bytes behind the magic, or within a valid file, are refused or read.
         #[test]
         fn arbitrary_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
             let folder = tempfile::tempdir().expect("folder");
@@ -258,7 +258,7 @@ mod hard_cases {
         }
     }
 
-    /// A chunk of a hundred bytes that claims to unpack to exabytes.
+    /// Asserts that a chunk of a hundred bytes with a claimed length of exabytes is refused without that memory.
     #[test]
     fn a_claimed_length_is_not_believed() {
         let mut bytes = whole();

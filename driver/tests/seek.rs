@@ -1,4 +1,4 @@
-//! Seeking finds what reading from the start finds.
+//! Asserts that reading after a seek gives the same events as reading from the start.
 
 use std::path::Path;
 
@@ -27,13 +27,13 @@ fn rest(source: &mut Recording) -> Vec<Event> {
     }
 }
 
-/// Everything behind the last earlier frame.
+/// All events after the last earlier frame.
 fn behind(events: &[Event], is_earlier: impl Fn(&Frame) -> bool) -> &[Event] {
     let last = events.iter().rposition(|e| matches!(e, Event::Frame(frame) if is_earlier(frame)));
     &events[last.map_or(0, |last| last + 1)..]
 }
 
-/// Contract of [`Recording::seek_frame`].
+/// Events that [`Recording::seek_frame`] must lead to.
 fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
     let mut found = behind(events, |frame| frame.sequence < sequence);
     while let [Event::Gap(gap), rest @ ..] = found
@@ -45,7 +45,7 @@ fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
     found
 }
 
-/// A recording of several chunks with these frames left out.
+/// Writes a recording of several chunks without the frames that `lost` selects.
 fn record(path: &Path, finish: bool, lost: impl Fn(u64) -> bool) {
     let pattern = Pattern::new(waveform(&[1], 4, 16, 0.17), 0);
     let mut recorder = Recorder::create(path, &RecordingHeader::new(pattern.waveform.clone())).expect("creates");
@@ -102,7 +102,7 @@ fn the_vendors_formats_are_entered_anywhere() {
         let mut frame = Frame::zeroed(pattern.waveform.shape());
         for sequence in 0..40 {
             pattern.fill(sequence, &mut frame);
-            // Not the nominal times: the folder must look them up.
+            // Times differ from the nominal ones, so that the folder must look them up.
             frame.time_ns += sequence.pow(3) * 1000;
             writer.frame(&frame).expect("writes");
         }
@@ -122,7 +122,7 @@ fn the_vendors_formats_are_entered_anywhere() {
     }
 }
 
-/// A place in the middle costs the chunks of a bisection, not the file: counted in bytes read.
+/// Asserts, by the number of bytes read, that a seek to the middle reads the chunks of a bisection and not the file.
 #[test]
 #[cfg(target_os = "linux")]
 fn a_place_is_found_without_reading_the_file() {
@@ -136,7 +136,7 @@ fn a_place_is_found_without_reading_the_file() {
         recorder.frame(&frame).expect("records");
     }
     let bytes = recorder.finish().expect("finishes").bytes;
-    // What this thread has read so far, by the kernel's count.
+    // Number of bytes that this thread has read so far, according to the kernel.
     let read = || {
         let text = std::fs::read_to_string("/proc/thread-self/io").expect("a count");
         text.lines().find_map(|l| l.strip_prefix("rchar: ")?.parse::<u64>().ok()).expect("rchar")
@@ -156,7 +156,7 @@ fn a_place_is_found_without_reading_the_file() {
 mod hard_cases {
     use super::*;
 
-    /// A damaged chunk is no place to start from, and no reason to miss the others.
+    /// Asserts that a seek skips a damaged chunk and still finds the others.
     #[test]
     fn seeking_steps_around_damage() {
         let folder = tempfile::tempdir().expect("folder");
@@ -175,7 +175,8 @@ mod hard_cases {
         }
     }
 
-    /// Found by fuzzing: an index that names wrong places led to frames before and behind the one that was asked for.
+    /// Asserts that an index with wrong positions does not lead to frames before or after the requested one (found by
+    /// fuzzing).
     #[test]
     fn an_index_that_is_wrong_about_a_chunk_is_seen_through() {
         let folder = tempfile::tempdir().expect("folder");
@@ -186,7 +187,7 @@ mod hard_cases {
         let mut chunks: Vec<_> = summary.chunk_indexes.iter().map(|c| (c.chunk_start_offset, c.chunk_length)).collect();
         chunks.sort_unstable();
         for (start, length) in &chunks[1..] {
-            // The record behind the chunk: no chunk, and no damage either.
+            // Position of the record after the chunk, which is neither a chunk nor damaged.
             let wrong = (start + length).to_le_bytes();
             let at = bytes.windows(8).rposition(|w| w == start.to_le_bytes()).expect("in the index");
             let mut bytes = bytes.clone();

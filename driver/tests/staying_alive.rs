@@ -1,4 +1,4 @@
-//! Boards that vanish, stall and lose their place: the stream goes on, and what was lost is counted once.
+//! Boards that disconnect, stall and lose alignment: the stream continues, and each loss is counted once.
 
 use std::path::Path;
 use std::time::Duration;
@@ -8,7 +8,8 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
 use crate::common::{POLICY, Pattern, options, read_frames, waveform};
 
-/// A board without end; with a link in `folder`, since the number of a terminal that has gone is soon that of another board.
+/// Emulated board with an endless source. Its link is in `folder`, since the terminal number of a closed board is soon
+/// reused.
 fn board(waveform: &Waveform, faults: &[Fault], folder: Option<&Path>) -> EmulatedBoard {
     let link = folder.map(|folder| folder.join("board"));
     let source = Pattern::new(waveform.clone(), u64::MAX);
@@ -23,7 +24,8 @@ fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
 #[test]
 fn a_board_that_is_plugged_in_again_goes_on() {
     let folder = tempfile::tempdir().expect("folder");
-    // What the host has not read yet goes with the terminal: unplug so seldom that frames arrive in between.
+    // Unread data are lost with the terminal, so that the board is unplugged rarely enough for frames to arrive in
+    // between.
     for (chirps, samples, packets, frames) in [(8, 64, 1, [100, 300, 500]), (128, 256, 48, [3, 7, 12])] {
         let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
         let duration = Duration::from_millis(100);
@@ -44,11 +46,12 @@ fn a_board_that_stalls_is_started_anew() {
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
     let gaps = read_frames(&mut stream, 10, |_| {});
     assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
-    // By the host's clock: the frame after the deadline of 1.3 s is the thirteenth at least.
+    // According to the host's clock, the first frame after the deadline of 1.3 s has at least number 13.
     assert!(gaps[0].frames >= 12, "{gaps:?}");
 }
 
-/// A counter that jumps by less than a slice says that a packet is what it cannot be.
+/// Asserts that a counter that jumps by less than a slice, which gives a packet an impossible position, leads to a
+/// restart.
 #[test]
 fn lost_alignment_is_found_by_starting_anew() {
     let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
@@ -57,7 +60,7 @@ fn lost_alignment_is_found_by_starting_anew() {
         let board = board(&waveform, &[fault], None);
         let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let gaps = read_frames(&mut stream, 5, |_| {});
-        // A middle packet may pass for another one; the last of its slice does not.
+        // A middle packet may be mistaken for another one, but the last packet of its slice may not.
         assert!((1..=2).contains(&gaps.len()), "{gaps:?}");
         assert!(gaps.iter().all(|gap| gap.reason == GapReason::PacketLost), "{gaps:?}");
         assert_eq!(gaps[0].first_sequence, 1);
@@ -67,7 +70,7 @@ fn lost_alignment_is_found_by_starting_anew() {
 mod hard_cases {
     use super::*;
 
-    /// Reads on until there is an error.
+    /// Reads until the first error.
     fn first_error(stream: &mut Mcu7Stream, waveform: &Waveform) -> radome_dsp::SourceError {
         let mut frame = Frame::zeroed(waveform.shape());
         loop {
@@ -112,7 +115,7 @@ mod hard_cases {
         );
     }
 
-    /// A stream without a reconnection policy ends with the error.
+    /// Asserts that a stream without a reconnection policy ends with the error.
     #[test]
     fn without_leave_to_reconnect_the_error_comes_at_once() {
         let folder = tempfile::tempdir().expect("folder");

@@ -1,4 +1,4 @@
-//! A running stream allocates nothing: counted by the allocator of this test program, by thread.
+//! Asserts that a running stream does not allocate: this test program's allocator counts by thread.
 
 mod common;
 #[path = "../../dsp/tests/counting/mod.rs"]
@@ -9,7 +9,7 @@ use counting::ALLOCATIONS;
 use radome_driver::{DeepcraftBoard, Kind, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
-/// Asserts that a stream allocates nothing once its first frames have shown how large the buffers must be.
+/// Asserts that a stream does not allocate after its first frames, which determine the sizes of the buffers.
 fn assert_steady(stream: &mut dyn FrameSource) {
     let shape = stream.waveform().shape();
     let mut frame = Frame::zeroed(shape);
@@ -27,7 +27,7 @@ fn assert_steady(stream: &mut dyn FrameSource) {
 
 #[test]
 fn the_client_allocates_nothing_per_frame() {
-    // One packet a frame; the paper's 48 packets a frame; frames that share slices.
+    // One packet a frame; 48 packets a frame, as in the paper; frames that share slices.
     for (antennas, chirps, samples) in [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 128, 256), (&[3], 3, 33)] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
         let board = board(&waveform, u64::MAX, Kind::default(), &[]);

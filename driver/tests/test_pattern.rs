@@ -1,4 +1,4 @@
-//! The chip's test pattern through registers, board, link and unpacking.
+//! Test of the chip's test pattern through registers, board, link and unpacking.
 
 use radome_driver::chip::test_pattern::PatternCheck;
 use radome_driver::{Fault, Kind, Mcu7Board};

@@ -1,4 +1,4 @@
-//! The emulated board and the client against the transcripts of unmodified vendor clients.
+//! Compares the emulated board and the client with transcripts of unmodified vendor clients.
 
 use std::io::{ErrorKind, Read, Write};
 use std::path::PathBuf;
@@ -16,17 +16,17 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::common::transcript;
 
-/// Far more than any machine needs: only a hang takes so long.
+/// Time limit for any answer, far above the need of any machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A message of a transcript: whether the host sent it, and its bytes.
+/// Message of a transcript: whether the host sent it, and its bytes.
 type Message = (bool, Vec<u8>);
 
 fn sent_by_host(transcript: &[Message]) -> Vec<Vec<u8>> {
     transcript.iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes.clone()).collect()
 }
 
-/// The waveform that the client of a transcript programmed: the registers of its last long list.
+/// Waveform that the client of a transcript programmed, from the registers of its last long list.
 fn programmed(transcript: &[Message]) -> Waveform {
     let mut lists = sent_by_host(transcript).into_iter().rev().filter_map(|bytes| {
         match Command::from_request(&Request::decode(&bytes).expect("request")) {
@@ -39,7 +39,7 @@ fn programmed(transcript: &[Message]) -> Waveform {
     ChipConfiguration::decode(&file).expect("a waveform").waveform
 }
 
-/// Codes that count up in FIFO order, as the transcripts have them.
+/// Source whose codes count up in FIFO order, as in the transcripts.
 struct Ramp {
     waveform: Waveform,
     next: u64,
@@ -72,7 +72,7 @@ fn emulated(waveform: Waveform, protocol: Protocol) -> EmulatedBoard {
     EmulatedBoard::spawn(Box::new(Ramp { waveform, next: 0 }), options).expect("spawns")
 }
 
-/// One whole message of a board that sends no garbage.
+/// Reads one whole message of a board that sends no garbage.
 fn message(port: &mut TTYPort) -> Vec<u8> {
     let mut bytes = vec![0; 4];
     port.read_exact(&mut bytes).expect("the board sends within twenty seconds");
@@ -91,13 +91,13 @@ fn is_packet(bytes: &[u8]) -> bool {
     bytes[0] & 0xF0 == 0xD0
 }
 
-/// Everything of a packet but the board's clock and the CRC over it.
+/// Packet without the board's clock and the CRC.
 fn without_clock(bytes: &[u8]) -> &[u8] {
     &bytes[..bytes.len() - 2 - if bytes[0] & 4 != 0 { 8 } else { 0 }]
 }
 
-/// Sends what the vendor's client sent. Answers must be the same bytes in the same order, and so must packets in
-/// theirs; how packets and answers mix is a matter of time.
+/// Sends the requests of the vendor's client. Answers must have the same bytes in the same order, and so must packets.
+/// The order of packets relative to answers depends on timing.
 fn replay(protocol: Protocol) {
     let Some(transcript) = transcript(protocol) else { return };
     let board = emulated(programmed(&transcript), protocol);
@@ -108,8 +108,8 @@ fn replay(protocol: Protocol) {
     let mut answers = transcript.iter().filter(|(host, bytes)| !host && !is_packet(bytes)).map(|(_, b)| b);
     for (line, (host, bytes)) in transcript.iter().enumerate() {
         if *host {
-            // Packets that the vendor's client got before its answer were on their way before the request: a stop must
-            // not overtake them here.
+            // Packets that the vendor's client received before the answer were sent before the request. Waits for them,
+            // so that a stop does not overtake them.
             let until_answer = transcript.iter().skip(line + 1).take_while(|(host, bytes)| *host || is_packet(bytes));
             let so_far = transcript.iter().take(line).chain(until_answer);
             let due = so_far.filter(|(host, bytes)| !host && is_packet(bytes)).count();
@@ -145,7 +145,7 @@ fn requests_of_protocol_3_are_answered_byte_for_byte() {
     replay(Protocol::V3);
 }
 
-/// A line between client and board that remembers what the client sent.
+/// Connection between client and board that records the client's bytes.
 struct Tap {
     path: PathBuf,
     sent: Arc<Mutex<Vec<u8>>>,
@@ -158,7 +158,7 @@ impl Tap {
     fn on(board: &EmulatedBoard) -> Self {
         let (mut ours, mut theirs) = TTYPort::pair().expect("pseudo-terminal");
         theirs.set_exclusive(false).expect("the client may open it too");
-        // Kept open as a plain file, which locks nobody out: with nobody on the other end the line would hang up.
+        // The plain file keeps the terminal open without locking it; otherwise the line would hang up.
         let path = PathBuf::from(theirs.name().expect("has a name"));
         let keep = std::fs::File::open(&path).expect("opens");
         drop(theirs);
@@ -201,7 +201,7 @@ impl Tap {
     }
 }
 
-/// Requests that our client sends from opening to stopping, with the waveform of the transcript.
+/// Requests of our client from opening to stopping, with the waveform of the transcript.
 fn our_session(transcript: &[Message], protocol: Protocol) -> Vec<Vec<u8>> {
     let waveform = programmed(transcript);
     let board = emulated(waveform.clone(), protocol);
@@ -223,7 +223,7 @@ fn our_session(transcript: &[Message], protocol: Protocol) -> Vec<Vec<u8>> {
     requests
 }
 
-/// A request in words. Register lists are long: their length stands for them, their contents are compared apart.
+/// Text of a request. A long register list is shown by its length; its content is compared separately.
 fn describe(bytes: &[u8]) -> String {
     let request = Request::decode(bytes).expect("request");
     match Command::from_request(&request).expect("command") {
@@ -234,8 +234,8 @@ fn describe(bytes: &[u8]) -> String {
     }
 }
 
-/// Lines to leave out of the vendor's sequence (`-`) and to put in (`+`) to get ours: the longest common subsequence
-/// stays.
+/// Lines to remove from the vendor's sequence (`-`) and to insert (`+`) to get ours, around the longest common
+/// subsequence.
 fn differences(vendor: &[Vec<u8>], ours: &[Vec<u8>]) -> Vec<String> {
     let (n, m) = (vendor.len(), ours.len());
     let mut common = vec![vec![0; m + 1]; n + 1];
@@ -265,11 +265,11 @@ fn our_client_differs_from_protocol_4_only_where_it_has_a_reason() {
     let Some(transcript) = transcript(Protocol::V4) else { return };
     let ours = our_session(&transcript, Protocol::V4);
     let expected = [
-        // A program that was killed leaves a board that still measures: its packets would delay every answer.
+        // A killed program leaves a board that still measures, whose packets would delay every answer.
         "+V4 StopData",
-        // The same register is read once more by SPI, after the reset.
+        // Reads the same register once more by SPI, after the reset.
         "-V4 ReadRegisters { address: 2, count: 1 }",
-        // A start may follow another start on the same opening: registers go back to their resets first.
+        // A start may follow another start without reopening, so that registers are reset first.
         "+V4 StopData",
         "+V4 HardwareReset",
     ];
@@ -281,7 +281,8 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
     let Some(transcript) = transcript(Protocol::V3) else { return };
     let ours = our_session(&transcript, Protocol::V3);
     let expected = [
-        // The vendor's client lists the boards before it opens one: everything up to the second board info comes twice.
+        // The vendor's client lists the boards before it opens one, so that everything up to the second board info
+        // appears twice.
         "-V3 BoardInfoFixed { length: 32 }",
         "-V3 BoardInfo",
         "-V3 FirmwareVersion",
@@ -289,27 +290,28 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
         "-V3 WriteRegisters { address: 6, values: [1048576] }",
         "-V3 ReadRegisters { address: 2, count: 1 }",
         "-V3 Uuid",
-        // Version 3 gives the info in two forms; one is enough.
+        // Version 3 gives the board info in two forms, of which one suffices.
         "-V3 BoardInfoFixed { length: 32 }",
-        // Version 4 is tried first.
+        // Our client tries version 4 first.
         "+V4 BoardInfo",
-        // As in version 4.
+        // Same difference as in version 4.
         "+V3 StopData",
         "-V3 ReadRegisters { address: 2, count: 1 }",
-        // Asked twice in the same opening; and the only data index is 0.
+        // The vendor's client asks twice in one opening; the only data index is 0.
         "-V3 ComponentImplementation { component: 1 }",
         "-V3 DataIndex",
-        // FIFO and state machine are reset by the hardware reset that follows, and again by the next.
+        // The hardware reset that follows also resets FIFO and state machine.
         "-V3 SetBits { address: 0, mask: 12 }",
         "-V3 Execute { words: [SpiWord { address: 0, write: true, value: 1999484 }], answer: false }",
         "-V3 HardwareReset",
-        // The list is written once without and once with the start bit.
+        // The vendor's client writes the list once without and once with the start bit.
         "-V3 Execute 38 words",
-        // A slice of 8192 samples is no whole part of this frame: frames would come later than they are complete.
+        // The frame is not a multiple of a slice of 8192 samples, so that frames would arrive later than they are
+        // complete.
         "-V3 ConfigureData { format: Packed12, slice_samples: 8192 }",
         "+V3 HardwareReset",
         "+V3 ConfigureData { format: Packed12, slice_samples: 6144 }",
-        // It differs by the FIFO's level, which is the slice.
+        // The list differs in the FIFO level, which equals the slice.
         "-V3 Execute 38 words",
         "+V3 Execute 38 words",
     ];

@@ -1,4 +1,4 @@
-//! Frames become maps without allocation: counted by the allocator of this test program, by thread.
+//! Asserts that maps are made from frames without allocation: this test program's allocator counts by thread.
 
 mod counting;
 
@@ -27,7 +27,7 @@ fn no_transform_allocates_once_it_is_planned() {
         RdmSpec { slow_time: SlowTime::Frames { frames: 8 }, ..base },
         RdmSpec { channels: Channels::IncoherentSum, physical_axes: Some(axes), ..base },
     ];
-    // Sizes of the lane transform, and sizes of the library.
+    // Sizes of the lane transform and of the library transform.
     for waveform in [waveform(128, 256), waveform(32, 64), waveform(20, 100)] {
         for spec in specs {
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
@@ -47,7 +47,7 @@ fn no_transform_allocates_once_it_is_planned() {
                 make(0..10);
                 let before = ALLOCATIONS.get();
                 assert!(before > 0, "the allocator counts");
-                // The jump of the sequence resets the state.
+                // The jump of the sequence number resets the state.
                 make(10..20);
                 make(30..40);
                 assert_eq!(ALLOCATIONS.get() - before, 0, "{level}, {}, {spec:?}", waveform.shape());

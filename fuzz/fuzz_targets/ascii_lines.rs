@@ -1,4 +1,4 @@
-//! Lines of an ESP32: the same whatever the pieces, in bounded memory; a frame that was read is written and read again.
+//! Lines of an ESP32: results do not depend on the pieces, memory is bounded, and a frame survives a round trip.
 
 #![no_main]
 
@@ -30,7 +30,7 @@ fn parse<'a>(codes: usize, input: impl Iterator<Item = &'a [u8]>) -> Vec<Found> 
 }
 
 fuzz_target!(|input: &[u8]| {
-    // Few codes, so that the limit of a line is near.
+    // Few codes, so that lines reach the length limit soon.
     let Some((&first, input)) = input.split_first() else { return };
     let codes = 1 + usize::from(first % 16);
     let found = parse(codes, std::iter::once(input));
@@ -52,7 +52,7 @@ fuzz_target!(|input: &[u8]| {
             let _ = radome_dsp::Waveform::realise(request);
         }
     }
-    // Nothing is kept of what has been read.
+    // The parser keeps nothing of what it has read.
     let mut parser = LineParser::new(codes);
     within(16 * 1024, || {
         for piece in pieces(input, 60) {

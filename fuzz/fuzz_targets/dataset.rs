@@ -1,4 +1,4 @@
-//! A dataset's folder, any of its files anything: maps or an error; what was read whole is written and read again.
+//! Dataset folder with arbitrary files: maps or an error. A dataset that was read completely survives a round trip.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! DEEPCRAFT messages, chunks and custom data: nothing falls over, in bounded memory; messages are the same whatever the pieces
-//! and mean the same when encoded again; a chunk holds frames of the stream and nothing else.
+//! DEEPCRAFT messages, chunks and custom data: no panic, and bounded memory. Messages do not depend on the pieces and
+//! mean the same when encoded again. A chunk holds only frames of the stream.
 
 #![no_main]
 
@@ -18,7 +18,7 @@ fn messages<'a>(input: impl Iterator<Item = &'a [u8]>) -> Vec<Option<Vec<u8>>> {
         while let Some(message) = parser.next_message() {
             match message {
                 Ok(message) => found.push(Some(message.to_vec())),
-                // Where the next one begins is not known.
+                // The start of the next message is unknown.
                 Err(_) => {
                     found.push(None);
                     return found;
@@ -29,7 +29,7 @@ fn messages<'a>(input: impl Iterator<Item = &'a [u8]>) -> Vec<Option<Vec<u8>>> {
     found
 }
 
-/// Numbers of frames and their codes, as far as nothing is damaged.
+/// Checks numbers and codes of frames up to the first damage.
 fn chunks<'a>(layout: ChunkLayout, input: impl Iterator<Item = &'a [u8]>) {
     let mut parser = ChunkParser::new(layout, 0);
     for piece in input {
@@ -64,7 +64,7 @@ fuzz_target!(|input: &[u8]| {
             assert_eq!(Request::decode(request.encode_to_vec().as_slice()).map_err(|e| e.to_string()), Ok(request));
         }
         if let Ok(response) = within(allowed, || Response::decode(message)) {
-            // Numbers that are none compare unequal to themselves: by bytes.
+            // NaN compares unequal to itself, so that bytes are compared.
             let bytes = response.encode_to_vec();
             let again = Response::decode(bytes.as_slice()).expect("what was encoded is decoded");
             assert_eq!(again.encode_to_vec(), bytes);

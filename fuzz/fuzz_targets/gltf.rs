@@ -1,4 +1,4 @@
-//! glTF with a buffer beside it, or GLB: a mesh and an actor, or errors.
+//! glTF with a separate buffer, or GLB: a mesh and an actor, or errors.
 
 #![no_main]
 

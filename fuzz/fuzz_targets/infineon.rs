@@ -1,4 +1,5 @@
-//! The vendor's folder, any of its files anything: frames or an error; what was read whole is written and read again.
+//! Vendor's recording folder with arbitrary files: frames or an error. A recording that was read completely survives a
+//! round trip.
 
 #![no_main]
 
@@ -22,7 +23,7 @@ fuzz_target!(|input: &[u8]| {
     let radar = folder.path().join("in");
     std::fs::create_dir(&radar).expect("a folder");
     for (name, bytes) in FILES.iter().zip(sections::<6>(input)) {
-        // Those at the end may be absent; a version is always there.
+        // The last files may be absent; the version is always present.
         let bytes = if *name == "format.version" && bytes.is_empty() { b"1.0.0" } else { bytes };
         if !bytes.is_empty() {
             std::fs::write(radar.join(name), bytes).expect("writes");
@@ -38,7 +39,7 @@ fuzz_target!(|input: &[u8]| {
         source.seek_frame(u64::MAX).expect("seeks");
         source.seek_frame(1).expect("seeks");
         let rest = read(&mut source)?;
-        // Damage before that place does not matter there.
+        // Damage before the target of the seek does not matter.
         if events.1 {
             assert_eq!(rest.0, events.0[events.0.len().min(1)..]);
         }

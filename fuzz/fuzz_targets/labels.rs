@@ -1,4 +1,4 @@
-//! Labels of other tools: what was read is written, and from then on stays the same, letter by letter.
+//! Labels of other tools: labels that were read can be written, and further round trips do not change them.
 
 #![no_main]
 
@@ -8,7 +8,7 @@ use radome_driver::recording::label_text::{from_audacity, from_deepcraft, to_aud
 use radome_driver::recording::span_check::{SpanError, check_spans};
 use radome_fuzz::within;
 
-/// Six decimals.
+/// Asserts equality to six decimals.
 fn near(a: &[LabelSpan], b: &[LabelSpan]) {
     assert_eq!(a.len(), b.len());
     for (a, b) in a.iter().zip(b) {
@@ -19,7 +19,7 @@ fn near(a: &[LabelSpan], b: &[LabelSpan]) {
     }
 }
 
-/// Checks that labels run forwards, so that only overlaps and the recording's ends can be wrong with it.
+/// Asserts that labels run forwards, so that overlaps and the recording's ends are the only possible errors.
 fn check(spans: &[LabelSpan]) {
     assert!(matches!(check_spans(spans, None), Ok(()) | Err(SpanError::Overlap { .. })));
     assert!(matches!(
@@ -32,7 +32,7 @@ fuzz_target!(|input: &str| {
     let allowed = 64 * 1024 + 1024 * input.len();
     if let Ok(mut spans) = within(allowed, || from_audacity(input)) {
         assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s >= s.start_s));
-        // Tabs and line ends have no place in a label track.
+        // Tabs and line ends cannot be written to a label track.
         spans.iter_mut().for_each(|s| s.label = s.label.replace(['\t', '\r'], " ").trim().to_owned());
         check(&spans);
         let again = from_audacity(&to_audacity(&spans)).expect("what was written is read");
@@ -40,7 +40,7 @@ fuzz_target!(|input: &str| {
     }
     if let Ok(spans) = within(allowed, || from_deepcraft(input)) {
         assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s.is_finite() && s.end_s >= s.start_s));
-        // The format wants a confidence; who gives none is taken at his word.
+        // The format requires a confidence; a missing one counts as 1.
         let spans: Vec<LabelSpan> =
             spans.into_iter().map(|s| LabelSpan { confidence: s.confidence.or(Some(1.0)), ..s }).collect();
         check(&spans);

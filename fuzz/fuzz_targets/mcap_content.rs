@@ -1,4 +1,4 @@
-//! A native recording whose records and check sums are right and whose content is anything: metadata, frames, gaps, labels.
+//! Native recording with valid records and check sums and arbitrary content: metadata, frames, gaps and labels.
 
 #![no_main]
 

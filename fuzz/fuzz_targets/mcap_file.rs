@@ -1,4 +1,4 @@
-//! A file that may be a native recording, byte by byte: read, sought in, repaired.
+//! Any bytes as a native recording: reading, seeking and repair.
 
 #![no_main]
 

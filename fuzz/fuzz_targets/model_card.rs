@@ -1,4 +1,4 @@
-//! A model file whose container is right and whose card is anything.
+//! Model file with a valid container and an arbitrary card.
 
 #![no_main]
 

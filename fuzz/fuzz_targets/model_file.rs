@@ -1,4 +1,4 @@
-//! A model file: a model that is written and read again, or an error.
+//! Model file: it survives a round trip, or gives an error.
 
 #![no_main]
 

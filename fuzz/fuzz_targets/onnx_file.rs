@@ -1,4 +1,4 @@
-//! An ONNX file as far as it is read without a runtime.
+//! Parts of an ONNX file that are read without a runtime.
 
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Packed samples and the order of the FIFO: the fast routines against their definitions, and back.
+//! Packed samples and FIFO order: compares the fast routines with their definitions, in both directions.
 
 #![no_main]
 
@@ -9,7 +9,7 @@ use radome_dsp::FrameShape;
 
 fuzz_target!(|input: &[u8]| {
     let &[rx, chirps, samples, room, ref bytes @ ..] = input else { return };
-    // As many codes as the bytes hold, fewer or more.
+    // Capacity equal to, below or above the number of codes in the bytes.
     let room = (bytes.len() / 3 * 2 + 3).saturating_sub(usize::from(room % 8));
     let mut codes = vec![0xFFFF; room];
     let count = unpack(bytes, &mut codes);
@@ -30,7 +30,7 @@ fuzz_target!(|input: &[u8]| {
         for chirp in 0..shape.chirps {
             for sample in 0..shape.samples {
                 let code = frame[(receiver * shape.chirps + chirp) * shape.samples + sample];
-                // Three receivers at a time are taken in whole triples.
+                // With three receivers only whole triples are taken.
                 let at = fifo_index(shape, receiver, chirp, sample);
                 let whole = if shape.rx == 3 { codes.len() / 3 * 3 } else { codes.len() };
                 assert_eq!(code, if at < whole { codes[at] } else { 0xFFFF });

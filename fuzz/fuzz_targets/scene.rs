@@ -1,4 +1,4 @@
-//! A scene file with everything that it names: loads, or says what is wrong.
+//! Scene file with all files that it refers to: it loads, or is refused with a reason.
 
 #![no_main]
 

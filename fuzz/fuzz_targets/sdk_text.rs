@@ -1,5 +1,5 @@
-//! The text recording of the vendor's SDK and its configuration: frames or an error; what was read whole is written and
-//! read again.
+//! Text recording of the vendor's SDK with its configuration: frames or an error. A recording that was read completely
+//! survives a round trip.
 
 #![no_main]
 
@@ -19,7 +19,7 @@ fuzz_target!(|input: &[u8]| {
         let events = read(&mut source)?;
         source.seek_frame(1).expect("seeks");
         let rest = read(&mut source)?;
-        // Damage before that place does not matter there.
+        // Damage before the target of the seek does not matter.
         if events.1 {
             assert_eq!(rest.0, events.0[events.0.len().min(1)..]);
         }

@@ -1,4 +1,5 @@
-//! Bytes that a board sends: the same messages whatever the pieces, each byte accounted for, each message as it was encoded.
+//! Bytes from a board: messages do not depend on the pieces, each byte is accounted for, and each message encodes to
+//! its bytes.
 
 #![no_main]
 
@@ -19,7 +20,7 @@ fn note(event: BoardEvent<'_>, found: &mut Vec<Found>) {
         BoardEvent::Packet(packet) => packet.encode(&mut bytes),
         BoardEvent::Damaged { bytes } => {
             assert!(bytes > 0);
-            // How garbage is cut depends on when it came; how much there is does not.
+            // The division of garbage depends on when it arrived; its total length does not.
             return match found.last_mut() {
                 Some(Found::Damaged(before)) => *before += bytes,
                 _ => found.push(Found::Damaged(bytes)),
@@ -29,7 +30,8 @@ fn note(event: BoardEvent<'_>, found: &mut Vec<Found>) {
     found.push(Found::Message(bytes));
 }
 
-/// Messages in these pieces, and the bytes that still wait. `peek` looks at each before it takes it.
+/// Messages in these pieces, and the number of bytes that still wait. With `peek`, each message is inspected before it
+/// is taken.
 fn parse<'a>(input: impl Iterator<Item = &'a [u8]>, peek: bool) -> (Vec<Found>, usize) {
     let mut parser = BoardParser::with_capacity(1024);
     let (mut found, mut pushed) = (Vec::new(), 0);
@@ -50,7 +52,7 @@ fn parse<'a>(input: impl Iterator<Item = &'a [u8]>, peek: bool) -> (Vec<Found>, 
     let waiting = pushed - taken - damaged;
     assert!(waiting < MAX_MESSAGE, "{waiting} bytes wait");
     assert_eq!(parser.is_waiting(), waiting > 0);
-    // A line that has fallen silent: it must come to an end.
+    // After the line falls silent, the parser must finish.
     for _ in 0..=waiting {
         parser.on_silence();
         while parser.next_event().is_some() {}
@@ -61,7 +63,7 @@ fn parse<'a>(input: impl Iterator<Item = &'a [u8]>, peek: bool) -> (Vec<Found>, 
 
 fuzz_target!(|input: &[u8]| {
     let at_once = within(64 * 1024 + 8 * input.len(), || parse(std::iter::once(input), false));
-    // Every byte is where it was.
+    // Every byte keeps its position.
     let mut at = 0;
     for found in &at_once.0 {
         match found {

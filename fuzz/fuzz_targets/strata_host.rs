@@ -1,4 +1,4 @@
-//! Bytes that a host sends, and the payloads of answers: requests as they were encoded, commands that mean the same again.
+//! Bytes from a host, and payloads of answers: requests encode to their bytes, and commands keep their meaning.
 
 #![no_main]
 
@@ -15,7 +15,8 @@ fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<H
     for piece in input {
         parser.push(piece);
         while let Some(event) = parser.next_event() {
-            // As the firmware, it forgets all that it has when it refuses: what pieces come after that matters.
+            // When it refuses a request the parser, like the firmware, forgets all its bytes. The result then depends
+            // on the pieces.
             let refused = matches!(event, HostEvent::Refused { .. });
             events.push(event);
             if refused {
@@ -33,7 +34,7 @@ fn check(request: &Request) {
     let Ok(command) = Command::from_request(request) else { return };
     let again = command.to_request(request.protocol);
     assert_eq!(Command::from_request(&again).as_ref(), Ok(&command), "{request:?}");
-    // What a host may write into the chip's registers is no reason to fall over either.
+    // No register value of a host may cause a panic.
     if let Command::Execute { words, .. } = &command {
         let mut registers = RegisterFile::default();
         for word in words {

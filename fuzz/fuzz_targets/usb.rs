@@ -1,5 +1,5 @@
-//! Transfers over USB: bulk reads of any length give each byte once, as a packet that is as it was encoded or as damage;
-//! control setups, and commands and answers of debug probes.
+//! Transfers over USB. Bulk reads of any length give each byte once, in a packet equal to its encoding or as damage.
+//! Also checks control setups, and commands and answers of debug probes.
 
 #![no_main]
 
@@ -9,7 +9,7 @@ use radome_driver::protocol::mcu7::bulk::{BulkParser, Control, LastError, MAX_BU
 use radome_driver::protocol::mcu7::{BoardEvent, Framing};
 use radome_fuzz::{pieces, within};
 
-/// Packets in these reads: no byte is lost, none comes twice.
+/// Asserts that no byte of these reads is lost or repeated.
 fn bulk(input: &[u8]) {
     let mut parser = BulkParser::new();
     let (mut pushed, mut accounted) = (0, 0);
@@ -45,7 +45,7 @@ fn probe(input: &[u8]) {
     let others = [Command::Connect, Command::Disconnect, Command::ResetTarget, pins];
     for command in Info::ALL.into_iter().map(Command::Info).chain(others) {
         match command.answer(input) {
-            // Status bytes that are neither good nor bad come back as bad.
+            // Status bytes that are neither good nor bad decode as bad.
             Ok(answer) => assert_eq!(command.answer(&answer.encode()), Ok(answer)),
             Err(error) => assert!(!error.to_string().is_empty()),
         }

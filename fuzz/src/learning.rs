@@ -13,10 +13,10 @@ use safetensors::tensor::{Dtype, TensorView};
 use crate::dataset_spec::BuildSpec;
 use crate::{files, folder, within};
 
-/// Numbers of a network that a card's check builds at most.
+/// Largest number of weights of a network that the check of a card builds.
 const MOST_NUMBERS: usize = 1 << 20;
 
-/// A dataset's folder: what opens and agrees with its hashes is written again as it was.
+/// Asserts that a dataset folder that opens and matches its hashes is written again without change.
 pub fn check_dataset(input: &[u8]) {
     let folder = files(&["dataset.json", "manifest.jsonl", "maps-00000.npy", "maps-00001.npy"], input);
     let opened = within((8 << 20) + 256 * input.len(), || Dataset::open(folder.path()));
@@ -41,7 +41,8 @@ pub fn check_dataset(input: &[u8]) {
     }
 }
 
-/// A model file: what loads is written and loads as the same; torchvision's weights by the same bytes.
+/// Asserts that a loaded model file is written and loads as the same model; also loads the bytes as torchvision
+/// weights.
 pub fn check_model(input: &[u8]) {
     let name = Path::new("a.safetensors");
     if let Ok(model) = within((64 << 20) + 64 * input.len(), || Model::from_bytes(name, input)) {
@@ -58,15 +59,15 @@ pub fn check_model(input: &[u8]) {
     assert!(!matches!(weights, Err(WeightsError::NoCounterpart { .. })));
 }
 
-/// A card, with numbers where it is of a small network.
+/// Checks a model card, with weights if its network is small.
 pub fn check_card(text: &str) {
     check_model(&with_card(text));
 }
 
-/// A model file with this card, and zeros for the numbers of a small network.
+/// Model file with this card, and zeros as the weights of a small network.
 pub fn with_card(text: &str) -> Vec<u8> {
     let layout = serde_json::from_str::<ModelCard>(text).map(|card| card.network_spec()).ok().filter(|spec| {
-        // Layouts of circuits grow with their depth.
+        // The layout of a circuit grows with its depth.
         let head = serde_json::to_string(&spec.head).unwrap_or_default();
         let digits = head.split(|c: char| !c.is_ascii_digit()).map(str::len).max().unwrap_or(0);
         digits <= 4 && spec.pooled.iter().all(|n| *n <= 64)
@@ -82,7 +83,7 @@ pub fn with_card(text: &str) -> Vec<u8> {
     safetensors::serialize(views, Some(metadata)).expect("a file")
 }
 
-/// The parts of an ONNX file that are read without a runtime: its card and whether its numbers are finite.
+/// Checks the parts of an ONNX file that are read without a runtime: the card, and whether the weights are finite.
 pub fn check_onnx(input: &[u8]) {
     let folder = folder();
     let path = folder.path().join("a.onnx");
@@ -93,7 +94,7 @@ pub fn check_onnx(input: &[u8]) {
     }
 }
 
-/// Probabilities stay probabilities, whatever the settings that were accepted.
+/// Asserts that outputs stay probabilities for all accepted settings.
 fn check_smoothing(smoothing: Smoothing) {
     let mut filter = OccupancyFilter::new(smoothing, 0.1);
     for (time_s, frame) in [(0.0, [1.0, 0.0, 0.0]), (0.1, [0.0, 0.0, 1.0]), (0.1, [0.2, 0.3, 0.5]), (1e9, [0.0; 3])] {
@@ -102,7 +103,7 @@ fn check_smoothing(smoothing: Smoothing) {
     }
 }
 
-/// Specs of a training, a study and a dataset: accepted, or refused with a reason.
+/// Asserts that specs of a training, a study and a dataset are accepted, or refused with a reason.
 pub fn check_specs(text: &str) {
     let allowed = (4 << 20) + 1024 * text.len();
     within(allowed, || {

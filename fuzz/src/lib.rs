@@ -1,10 +1,11 @@
-//! Shared by the fuzz targets: a count of memory, inputs cut into pieces and files, folders in memory, and the checks of each crate.
+//! Helpers of the fuzz targets: a limit on memory, inputs divided into pieces and files, folders in memory, and the
+//! checks of each crate.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The program's own file: the program is no library.
+/// Source file of the program, included because the program is no library.
 #[allow(dead_code)]
 #[path = "../../cli/src/dataset/spec.rs"]
 mod dataset_spec;
@@ -24,7 +25,7 @@ static ALLOWED: AtomicUsize = AtomicUsize::new(usize::MAX);
 fn grown(bytes: usize) {
     let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
     if live > ALLOWED.load(Ordering::Relaxed) {
-        // The fuzzer ends the program here, so that the backtrace shows who asked for it.
+        // The fuzzer ends the program here, so that the backtrace shows the allocation.
         ALLOWED.store(usize::MAX, Ordering::Relaxed);
         panic!("{bytes} bytes more make {live}, which is too much");
     }
@@ -61,7 +62,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Does something that may hold at most so many bytes more than there were before.
+/// Runs `action`, which may allocate at most this number of bytes more than are allocated already.
 pub fn within<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
     ALLOWED.store(LIVE.load(Ordering::Relaxed) + bytes, Ordering::Relaxed);
     let result = action();
@@ -69,7 +70,7 @@ pub fn within<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
     result
 }
 
-/// Cuts bytes into pieces of 1 to `longest` bytes, the same for the same bytes.
+/// Divides bytes into pieces of 1 to `longest` bytes, as a function of the bytes.
 pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
     let mut state =
         bytes.iter().fold(0x9E37_79B9_7F4A_7C15u64, |s, b| (s ^ u64::from(*b)).wrapping_mul(0x100_0000_01B3));
@@ -86,7 +87,7 @@ pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
 /// Separator between the files of one input.
 pub const SEPARATOR: &[u8] = b"\n====\n";
 
-/// The files of an input; those that are not there are empty.
+/// Files of an input; absent ones are empty.
 pub fn sections<const N: usize>(input: &[u8]) -> [&[u8]; N] {
     let mut rest = Some(input);
     std::array::from_fn(|index| {
@@ -102,14 +103,14 @@ pub fn sections<const N: usize>(input: &[u8]) -> [&[u8]; N] {
     })
 }
 
-/// An empty folder in memory where the system has such, otherwise among the temporary files.
+/// Empty folder, in memory where the system supports it, otherwise among the temporary files.
 pub fn folder() -> tempfile::TempDir {
     let memory = Path::new("/dev/shm");
     let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
     tempfile::tempdir_in(parent).expect("a folder")
 }
 
-/// A folder with the files of an input under these names; those that are empty are not written.
+/// Folder with the files of an input under these names, without the empty ones.
 pub fn files<const N: usize>(names: &[&str; N], input: &[u8]) -> tempfile::TempDir {
     let folder = folder();
     for (name, bytes) in names.iter().zip(sections::<N>(input)) {

@@ -9,7 +9,7 @@ use radome_dsp::{Frame, FrameShape, FrameSource, Gap, SourceEvent, Waveform, Wav
 
 use crate::within;
 
-/// The waveform of the small recordings.
+/// Waveform of the small recordings.
 pub fn waveform() -> Waveform {
     let request = WaveformRequest {
         rx_antennas: radome_dsp::RxMask::from_antennas(&[1]).expect("an antenna"),
@@ -20,19 +20,20 @@ pub fn waveform() -> Waveform {
     Waveform::realise(request).expect("valid")
 }
 
-/// Item that a recording gives.
+/// Event of a recording: a frame or a gap.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     Frame(Frame),
     Gap(Gap),
 }
 
-/// All that can be read from here on, and whether the end was reached. `None` if a frame would be too large for a fuzzer.
+/// Reads all remaining events, and whether the end was reached. Returns `None` if a frame would be too large for a
+/// fuzzer.
 pub fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
     if source.waveform().shape().codes() > 1 << 16 {
         return None;
     }
-    // Without memory of its own: a reader must not count on what it is given.
+    // The frame has no capacity, so that the reader must allocate it.
     let mut frame = Frame { codes: Vec::new(), ..Frame::zeroed(FrameShape { rx: 0, chirps: 0, samples: 0 }) };
     let mut events = Vec::new();
     loop {
@@ -56,7 +57,7 @@ pub fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
     }
 }
 
-/// Writes frames and gaps in a format, and labels if it holds them.
+/// Writes frames and gaps in a format, and labels if the format holds them.
 pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan]) -> bool {
     let mut writer = RecordingWriter::create(path, format, header).expect("creates");
     for event in events {
@@ -71,8 +72,8 @@ pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Ev
     writer.finish().expect("finishes").omitted.is_empty()
 }
 
-/// Checks that a recording that was read whole comes back from the native format, and from another one if that says that it
-/// holds all.
+/// Asserts that the native format preserves a recording that was read completely. Asserts the same of another format,
+/// if that reports no loss.
 pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan], other: Format) {
     let path = folder.join("again.mcap");
     write(&path, Format::Mcap, header, events, labels);
@@ -88,11 +89,11 @@ pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], lab
     }
 }
 
-/// Everything that holds for any file that may be a native recording.
+/// Asserts the properties of any file that may be a native recording.
 pub fn check_mcap(folder: &Path, bytes: &[u8]) {
     let path: PathBuf = folder.join("a.mcap");
     std::fs::write(&path, bytes).expect("writes");
-    // A chunk of a good file unpacks to a few times its length; a claim alone costs nothing.
+    // A chunk of a valid file unpacks to a few times its length; a claimed length alone must not allocate memory.
     let allowed = (8 << 20) + 256 * bytes.len();
     let found = within(allowed, || {
         let mut reader = McapReader::open(&path).ok()?;
@@ -125,14 +126,14 @@ pub fn check_mcap(folder: &Path, bytes: &[u8]) {
         assert_eq!(reader.header(), header);
         assert!(frames(&repaired).starts_with(&frames(events)), "repair saves what a reader reads");
     }
-    // A second repair has nothing to do.
+    // A second repair finds no damage.
     let again = folder.join("again-fixed.mcap");
     let second = repair(&fixed, &again).expect("repairs");
     assert!(second.damage.is_empty() && second.lost.is_empty(), "{second:?}");
     assert!(std::fs::read(&fixed).expect("reads") == std::fs::read(&again).expect("reads"));
 }
 
-/// Seeking finds a place from which reading goes on as from the start, where numbers increase.
+/// Asserts that reading after a seek gives the same events as reading from the start, where numbers increase.
 fn seek(path: &Path, events: &[Event], whole: bool) {
     let numbers: Vec<u64> =
         events.iter().filter_map(|e| if let Event::Frame(f) = e { Some(f.sequence) } else { None }).collect();

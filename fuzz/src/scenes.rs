@@ -1,4 +1,4 @@
-//! Checks of scene files and of every kind of file that a scene names.
+//! Checks of scene files and of every kind of file that a scene refers to.
 
 use radome_sim::Scene;
 use radome_sim::people::bvh::parse_bvh;
@@ -13,14 +13,15 @@ use crate::{files, within};
 pub const SCENE_FILES: [&str; 8] =
     ["scene.toml", "receiver.toml", "room.obj", "room.stl", "room.gltf", "actor.gltf", "actor.dae", "clip.bvh"];
 
-/// Memory that parsing may take for each byte of a mesh, and beside that.
+/// Memory that parsing may take: bytes for each byte of a mesh, and a constant.
 const MESH_BYTES: [usize; 2] = [512, 16 << 20];
 /// Memory that an actor may take: its skin is refined to 150,000 triangles at most.
 const ACTOR_BYTES: usize = 768 << 20;
-/// Samples of a clip's joints take memory of their own, which is bounded.
+/// Memory that the samples of a clip's joints may take.
 const CLIP_BYTES: usize = 256 << 20;
 
-/// A scene with all that it names: loads or says why not; a scene that loads has a room, a radar and receivers.
+/// Asserts that a scene with its files loads or is refused with a reason. A loaded scene has a room, a radar and
+/// receivers.
 pub fn check_scene(input: &[u8]) {
     let folder = files(&SCENE_FILES, input);
     let path = folder.path().join("scene.toml");
@@ -38,7 +39,7 @@ pub fn check_scene(input: &[u8]) {
     }
 }
 
-/// Binary or text STL.
+/// Checks binary or text STL.
 pub fn check_stl(input: &[u8]) {
     let [each, beside] = MESH_BYTES;
     if let Ok(parts) = within(beside + each * input.len(), || parse_stl(input)) {
@@ -46,7 +47,7 @@ pub fn check_stl(input: &[u8]) {
     }
 }
 
-/// OBJ.
+/// Checks OBJ.
 pub fn check_obj(input: &[u8]) {
     let [each, beside] = MESH_BYTES;
     if let Ok(parts) = within(beside + each * input.len(), || parse_obj(input)) {
@@ -54,11 +55,11 @@ pub fn check_obj(input: &[u8]) {
     }
 }
 
-/// glTF with a buffer beside it, or GLB: as a mesh of a room and as an actor.
+/// Checks glTF with a separate buffer, or GLB, as a mesh of a room and as an actor.
 pub fn check_gltf(input: &[u8]) {
     let folder = files(&["a.gltf", "buffer.bin"], input);
     let path = folder.path().join("a.gltf");
-    // Numbers of one accessor may be read for many primitives: their sum is bounded.
+    // Many primitives may read the numbers of one accessor, so that their total is bounded.
     if let Ok(parts) = within(ACTOR_BYTES, || import(&path, LengthUnit::Metre, UpAxis::Y)) {
         check_parts(&parts);
     }
@@ -69,7 +70,7 @@ pub fn check_gltf(input: &[u8]) {
     }
 }
 
-/// COLLADA.
+/// Checks COLLADA.
 pub fn check_collada(input: &[u8]) {
     let options = ActorOptions { height_m: Some(1.75), ..ActorOptions::default() };
     if let Ok(actor) = within(ACTOR_BYTES, || Actor::parse(input, std::path::Path::new("a.dae"), &options)) {
@@ -77,7 +78,7 @@ pub fn check_collada(input: &[u8]) {
     }
 }
 
-/// BVH: the clip as it stands, and the cycle of steps in it.
+/// Checks a BVH clip and its cycle of steps.
 pub fn check_bvh(text: &str) {
     let Ok(clip) = within((1 << 20) + 512 * text.len(), || parse_bvh(text)) else {
         assert!(BodyClip::parse(text, UpAxis::Y, None).is_err());
@@ -94,7 +95,7 @@ pub fn check_bvh(text: &str) {
     }
 }
 
-/// Triangles have their corners, and what is a mesh can be welded and looked through.
+/// Asserts that triangles refer to existing vertices, and that a mesh can be welded and checked.
 fn check_parts(parts: &[Part]) {
     assert!(!parts.is_empty());
     for part in parts {

@@ -27,7 +27,7 @@ fn seconds(mut f: impl FnMut()) -> f64 {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // Before anything asks for the pool.
+    // The pool must be configured before its first use.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
     measure()
 }

@@ -1,5 +1,5 @@
-//! Milliseconds of each layer shape of ResNet-18 and EfficientNet-B0 on 32 maps of 128 x 128, forwards and with the
-//! backward pass, and of a training step of a whole ResNet-18.
+//! Time of each layer shape of ResNet-18 and EfficientNet-B0 on 32 maps of 128 x 128, ms, for the forward pass alone
+//! and with the backward pass. Also times a training step of a whole ResNet-18.
 //!
 //! `cargo run --release -p radome-models --example layer_time [level]`
 #![allow(clippy::print_stdout)]
@@ -18,7 +18,7 @@ static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new()
 
 const BATCH: usize = 32;
 
-/// Name, rows and columns, inputs, outputs, kernel, stride; depthwise where inputs are groups.
+/// Name, rows and columns, inputs, outputs, kernel and stride; the last field is true for depthwise convolutions.
 const SHAPES: &[(&str, usize, usize, usize, usize, usize, bool)] = &[
     ("resnet stem 7x7/2", 128, 1, 64, 7, 2, false),
     ("resnet 3x3", 32, 64, 64, 3, 1, false),
@@ -43,7 +43,8 @@ const SHAPES: &[(&str, usize, usize, usize, usize, usize, bool)] = &[
     ("b0 pointwise", 4, 320, 1280, 1, 1, false),
 ];
 
-/// Milliseconds: of all threads' work where `RAYON_NUM_THREADS` is 1, which other programs disturb less; else by the wall.
+/// Current time, ms. Where `RAYON_NUM_THREADS` is 1, the processor time of all threads, which other programs disturb
+/// less; otherwise the wall time.
 fn now(began: Instant) -> f64 {
     #[cfg(target_os = "linux")]
     if std::env::var("RAYON_NUM_THREADS").as_deref() == Ok("1") {
@@ -53,7 +54,7 @@ fn now(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() * 1e3
 }
 
-/// Least of some runs, ms: forwards, and forwards with backwards.
+/// Least time of several runs, ms: forward pass, and forward with backward pass.
 fn time(repetitions: usize, mut f: impl FnMut() -> Result<Tensor>) -> Result<[f64; 2]> {
     let mut best = [f64::INFINITY; 2];
     let began = Instant::now();
@@ -72,7 +73,7 @@ fn random(shape: &[usize]) -> Result<Var> {
     Var::from_tensor(&Tensor::randn(0f32, (2.0 / fan_in as f32).sqrt(), shape, &Device::Cpu)?)
 }
 
-/// One convolution with batch norm behind it.
+/// Convolution followed by batch norm.
 struct Block {
     weight: Var,
     scale: Var,
@@ -130,7 +131,7 @@ fn resnet(level: KernelLevel) -> Result<impl FnMut() -> Result<Tensor>> {
     })
 }
 
-/// Classifies `batch` maps by a ResNet-18 of random weights, as inference does it.
+/// Classifies `batch` maps by a ResNet-18 with random weights, in the same way as inference.
 fn resnet_inference(batch: usize, level: KernelLevel) -> Result<impl FnMut() -> Result<()>> {
     let conv = |inputs: usize, outputs: usize, kernel: usize, stride: usize, act: Activation| -> Result<PreparedConv> {
         let weight = random(&[outputs, inputs, kernel, kernel])?.flatten_all()?.to_vec1::<f32>()?;

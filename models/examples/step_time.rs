@@ -1,4 +1,4 @@
-//! Microseconds of each step of a prepared network on one map of 128 x 128: median and least of some runs.
+//! Time of each step of a prepared network on one map of 128 x 128, us: median and least of several runs.
 //!
 //! `RAYON_NUM_THREADS=2 cargo run --release -p radome-models --example step_time [NETWORK [RUNS [LEVEL]]]`
 #![allow(clippy::print_stdout)]
@@ -29,7 +29,7 @@ fn main() -> Result<()> {
     let network = Network::initialise(&spec, 1, 0, level)?;
     let mut inference = Inference::new(&network)?;
     let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
-    // Of each step, and of the whole run.
+    // Times of each step and of the whole run.
     let mut times: Vec<(String, Vec<f64>)> = Vec::new();
     for _ in 0..runs {
         let mut step = 0;

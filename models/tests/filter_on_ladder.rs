@@ -1,7 +1,7 @@
-//! The occupancy filter on the answers of a shipped model to all recordings of the ladder.
+//! Tests of the occupancy filter on the predictions of a shipped model for all recordings of the ladder.
 //!
-//! `fixtures/ladder/frames-room-hqnn.jsonl` holds what room-hqnn said to each of their frames; `fixtures/ladder/remake-frames` makes
-//! it. So no frame has to be simulated here.
+//! `fixtures/ladder/frames-room-hqnn.jsonl` holds the predictions of room-hqnn for each frame, so that no frame has to
+//! be simulated here. `fixtures/ladder/remake-frames` makes the file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +18,7 @@ use serde::Deserialize;
 struct Recording {
     recording: String,
     frame_interval_s: f64,
-    /// A letter a frame: 0, 1 or 2 people, or `-` where someone is entering or leaving.
+    /// One letter for each frame: 0, 1 or 2 people, or `-` where someone is entering or leaving.
     labels: String,
     empty_permille: Vec<u16>,
     two_permille: Vec<u16>,
@@ -39,7 +39,7 @@ impl Recording {
     }
 }
 
-/// Recordings by their rung.
+/// Recordings, grouped by rung.
 fn rungs() -> BTreeMap<String, Vec<FilterSequence>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/ladder/frames-room-hqnn.jsonl");
     let text = std::fs::read_to_string(path).expect("a fixture");
@@ -67,14 +67,16 @@ fn balanced_accuracy<'a>(frames: impl IntoIterator<Item = &'a FramePrediction>) 
     Metrics::from_predictions(frames.into_iter().filter_map(said)).balanced_accuracy
 }
 
-/// Evidence that adds up leads away from the truth where most frames of a stretch of one label are wrong, and no filter can know that.
-/// Where most are right, the filter loses no more than its delay on any rung. Over all frames it may lose what few were right.
+/// Asserts that the filter loses no more than its delay on any rung, where most frames of a stretch of one label are
+/// right. Where most are wrong, accumulated evidence leads any filter away from the truth. Over all frames the filter
+/// may therefore lose the few right frames of such stretches.
 #[test]
 fn the_filter_is_not_worse_than_frames_on_any_rung() {
     let mut gains = Vec::new();
     for (rung, sequences) in rungs() {
         let (mut alone, mut through) = (Vec::new(), Vec::new());
-        // Labelled frames of stretches whose frames are mostly right: all, right by themselves, right through the filter.
+        // Labelled frames of stretches whose frames are mostly right: their number, those right by themselves, and
+        // those right after the filter.
         let (mut frames, mut right, mut right_through) = (0usize, 0usize, 0usize);
         for sequence in &sequences {
             let labelled: Vec<(FramePrediction, FramePrediction)> = (sequence.frames.iter().copied())
@@ -120,7 +122,8 @@ fn the_confidence_is_that_of_being_right() {
     assert!(error < 0.07, "{error}");
 }
 
-/// The defaults are near what has the best log loss on these recordings, which is better than that of frames.
+/// Asserts that the defaults are near the settings with the best log loss on these recordings, which is better than
+/// that of single frames.
 #[test]
 fn the_default_settings_are_near_those_of_the_best_log_loss() {
     let groups: Vec<Vec<FilterSequence>> = rungs().into_values().collect();

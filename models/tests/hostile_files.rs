@@ -1,5 +1,5 @@
-//! Model files, ONNX files and specs that are damaged on purpose: refused with a reason, without a panic and without memory for
-//! numbers that nothing stands behind.
+//! Model files, ONNX files and specs with deliberate damage. They are refused with a reason, without a panic, and
+//! without allocations for sizes that are only claimed.
 
 mod hard_cases {
     use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ mod hard_cases {
     use radome_models::{MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainSpec, onnx};
     use safetensors::SafeTensors;
 
-    /// A model as small as there is.
+    /// Model of minimum size.
     fn small() -> Model {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
         let card = ModelCard::load(&path).expect("a fixture");
@@ -42,7 +42,7 @@ mod hard_cases {
         }
     }
 
-    /// The card decides the sizes of the network: every number in it is looked at before it is used.
+    /// Asserts that every number in a card is checked before use, since the card determines the sizes of the network.
     #[test]
     fn cards_with_numbers_beyond_any_network_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -90,7 +90,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         for name in ["a.safetensors", "a.onnx"] {
             let path = folder.path().join(name);
-            // A file of this length that takes no room on the disk.
+            // Sparse file of this length, which takes no space on the disk.
             std::fs::File::create(&path).and_then(|file| file.set_len(MODEL_LIMIT_BYTES + 1)).expect("made");
             let error = ModelCard::load(&path).expect_err("too large").to_string();
             assert!(error.contains(name) && error.contains("at most") && error.contains("hint: "), "{error}");
@@ -118,7 +118,7 @@ mod hard_cases {
             assert!(load(&whole[..length]).is_err(), "{length}");
         }
         let hostile: [&[u8]; 6] = [
-            // A graph and an array of 2^64 - 1 bytes, a number without an end, and wire types that there are not.
+            // Graph and array of 2^64 - 1 bytes, a number without an end, and invalid wire types.
             &[0x3A, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
             &[0x3A, 0x0B, 0x2A, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
             &[0xFF; 64],
@@ -130,7 +130,7 @@ mod hard_cases {
             let error = load(bytes).expect_err("refused");
             assert!(matches!(error, ModelError::NotOnnx { .. } | ModelError::NoCard { .. }), "{bytes:?}: {error}");
         }
-        // Empty messages by the million: none of them is kept.
+        // Millions of empty messages, none of which is stored.
         let mut many = vec![0x3A, 0x80, 0x80, 0x80, 0x02];
         many.extend([0x2A, 0x00].repeat(2 << 20));
         assert!(matches!(load(&many), Err(ModelError::NoCard { .. })));

@@ -1,4 +1,4 @@
-//! Models from outside: one program, so that it is linked once.
+//! Tests of models through the public API, in one program, so that it is linked once.
 
 mod filter_on_ladder;
 mod hostile_files;

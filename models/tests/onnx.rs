@@ -1,4 +1,5 @@
-//! Exported networks by onnxruntime beside our own, where onnxruntime is installed (`tests/run` installs it).
+//! Compares exported networks in onnxruntime with the originals, where onnxruntime is installed (`tests/run` installs
+//! it).
 
 #![allow(clippy::print_stderr)]
 
@@ -17,10 +18,10 @@ use radome_models::{Classifier, Model, ModelCard, ModelError, NetworkSpec, netwo
 use radome_skip::skip;
 use rand::Rng;
 
-/// Logits at which a number counts as itself rather than as one.
+/// Largest difference of logits, absolute below one and relative above.
 const TOLERANCE: f32 = 1e-4;
 
-/// Maps of which each is stronger than the one before, so that answers differ.
+/// Made-up maps of increasing strength, so that answers differ.
 fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     let mut rng = stream(5, "maps", 0);
     let strength = |index: usize| 0.5 + (index / (range * doppler)) as f32;
@@ -32,7 +33,7 @@ fn logits(network: &Network, maps: &[f32], shape: [usize; 3]) -> Vec<f32> {
     network.logits(&input).and_then(|t| t.flatten_all()?.to_vec1()).expect("logits")
 }
 
-/// Numbers of a network after a few steps of training, so that its normalisations do something and its answers differ.
+/// Weights of a network after a few training steps, so that its normalisations have an effect and its answers differ.
 fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
     let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
@@ -40,14 +41,15 @@ fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
         trainer.step(&maps, &labels).expect("step");
     }
     let mut values = trainer.network().values().expect("values");
-    // Two hidden units are soon dead; of two that are opposed one lives.
+    // Two hidden units may soon be dead; of two opposite ones, one is active.
     if let Some([a, b, c, d]) = values.get_mut("head_hidden.weight").map(Vec::as_mut_slice) {
         (*c, *d) = (-*a, -*b);
     }
     values
 }
 
-/// A network whose latent spreads over the scaled sigmoid and whose logits are of order one, at this size.
+/// Network for maps of this size whose latent covers the range of the scaled sigmoid, and whose logits are of order
+/// one.
 fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
     let shape = [2, range, doppler];
     let maps = maps(shape);
@@ -72,7 +74,7 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
     build(&values)
 }
 
-/// A session, or `None` without onnxruntime: the test is then counted as skipped.
+/// Session of onnxruntime. Returns `None` and counts the test as skipped where it is not installed.
 fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
     match OnnxSession::new(Path::new("exported.onnx"), bytes, rows, columns) {
         Ok(session) => Some(session),
@@ -84,7 +86,7 @@ fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
     }
 }
 
-/// Largest difference relative to logits above one; `None` where there is no onnxruntime.
+/// Largest difference of logits, relative to logits above one; `None` without onnxruntime.
 fn difference(name: &str, spec: &NetworkSpec, values: &BTreeMap<String, Vec<f32>>, size: [usize; 2]) -> Option<f32> {
     let network = lively(spec, values.clone(), size);
     let bytes = onnx::export_network(&network, size[0], size[1]).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -142,7 +144,7 @@ fn every_circuit_answers_alike_in_onnxruntime() {
     eprintln!("circuits: {largest:.1e}");
 }
 
-/// The shipped models, exported and run as ONNX files, give the probabilities of the models.
+/// Asserts that the exported shipped models give the same probabilities in onnxruntime.
 #[test]
 fn shipped_models_classify_alike_as_onnx_files() {
     let folder = tempfile::tempdir().expect("folder");
@@ -181,7 +183,7 @@ fn shipped_models_classify_alike_as_onnx_files() {
 mod hard_cases {
     use super::*;
 
-    /// Found before any runtime is looked for.
+    /// Asserts that these files are refused before any runtime is loaded.
     #[test]
     fn cut_and_foreign_files_are_refused() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
@@ -204,7 +206,7 @@ mod hard_cases {
         let bare = onnx::export_network(&model.network, 32, 32).expect("exported");
         let error = refusal(&bare);
         assert!(matches!(error, ModelError::NoCard { .. }) && error.to_string().contains("'radome' entry"), "{error}");
-        // A number that is none: the first behind the array's name, a tag and its length in three bytes.
+        // Makes a number NaN: the first one after the array's name, a tag, and a length of three bytes.
         let mut numbers = whole;
         let name = numbers.windows(10).rposition(|window| window == b"fc1.weight").expect("an array");
         numbers[name + 14..name + 18].copy_from_slice(&[0xff; 4]);
@@ -254,7 +256,7 @@ mod hard_cases {
         assert!(error.contains("pool5"), "{error}");
     }
 
-    /// Another size of maps than the file is for is found when it is opened, not at the first map.
+    /// Asserts that a file for maps of another size is refused when it is opened, not at the first map.
     #[test]
     fn a_file_for_other_maps_is_refused() {
         let spec = NetworkSpec::named("hqnn").expect("known");

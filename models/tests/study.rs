@@ -1,4 +1,4 @@
-//! Studies on made-up maps: shards, interruptions, failures.
+//! Tests of studies on made-up maps: shards, interruptions and failures.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use radome_models::{Dataset, TrainSpec};
 
 use crate::support::{Maps, dataset};
 
-/// Few small maps with strong targets.
+/// Settings of few small maps with strong targets.
 const FEW: Maps = Maps { seed: 1, size: 32, sequences: [6, 2, 2], length: 3, snr_db: (20.0, 30.0) };
 
 fn maps() -> Dataset {
@@ -24,12 +24,12 @@ fn condition(name: &str, dataset: Dataset) -> Condition {
     Condition::new(name, Some("Group"), dataset).expect("a condition")
 }
 
-/// The same sequences, frames and labels with targets of another strength.
+/// Condition with the same sequences, frames and labels, and targets of another strength.
 fn weaker(snr_db: f64) -> Condition {
     condition("weaker", dataset(Maps { snr_db: (snr_db, snr_db + 10.0), ..FEW }))
 }
 
-/// Maps of sequences that no training has seen.
+/// Condition with maps of sequences that are in no training.
 fn strangers() -> Condition {
     let maps = dataset(Maps { seed: 2, ..FEW });
     let header = maps.header().clone();
@@ -46,7 +46,8 @@ fn variant(name: &str) -> Variant {
     Variant { name: name.to_owned(), network: None, head: None, transposed: None }
 }
 
-/// Two heads, a grid of two rates, two seeds, two shares of the maps: 8 trainings that are compared and 2 that only choose.
+/// Spec of two heads, two learning rates, two seeds and two shares of the maps: 8 trainings to compare and 2 that only
+/// select the rate.
 fn spec() -> StudySpec {
     StudySpec {
         title: "Small".to_owned(),
@@ -82,7 +83,7 @@ fn run(spec: &StudySpec, maps: &Dataset, folder: &Path, shard: (usize, usize)) -
     trained
 }
 
-/// Runs a shard with conditions; returns the numbers of trainings and of models that it judged, and the report.
+/// Runs a shard with conditions; returns the numbers of trainings and of evaluated models, and the report.
 fn judge(
     spec: &StudySpec,
     maps: &Dataset,
@@ -116,7 +117,7 @@ fn report(spec: &StudySpec, maps: &Dataset, folder: &Path) -> Report {
     Study::open(spec, maps, folder, (0, 1)).expect("opens").report().expect("a report")
 }
 
-/// Everything that is written of a report.
+/// Report as Markdown and as JSON.
 fn bytes(report: &Report) -> (String, String) {
     (report.markdown(), serde_json::to_string_pretty(report).expect("JSON"))
 }
@@ -130,12 +131,12 @@ fn shards_in_any_order_make_the_report_of_one_run() {
     let whole = report(&spec, &maps, &at("whole"));
     assert_eq!((whole.done, whole.planned), (8, 8));
 
-    // The last shard begins alone and tries the rates that it needs of the others.
+    // The last shard runs first and trains at the rates that it needs from the others.
     let counts = [2, 0, 1].map(|index| run(&spec, &maps, &at("apart"), (index, 3)).len());
     assert_eq!(counts.iter().sum::<usize>(), 10, "{counts:?}");
     assert_eq!(bytes(&report(&spec, &maps, &at("apart"))), bytes(&whole));
 
-    // All at once.
+    // All shards run in parallel.
     let together = at("together");
     let (maps, spec, together) = (&maps, &spec, together.as_path());
     let counts: Vec<usize> = std::thread::scope(|scope| {
@@ -147,7 +148,8 @@ fn shards_in_any_order_make_the_report_of_one_run() {
     assert_eq!(bytes(&report(spec, maps, together)), bytes(&whole));
 }
 
-/// The models of all labels are kept, each by the name of its outcome, and the report tells every epoch.
+/// Asserts that the models of all labels are kept under the names of their results, and that the report has every
+/// epoch.
 #[test]
 fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
     let (maps, spec) = (maps(), spec());
@@ -168,7 +170,7 @@ fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
     }
 }
 
-/// A study that is stopped has the scores under every condition of each training that it has.
+/// Asserts that an interrupted study has the scores of each finished training under every condition.
 #[test]
 fn conditions_are_judged_as_soon_as_a_training_is_done() {
     let (maps, spec) = (maps(), spec());
@@ -198,7 +200,8 @@ fn conditions_are_judged_as_soon_as_a_training_is_done() {
     assert_eq!(judged.get(), whole * conditions.len());
 }
 
-/// A study that is whole gets conditions: no file of a training changes. A dataset that changes is judged anew, and no other.
+/// Asserts that conditions of a complete study change no file of a training, and that only changed datasets are
+/// evaluated again.
 #[test]
 fn conditions_are_judged_without_training_again() {
     let (maps, spec) = (maps(), spec());
@@ -211,7 +214,7 @@ fn conditions_are_judged_without_training_again() {
     // Two networks, two seeds, three conditions.
     assert_eq!(counts, [0, 12]);
     assert!(kept() == before, "files of trainings were written again");
-    // The test split of the same sequences, and all strangers.
+    // Numbers of maps: the test splits of the same sequences, and all maps of unseen sequences.
     let of_maps: Vec<usize> = report.conditions.iter().map(|condition| condition.maps).collect();
     assert_eq!(of_maps, [18, 18, 90]);
     assert!(report.conditions.iter().all(|condition| (condition.done, condition.planned) == (4, 4)), "{report:?}");
@@ -219,7 +222,7 @@ fn conditions_are_judged_without_training_again() {
         let of = |index: usize| report.conditions[index].cells.iter().find(|of| of.variant == cell.variant);
         let same = of(0).expect("a cell");
         assert_eq!((same.balanced_accuracy, same.confusion), (cell.test, cell.confusion));
-        // The same models on the same maps differ in nothing, seed by seed.
+        // The same models on the same maps have no difference, for each seed.
         assert_eq!(same.scores.iter().map(|score| score.seed).collect::<Vec<_>>(), [1, 2]);
         let difference = paired_difference(&same.scores, &cell.scores).expect("pairs");
         assert_eq!((difference.count, difference.least, difference.most), (2, 0.0, 0.0));
@@ -245,7 +248,7 @@ fn shards_judge_conditions_to_the_report_of_one_run() {
     let sum = |of: usize| apart.iter().map(|(counts, _)| counts[of]).sum::<usize>();
     assert_eq!([sum(0), sum(1)], [10, 8]);
     assert_eq!(bytes(&apart[2].1), bytes(&whole));
-    // Added afterwards, by shards.
+    // Conditions are added afterwards, by shards.
     run(&spec, &maps, &at("after"), (0, 1));
     let after = [1, 0].map(|index| judge(&spec, &maps, &at("after"), (index, 2), &conditions));
     assert_eq!(after.iter().map(|(counts, _)| counts[1]).sum::<usize>(), 8);
@@ -264,7 +267,8 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     };
     let (before, timed) = plan();
     assert_eq!((before.trainings, before.done, timed.len()), (10, 0, 2));
-    // 54 maps in batches of 16: 4 steps an epoch, 2 for the half. Two epochs; of each network two trainings at half of the maps.
+    // 54 maps in batches of 16 give 4 steps an epoch, 2 for half of them. There are two epochs; two trainings of each
+    // network use half of the maps.
     let steps: Vec<usize> = before.networks.iter().map(|network| network.steps).collect();
     assert_eq!(steps, [3 * 2 * 4 + 2 * 2 * 2; 2]);
     assert!(before.networks.iter().all(|network| network.step_seconds.is_some_and(|seconds| seconds > 0.0)));
@@ -278,7 +282,7 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     assert!(after.hours == 0.0 && after.networks.iter().all(|network| network.step_seconds.is_none()), "{after:?}");
 }
 
-/// Shares of the maps and noise on them cost no training twice: there is one file a training, and each is trained once.
+/// Asserts that shares of the maps and noise levels repeat no training: each has one file.
 #[test]
 fn noise_levels_are_evaluated_on_the_same_trainings() {
     let (maps, few) = (maps(), spec());
@@ -299,7 +303,7 @@ mod hard_cases {
         Study::open(spec, maps, folder, (0, 1)).expect("opens").run(&|| true, &mut |_| {}).expect("runs")
     }
 
-    /// Three maps are less than a batch; a network with batch normalisation learns from them, too.
+    /// Asserts that a network with batch normalisation can be trained on three maps, which are less than a batch.
     #[test]
     fn a_share_of_one_map_a_class_is_trained_on() {
         let maps = maps();
@@ -339,7 +343,7 @@ mod hard_cases {
             assert!(failure.reason.contains("not finite at start"), "{failure:?}");
             assert!(all.markdown().contains(&failure.reason), "{}", all.markdown());
         }
-        // Of two rates, the one that diverges is not chosen, and is not lost.
+        // The rate that diverges is not selected, but its result is kept.
         spec.learning_rates = vec![1e30, 1e-3];
         outcomes(&spec, &maps, &at("two"));
         let all = report(&spec, &maps, &at("two"));
@@ -348,7 +352,7 @@ mod hard_cases {
         assert_eq!(lost.filter(|failure| failure.reason.contains("not finite")).count(), 2, "{all:?}");
     }
 
-    /// A training that diverged has no model: it counts as chance under every condition.
+    /// Asserts that a training that diverged, and therefore has no model, counts as chance under every condition.
     #[test]
     fn a_training_that_diverged_is_chance_under_conditions() {
         let maps = maps();
@@ -386,7 +390,7 @@ mod hard_cases {
         let error = open(&spec, &maps, folder.path(), &twice).err().expect("one name in files").to_string();
         assert!(error.contains("'A_b'"), "{error}");
 
-        // A set of what the networks were trained on says nothing of them.
+        // A set that contains only training sequences is refused.
         let seen = [condition("seen", dataset(Maps { sequences: [6, 2, 0], ..FEW }))];
         let error = open(&spec, &maps, folder.path(), &seen)
             .expect("like maps")
@@ -394,7 +398,7 @@ mod hard_cases {
             .expect_err("nothing to judge by");
         assert!(matches!(&error, StudyError::NothingUnseen { condition } if condition == "seen"), "{error}");
 
-        // Of a study that was run before models were kept.
+        // A study from before models were kept lacks this file.
         let strange = [strangers()];
         std::fs::remove_file(folder.path().join("models/hqnn-1-0.001-1.safetensors")).expect("removed");
         let error = open(&spec, &maps, folder.path(), &strange)
@@ -411,7 +415,7 @@ mod hard_cases {
         assert!(error.contains("label_fractions"), "{error}");
     }
 
-    /// A whole run keeps all others out; shards keep whole runs out.
+    /// Asserts that a whole run excludes all other runs, and that shards exclude whole runs.
     #[test]
     fn a_folder_in_use_is_said_to_be() {
         let (maps, spec) = (maps(), spec());
@@ -425,7 +429,7 @@ mod hard_cases {
         }
         drop(lock);
         let mut error = None;
-        // One result is enough.
+        // The first result suffices.
         let results = folder.path().join("results");
         let is_first = || std::fs::read_dir(&results).expect("a folder").count() == 0;
         let ran = study((0, 2)).run(&is_first, &mut |progress| {
@@ -437,7 +441,7 @@ mod hard_cases {
         assert!(matches!(error, Some(StudyError::Dataset(DatasetError::Busy { .. }))), "{error:?}");
     }
 
-    /// A checkpoint of another machine, or a damaged one: the training begins again and the report is the same.
+    /// Asserts that with a damaged checkpoint, or one of another machine, training restarts and the report is the same.
     #[test]
     fn a_checkpoint_that_cannot_be_continued_is_left() {
         let maps = maps();

@@ -1,4 +1,4 @@
-//! Training on made-up maps, saving and loading of models.
+//! Tests of training on made-up maps, and of saving and loading models.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use radome_models::{
 
 use crate::support::{Maps, dataset, header};
 
-/// Small maps with strong targets: learnt in a second.
+/// Settings of small maps with strong targets, which a network learns in a second.
 fn easy() -> Maps {
     Maps { size: 32, sequences: [40, 12, 12], length: 3, snr_db: (20.0, 30.0), ..Maps::default() }
 }
@@ -24,7 +24,7 @@ fn quick() -> TrainSpec {
     TrainSpec { epochs: 8, linear_epochs: Some(4), starts: 1, start_epochs: 1, ..TrainSpec::default() }
 }
 
-/// All augmentations of training maps over their own noise.
+/// Every augmentation of training maps with levels over noise.
 fn everything() -> Augmentation {
     Augmentation {
         noise_db: 1.0,
@@ -38,7 +38,7 @@ fn everything() -> Augmentation {
     }
 }
 
-/// One epoch on few maps: enough where the result does not matter.
+/// Few maps and one epoch, for tests in which the result does not matter.
 fn brief() -> (Dataset, TrainSpec) {
     let set = dataset(Maps { size: 16, sequences: [3, 2, 1], length: 3, ..Maps::default() });
     (
@@ -54,7 +54,7 @@ fn brief() -> (Dataset, TrainSpec) {
     )
 }
 
-/// Settings for the training of a network of descriptors.
+/// Settings for training a network of map descriptors.
 fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
     TrainSpec { network, reference: MapReference::OverNoise { skip_range_bins: 0, most_db: None }, ..spec }
 }
@@ -63,7 +63,7 @@ fn rdm(set: &Dataset, index: usize) -> Rdm {
     set.header().rdm(set.map(index).expect("map"), index as u64)
 }
 
-/// The model from its file and as it was; the folder holds nothing but the file.
+/// Saves and loads a model; returns the original and the loaded one. Asserts that the folder holds only the file.
 fn saved_and_loaded(model: Model) -> [Classifier; 2] {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("model.safetensors");
@@ -87,8 +87,8 @@ fn every_seed_learns_to_count() {
     }
 }
 
-/// Plain numbers of a map suffice, with a linear head and with the circuit; the model answers the same from its file, and
-/// another gain is no other map.
+/// Asserts that descriptors of a map suffice for counting, with a linear head and with the circuit. The loaded model
+/// gives the same answers, and another gain does not change them.
 #[test]
 fn descriptors_learn_to_count() {
     let set = dataset(easy());
@@ -149,7 +149,7 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     // The portable level exists on every machine and can be set.
     let portable = TrainSpec { kernel_level: Some(KernelLevel::Portable), ..spec.clone() };
     assert_eq!(run(1, &portable), run(2, &portable));
-    // With everything that maps over their own noise can be changed by.
+    // With every augmentation that maps over noise permit.
     let changed = TrainSpec {
         reference: MapReference::OverNoise { skip_range_bins: 2, most_db: Some(40.0) },
         augmentation: everything(),
@@ -158,7 +158,7 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     assert_eq!(run(1, &changed), run(3, &changed));
 }
 
-/// A training that is stopped anywhere and continued ends with the weights of one that was not.
+/// Asserts that a training that is stopped anywhere and continued ends with the weights of an uninterrupted one.
 #[test]
 fn a_stopped_training_ends_as_if_it_had_not_been() {
     let (set, spec) = brief();
@@ -172,7 +172,7 @@ fn a_stopped_training_ends_as_if_it_had_not_been() {
         for stop in 1..epochs {
             let dir = tempfile::tempdir().expect("folder");
             let path = dir.path().join("checkpoint");
-            // A panic in the middle of the report is as sudden as a signal; the file is written after it.
+            // A panic during the report is as abrupt as a signal; the file is written after the report.
             let mut count = 0;
             let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
                 let _ = train_with_checkpoint(set, &spec, Some(&path), &mut |_| {
@@ -214,7 +214,7 @@ fn a_checkpoint_of_another_training_is_refused() {
     }
 }
 
-/// A map of the same shape that another spec made, or another waveform, is judged wrongly without a sign of it.
+/// Asserts that maps of another spec or waveform are refused: with the same shape, errors would otherwise go unnoticed.
 #[test]
 fn maps_of_another_spec_or_waveform_are_refused() {
     let (set, spec) = brief();
@@ -229,14 +229,14 @@ fn maps_of_another_spec_or_waveform_are_refused() {
     };
     let said = refused(&another, &header.waveform);
     assert!(said.contains("floor_db") && said.contains("instead of") && said.contains("hint: "), "{said}");
-    // The same numbers of chirps and samples, another range a bin.
+    // The same numbers of chirps and samples, but wider range bins.
     let request = WaveformRequest { end_frequency_hz: 60.2e9, ..header.waveform.request.clone() };
     let narrow = Waveform::realise(request).expect("waveform");
     let said = refused(&header.rdm_spec, &narrow);
     assert!(said.contains("waveform") && said.contains("hint: "), "{said}");
 }
 
-/// A network that sees range and Doppler exchanged says so in its card and answers the same after a round through a file.
+/// Asserts that the card of a network with exchanged axes says so, and that the loaded model gives the same answers.
 #[test]
 fn orientation_travels_with_the_model() {
     let (set, spec) = brief();
@@ -262,7 +262,7 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
     }
 }
 
-/// Settings beyond the paper's network are saved in the file and apply to the loaded model.
+/// Asserts that settings beyond the paper's network are saved in the file and apply to the loaded model.
 #[test]
 fn reference_grid_and_smoothing_travel_with_the_model() {
     let (set, spec) = brief();
@@ -274,7 +274,7 @@ fn reference_grid_and_smoothing_travel_with_the_model() {
     let map = rdm(&set, 1);
     let answer = loaded.classify(&map).expect("classify");
     assert_eq!(answer, original.classify(&map).expect("classify"));
-    // Another gain is no other map.
+    // Another gain does not change the answer.
     let mut louder = map.clone();
     louder.db.iter_mut().for_each(|db| *db += 13.0);
     for (a, b) in answer.iter().zip(loaded.classify(&louder).expect("classify")) {
@@ -282,7 +282,7 @@ fn reference_grid_and_smoothing_travel_with_the_model() {
     }
 }
 
-/// With the paper's rule the model needs the label of every map: its card says so, and maps without labels are refused.
+/// Asserts that a model with the paper's rule refuses maps without labels, which its card states.
 #[test]
 fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
     let (set, spec) = brief();
@@ -295,7 +295,7 @@ fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
     classifier.classify_row(&map, set.header().shape, row).expect("with its label");
 }
 
-/// Steps that go nowhere leave the weights that were started from.
+/// Asserts that a training starts from given weights: training steps without effect leave them unchanged.
 #[test]
 fn a_training_starts_from_given_weights() {
     use radome_models::network::Network;
@@ -326,7 +326,7 @@ fn a_training_starts_from_given_weights() {
     for name in ["conv1.weight", "layer4.1.conv2.weight", "fc.weight"] {
         assert!(values[name].iter().zip(&after[name]).all(|(a, b)| (a - b).abs() < 1e-6), "{name}");
     }
-    // The paper's network has no counterpart there.
+    // The paper's network has no matching layers.
     let error = train(&set, &TrainSpec { network: NetworkKind::Hqnn, ..started }, &mut |_| {}).err().expect("refused");
     assert!(matches!(error, TrainError::Weights(_)), "{error}");
 }
@@ -351,7 +351,7 @@ mod hard_cases {
             let error = Model::from_bytes(&path, &whole[..length]).err().expect("truncated").to_string();
             assert!(error.contains("model.safetensors") && error.contains("expected"), "{error}");
         }
-        // Whatever one flipped byte in the header does, it does not panic.
+        // No flipped byte in the header causes a panic.
         for at in 0..400 {
             let mut bytes = whole.clone();
             bytes[at] ^= 0x15;
@@ -395,7 +395,7 @@ mod hard_cases {
         let mut map = rdm(&set, 0);
         map.shape.rx = 3;
         assert!(matches!(classifier.classify(&map), Err(ClassifyError::Shape { .. })));
-        // Absurd but finite: an answer or an error, no panic and no NaN.
+        // Extreme but finite values give an answer or an error, without a panic or NaN.
         for value in [f32::MAX, -f32::MAX, 0.0] {
             let mut map = rdm(&set, 0);
             map.db.fill(value);
@@ -441,7 +441,7 @@ mod hard_cases {
         ));
     }
 
-    /// A class without maps is said to be missing, and batches of one map (so of one class) do no harm.
+    /// Asserts that a class without maps is reported, and that batches of one map (one class) cause no error.
     #[test]
     fn a_missing_class_and_batches_of_one_class_are_survived() {
         use Occupancy::{Empty, One};
@@ -477,7 +477,7 @@ mod hard_cases {
         }
     }
 
-    /// Neither in training nor in a file.
+    /// Asserts that descriptors of maps without levels over noise are refused in training and in a file.
     #[test]
     fn descriptors_of_other_maps_than_over_noise_are_refused() {
         let (set, spec) = brief();
@@ -553,7 +553,7 @@ mod hard_cases {
         }
     }
 
-    /// Maps with a 0 dB of their own do not say what an echo is.
+    /// Asserts that changes of echoes need levels over noise: with another reference, the level of an echo is unknown.
     #[test]
     fn changes_of_echoes_need_maps_over_their_own_noise() {
         let (set, spec) = brief();

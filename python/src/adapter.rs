@@ -14,7 +14,7 @@ use crate::frame::occupancy;
 use crate::map::Map;
 use crate::model::{Model, network};
 
-/// A model to adapt and the recordings so far.
+/// Model to adapt, and the recordings so far.
 struct Work {
     adapter: train::Adapter,
     recordings: Vec<AdaptRecording>,

@@ -12,16 +12,16 @@ use radome_models::dataset::DatasetError;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Any error of the libraries; a text with `\n\nhint: ` is one too.
+/// Any error of the libraries, or a text, which may contain `\n\nhint: `.
 pub type Failure = radome_dsp::SourceError;
 
-/// Result of work without the interpreter's lock.
+/// Result of work without the interpreter lock.
 pub type Outcome<T> = Result<T, Failure>;
 
-/// Does work without the interpreter's lock.
+/// Runs work without the interpreter lock.
 ///
 /// # Errors
-/// The exception of the work's error.
+/// The error of the work, as an exception.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> Outcome<T> + Send) -> PyResult<T> {
     py.detach(work).map_err(|failure| raised(py, &*failure))
 }
@@ -47,13 +47,13 @@ pub fn raised(py: Python<'_>, error: &(dyn Error + 'static)) -> PyErr {
     }
 }
 
-/// Exception for a text, which may hold a hint.
+/// Exception for a text, which may contain a hint.
 pub fn raised_text(py: Python<'_>, text: String) -> PyErr {
     let failure: Failure = text.into();
     raised(py, &*failure)
 }
 
-/// Kind of an error of files, as `radome._errors.make` knows it; empty for other errors.
+/// Kind of a file error, as `radome._errors.make` expects it; empty for other errors.
 fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
     if let Some(error) = error.downcast_ref::<io::Error>() {
         return match error.kind() {
@@ -105,7 +105,7 @@ pub fn text_of(path: &Path) -> Outcome<String> {
     read_text(path, TEXT_LIMIT_BYTES).map_err(|source| Unreadable { path: path.to_owned(), source }.into())
 }
 
-/// Python object of a value, by way of JSON.
+/// Converts a value to a Python object, by way of JSON.
 ///
 /// # Errors
 /// The value has no JSON form.
@@ -114,16 +114,16 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
     py.import("json")?.call_method1("loads", (text,))
 }
 
-/// Value of a Python object, by way of JSON; `what` begins the message of an error.
+/// Converts a Python object to a value, by way of JSON; `what` begins the error message.
 ///
 /// # Errors
-/// The object has no JSON form, holds a number that is not finite, or is not of the type's form.
+/// The object has no JSON form, contains a number that is not finite, or does not match the type.
 pub fn from_python<T: DeserializeOwned>(what: &str, object: &Bound<'_, PyAny>) -> PyResult<T> {
     let py = object.py();
     let text: String = py.import("radome._json")?.call_method1("text", (what, object))?.extract()?;
     let refused = |error: serde_json::Error| {
         let (prefix, message) = (format!("{what}: "), error.to_string());
-        // Errors of waveforms begin so by themselves.
+        // Error messages of waveforms already begin with this prefix.
         raised_text(py, if message.starts_with(&prefix) { message } else { prefix + &message })
     };
     let value: serde_json::Value = serde_json::from_str(&text).map_err(refused)?;

@@ -12,7 +12,7 @@ pub fn remember_process() {
     IMPORTED_IN.store(std::process::id(), Ordering::Relaxed);
 }
 
-/// Process in which an object was made.
+/// Process in which an object was created.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Birthplace(u32);
 
@@ -45,7 +45,7 @@ impl Birthplace {
     }
 }
 
-/// Refuses work on thread pools that all of a process shares, in a fork of the process that imported the module.
+/// Refuses work on the process-wide thread pools in a fork of the process that imported the module.
 ///
 /// # Errors
 /// The current process is a fork of the one that imported the module.

@@ -19,9 +19,9 @@ const KEPT: usize = 8;
 pub struct Map {
     /// The map.
     pub inner: Rdm,
-    /// How it was made.
+    /// Settings that made the map.
     pub spec: RdmSpec,
-    /// Of the frames of which waveform.
+    /// Waveform of the frames.
     pub waveform: Arc<radome_dsp::Waveform>,
 }
 
@@ -76,10 +76,11 @@ impl Map {
     }
 }
 
-/// Specification of a map: the name of a preset, a dict of keys that differ from the default, or the default for `None`.
+/// Specification of a map: the name of a preset, a dict of keys that differ from the default, or `None` for the
+/// default.
 ///
 /// # Errors
-/// There is no such preset or key.
+/// The preset or key does not exist.
 pub fn spec(object: Option<&Bound<'_, PyAny>>, waveform: &radome_dsp::Waveform) -> PyResult<RdmSpec> {
     let Some(object) = object else { return Ok(RdmSpec::default()) };
     let py = object.py();
@@ -103,7 +104,7 @@ pub fn spec(object: Option<&Bound<'_, PyAny>>, waveform: &radome_dsp::Waveform) 
     serde_json::from_value(keys).map_err(refused)
 }
 
-/// The next map of a processor; `None` while its window over frames fills.
+/// Next map of a processor; `None` while its window over frames fills.
 pub fn next_map(processor: &mut RdmProcessor, frame: &radome_dsp::Frame) -> Outcome<Option<Rdm>> {
     let mut map = processor.empty_map();
     Ok(match processor.process(frame, &mut map)? {
@@ -159,7 +160,7 @@ impl MapProcessor {
     }
 }
 
-/// A processor for frames of a waveform, taken from those that were kept or made.
+/// Processor for frames of a waveform: a kept one, or a new one.
 fn processor(spec: &RdmSpec, waveform: &Arc<radome_dsp::Waveform>) -> Outcome<RdmProcessor> {
     if let Ok(mut kept) = PROCESSORS.try_lock()
         && let Some(index) = kept.iter().position(|(of, processor)| of == waveform && processor.spec() == spec)
@@ -169,8 +170,8 @@ fn processor(spec: &RdmSpec, waveform: &Arc<radome_dsp::Waveform>) -> Outcome<Rd
     Ok(RdmProcessor::new(spec, waveform)?)
 }
 
-/// Processors of [`rdm`] that nobody uses. A lock that somebody holds, maybe in the process that this one is a fork of, is not
-/// waited for.
+/// Idle processors of [`rdm`]. A locked mutex is not waited for: a fork may have copied it while another thread held
+/// it.
 static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex::new(Vec::new());
 
 /// Map of one frame alone: its `db` is `[rx][doppler][range]`, float32, dB.

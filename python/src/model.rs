@@ -1,4 +1,4 @@
-//! Models, and the filter over their predictions.
+//! Models, and the filter for their predictions.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -20,17 +20,17 @@ use crate::frame::Frame;
 use crate::map::{Map, next_map};
 use crate::waveform::Waveform;
 
-/// The model that is part of the package, and its file.
+/// Name and file of the model that is part of the package.
 const BUILT_IN: &str = "room-hqnn";
 static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
-/// Probabilities of empty, one and two.
+/// Probabilities of the classes empty, one and two.
 type Probabilities = [f32; 3];
 
-/// A network by its file, or the built-in one by its name.
+/// Loads a network from its file, or the built-in one by its name.
 ///
 /// # Errors
-/// The file cannot be read or is no model.
+/// The file cannot be read or is not a model.
 pub fn network(name: &Path) -> Outcome<radome_models::Model> {
     if is_built_in(name) {
         return Ok(radome_models::Model::from_bytes(name, BUILT_IN_FILE)?);
@@ -38,7 +38,7 @@ pub fn network(name: &Path) -> Outcome<radome_models::Model> {
     Ok(radome_models::Model::load(name)?)
 }
 
-/// Whether a name is that of the built-in model, and of no file.
+/// Whether a name means the built-in model and no file.
 pub fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
@@ -47,11 +47,11 @@ fn is_onnx(name: &Path) -> bool {
     name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
 
-/// The parts that one thread at a time uses.
+/// Parts that only one thread at a time may use.
 struct Work {
-    /// The network; absent after an error that it did not survive.
+    /// Network; absent after an error that left it unusable.
     classifier: Option<Classifier>,
-    /// Maps of frames of the waveform that was seen last.
+    /// Processor for the waveform of the last frame.
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
 }
 

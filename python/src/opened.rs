@@ -1,4 +1,4 @@
-//! The SOURCE grammar of the program, without the program: what a string names, opened as frames.
+//! The program's SOURCE grammar without the program: opens the frames that a string refers to.
 
 use std::path::Path;
 use std::time::Duration;
@@ -28,22 +28,22 @@ pub struct Options {
     tolerance_db: Option<f64>,
     speed: Option<f64>,
     give_up_after_s: Option<f64>,
-    /// Waveform to program a board with, or to simulate a scene in.
+    /// Waveform that programs a board, or replaces that of a simulated scene.
     #[serde(skip)]
     pub waveform: Option<Waveform>,
 }
 
-/// Opened source.
+/// Opened source of frames.
 pub struct Opened {
-    /// The frames.
+    /// Frames of the source.
     pub frames: Box<dyn FrameSource>,
-    /// Whether it cannot wait for slow consumers.
+    /// Whether the source cannot wait for slow consumers.
     pub is_live: bool,
-    /// One line that says what it is.
+    /// Description of the source in one line.
     pub description: String,
-    /// The board behind it.
+    /// Identity of the board, if the source is one.
     pub board: Option<BoardIdentity>,
-    /// Labels of a recording.
+    /// Labels, if the source is a recording.
     pub labels: Vec<LabelSpan>,
 }
 
@@ -53,7 +53,7 @@ impl Opened {
     }
 }
 
-/// Source that ends after so many frames; gaps do not count.
+/// Source that ends after a number of frames; gaps do not count.
 struct Limited {
     source: Box<dyn FrameSource>,
     most: u64,
@@ -110,7 +110,7 @@ impl Options {
 /// Opens a source.
 ///
 /// # Errors
-/// There is no such source, it cannot be read, or a board cannot be programmed.
+/// The source does not exist or cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &Options) -> Outcome<Opened> {
     let opened = open_unlimited(spec, options)?;
     let Some(most) = options.frames else { return Ok(opened) };
@@ -140,7 +140,7 @@ fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
     Ok(opened)
 }
 
-/// A scene, simulated, or a recording; as fast as it goes.
+/// Opens a simulated scene or a recording, at full speed.
 fn file(path: &Path, options: &Options) -> Outcome<Opened> {
     if path.extension().is_some_and(|extension| extension == "toml") {
         return simulation(path, options);
@@ -172,7 +172,7 @@ fn simulation(path: &Path, options: &Options) -> Outcome<Opened> {
     Ok(Opened::new(Box::new(simulator), false, description))
 }
 
-/// The same frames through an emulated board and the wire protocol.
+/// Opens a file and sends its frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
     let opened = file(Path::new(inner), options)?;
     let pace = options.speed().map_or(Pace::AsFastAsRead, Pace::RealTime);
@@ -213,7 +213,7 @@ fn deepcraft(board: DeepcraftBoard, options: &Options) -> Outcome<Opened> {
     Ok(Opened { board: Some(identity), ..Opened::new(Box::new(stream), true, description) })
 }
 
-/// The only board that discovery finds.
+/// Address of the only board that discovery finds.
 fn the_one_board() -> Outcome<Address> {
     let mut found: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
     match (found.pop(), found.is_empty()) {

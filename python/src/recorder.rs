@@ -1,4 +1,4 @@
-//! Recordings that Python writes, and labels that other tools wrote.
+//! Recordings that Python writes, and import of labels from other tools.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::error::{detached, from_python, to_python};
 use crate::fork;
 
-/// Options of a list, as `radome.paths` passes them.
+/// Options of a path list, as `radome.paths` passes them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Options {

@@ -1,4 +1,4 @@
-//! Sources of frames: a thread reads, Python takes what it has read.
+//! Sources of frames: a thread reads ahead, and Python takes the frames from a queue.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -17,15 +17,15 @@ use crate::frame::Frame;
 use crate::opened::{self, Opened, Options};
 use crate::waveform::Waveform;
 
-/// Time for which a wait keeps Python from its signals.
+/// Longest time for which a wait delays the handling of signals in Python.
 const SLICE: Duration = Duration::from_millis(50);
-/// Frames that are read ahead of Python: of files, and of boards, which do not wait.
+/// Numbers of frames that are read ahead of Python, for files and for boards. Boards do not wait.
 const AHEAD: usize = 4;
 const AHEAD_LIVE: usize = 64;
-/// Longest time that a source which is closed or dropped waits for its thread.
+/// Longest time that closing or dropping a source waits for its thread.
 const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// Item that a reading thread hands over.
+/// Item that the reading thread sends.
 enum Item {
     Frame(Box<radome_dsp::Frame>),
     Gap(Gap),
@@ -33,14 +33,14 @@ enum Item {
     Failed(Failure),
 }
 
-/// Result of waiting for a slice of time.
+/// Result of waiting for one slice of time.
 enum Polled {
     Item(Item),
     Nothing,
     Over,
 }
 
-/// Facts about a source that are known once it is open.
+/// Properties of a source that are known once it is open.
 struct Header {
     waveform: Arc<radome_dsp::Waveform>,
     description: String,
@@ -50,10 +50,10 @@ struct Header {
     frame_count: Option<u64>,
 }
 
-/// Header of an open source, and the channel of its items.
+/// Header of an open source, and the receiving end of its items.
 type Start = (Header, Receiver<Item>);
 
-/// Reading thread with its items.
+/// Reading thread and its items.
 struct Reader {
     items: Option<Receiver<Item>>,
     thread: Option<JoinHandle<()>>,
@@ -83,7 +83,7 @@ impl Drop for Reader {
     fn drop(&mut self) {
         let (items, thread) = (self.items.take(), self.thread.take());
         if !self.birthplace.is_here() {
-            // The thread is in another process, and so is whoever holds the channel's locks.
+            // The thread is in another process, and so is the holder of the channel's locks.
             std::mem::forget((items, thread));
             return;
         }
@@ -95,7 +95,7 @@ impl Drop for Reader {
     }
 }
 
-/// Reads a source until it ends or nobody listens any more.
+/// Reads a source until it ends or the receiver is dropped.
 fn read(mut source: Box<dyn FrameSource>, is_live: bool, items: &SyncSender<Item>) {
     let shape = source.waveform().shape();
     loop {
@@ -121,12 +121,12 @@ fn read(mut source: Box<dyn FrameSource>, is_live: bool, items: &SyncSender<Item
     }
 }
 
-/// Opens a source, says what it is, and reads it.
+/// Opens a source, sends its header, and reads it.
 fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start>>) {
     let Opened { frames, is_live, description, board, labels } = match opened::open(spec, options) {
         Ok(opened) => opened,
         Err(failure) => {
-            // Nobody listens any more: then nobody asks for the error.
+            // If the receiver has been dropped, the error is not needed.
             let _ = start.send(Err(failure));
             return;
         }

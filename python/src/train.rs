@@ -14,7 +14,7 @@ use crate::error::{Failure, Outcome, detached, from_python, raised_text, text_of
 use crate::fork;
 use crate::model::Model;
 
-/// Payload that unwinds a training which Python stops: the exception.
+/// Panic payload that carries the Python exception out of a training.
 struct Stopped(PyErr);
 
 /// Settings of a training from a TOML file.
@@ -28,7 +28,7 @@ fn read_spec(path: &Path) -> Outcome<TrainSpec> {
     Ok(spec)
 }
 
-/// Settings: a path of a TOML file, or a dict of keys that differ from the defaults.
+/// Settings from the path of a TOML file, or from a dict of keys that differ from the defaults.
 fn spec(py: Python<'_>, given: &Bound<'_, PyAny>, network: Option<&str>) -> PyResult<TrainSpec> {
     let mut spec: TrainSpec = match given.extract::<PathBuf>() {
         Ok(path) => detached(py, || read_spec(&path))?,
@@ -43,7 +43,7 @@ fn spec(py: Python<'_>, given: &Bound<'_, PyAny>, network: Option<&str>) -> PyRe
     Ok(spec)
 }
 
-/// Tells Python of an epoch, and looks for Ctrl-C.
+/// Reports an epoch to Python, and checks for Ctrl-C.
 fn tell(py: Python<'_>, epoch: &EpochReport, report: Option<&Py<PyAny>>) -> PyResult<()> {
     if let Some(report) = report {
         report.call1(py, (to_python(py, epoch)?,))?;
@@ -71,7 +71,7 @@ pub fn train<'py>(
             train_with_checkpoint(dataset, &spec, checkpoint.as_deref(), &mut |epoch| {
                 let told = Python::attach(|py| tell(py, &epoch, report.as_ref()));
                 if let Err(exception) = told {
-                    // The training has no other way to end between epochs.
+                    // A panic is the only way to end a training between epochs.
                     resume_unwind(Box::new(Stopped(exception)));
                 }
             })
@@ -86,7 +86,7 @@ pub fn train<'py>(
     Ok((Model::of(model), to_python(py, &scores)?))
 }
 
-/// The exception that stopped a training; any other panic goes on.
+/// Exception that stopped a training; resumes any other panic.
 fn stopped(payload: Box<dyn Any + Send>) -> Failure {
     match payload.downcast::<Stopped>() {
         Ok(stopped) => stopped.0.into(),

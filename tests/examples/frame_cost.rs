@@ -1,9 +1,11 @@
-//! Processor time of a frame: of reading it from a recording, of its map alone, and of its label by a model.
+//! Processor time per frame: to read it from a recording, to make its map, and to label it by a model.
 //!
 //! `RAYON_NUM_THREADS=1 cargo run --release -p radome-tests --example frame_cost RECORDING MODEL`
 //!
-//! Prints one JSON line: `frames`, and `read_us`, `map_us` and `label_us`, each the least of some rounds over all frames, us a frame.
-//! Reading includes the opening of the file. The map is that of the default spec, the label is a model's map and its network.
+//! Prints one JSON line: `frames`, `read_us`, `map_us` and `label_us`. Each time is the least of several rounds over
+//! all frames, us a frame.
+//! Reading includes the opening of the file. The map has the default spec; the label takes a model's map and its
+//! network.
 //! `python/bench/cost.py` runs the same rounds in Python beside it.
 #![allow(clippy::print_stdout)]
 
@@ -14,19 +16,19 @@ use radome_dsp::{Frame, FrameSource, MapStatus, RdmProcessor, RdmSpec, SourceErr
 use radome_models::Classifier;
 use rustix::time::{ClockId, clock_gettime};
 
-/// The allocator of the program.
+/// Allocator that the program uses.
 #[global_allocator]
 static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
 
 const ROUNDS: usize = 9;
 
-/// Processor time of all threads so far, us.
+/// Processor time that all threads have used so far, us.
 fn processor_us() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 * 1e6 + time.tv_nsec as f64 * 1e-3
 }
 
-/// Least time of some rounds over so many frames, us a frame.
+/// Least time of several rounds over this number of frames, us a frame.
 fn least_us(frames: usize, mut round: impl FnMut() -> Result<(), SourceError>) -> Result<f64, SourceError> {
     let mut least_us = f64::INFINITY;
     for _ in 0..ROUNDS {
@@ -55,7 +57,7 @@ fn map_us(frames: &[Frame], waveform: &Waveform) -> Result<f64, SourceError> {
     let mut map = processor.empty_map();
     least_us(frames.len(), || {
         for frame in frames {
-            // Each map is of one frame alone.
+            // Without a reset, a map could depend on earlier frames.
             processor.reset();
             processor.process(frame, &mut map)?;
         }

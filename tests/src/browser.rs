@@ -14,10 +14,11 @@ use tungstenite::{Message, WebSocket};
 use crate::running::PATIENCE;
 use crate::skip;
 
-/// A page's connection to the program.
+/// WebSocket connection of a page to the program.
 pub type Socket = WebSocket<MaybeTlsStream<TcpStream>>;
 
-/// Opens a page without a browser: what the program sends to it can be read from the socket.
+/// Connects to the page's stream without a browser; the socket delivers the messages that the program sends to the
+/// page.
 ///
 /// # Panics
 /// If there is no page at this address.
@@ -33,7 +34,7 @@ fn connect(url: &str) -> Socket {
     socket
 }
 
-/// A page in a browser of its own, closed when dropped.
+/// Browser with one page, closed when dropped.
 pub struct Browser {
     child: Child,
     socket: Socket,
@@ -45,10 +46,10 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens a page; `None` where there is no Chromium: the test is then counted as skipped.
+    /// Opens a page. Returns `None` and counts the test as skipped where Chromium is not installed.
     ///
     /// # Panics
-    /// If Chromium is there and does not do what it is asked for; so do all other methods.
+    /// If Chromium is installed but does not answer as expected. This holds for all other methods too.
     pub fn open(url: &str, width: u32, height: u32) -> Option<Browser> {
         let program = std::env::var_os("RADOME_CHROMIUM").unwrap_or_else(|| "chromium".into());
         let profile = tempfile::tempdir().expect("a folder");
@@ -73,7 +74,7 @@ impl Browser {
             .map_while(Result::ok)
             .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
             .expect("Chromium starts and names its DevTools");
-        // What it says from then on must go somewhere.
+        // Drains the browser's stderr, so that its pipe never fills up.
         std::thread::spawn(move || said.count());
         let socket = connect(&endpoint);
         let mut browser =
@@ -89,7 +90,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// One method of the protocol.
+    /// Calls one method of the protocol.
     ///
     /// # Panics
     /// If the browser answers with an error or not at all.
@@ -121,13 +122,13 @@ impl Browser {
         }
     }
 
-    /// Size of the page, CSS pixels, and how many of the screen's are one.
+    /// Sets the size of the page, CSS pixels, and the number of device pixels per CSS pixel.
     pub fn resize(&mut self, width: u32, height: u32, scale: f64) {
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600 });
         self.call("Emulation.setDeviceMetricsOverride", metrics);
     }
 
-    /// Value of an expression in the page.
+    /// Evaluates an expression in the page and returns its value.
     ///
     /// # Panics
     /// If the expression throws, or the browser does not answer.
@@ -174,7 +175,7 @@ impl Browser {
         self.call("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": key, "windowsVirtualKeyCode": code }));
     }
 
-    /// Presses at one place of the page, moves to another, lets go.
+    /// Drags the mouse from one position of the page to another.
     pub fn drag(&mut self, from: (f64, f64), to: (f64, f64)) {
         let mut mouse = |kind: &str, (x, y): (f64, f64), buttons: u32| {
             self.call(
@@ -189,7 +190,7 @@ impl Browser {
         mouse("mouseReleased", to, 0);
     }
 
-    /// A picture of what is seen, as PNG.
+    /// Saves a screenshot of the page as PNG.
     ///
     /// # Panics
     /// If the browser does not answer, or the file cannot be written.
@@ -199,7 +200,7 @@ impl Browser {
         std::fs::write(path, BASE64_STANDARD.decode(text).expect("base64")).expect("writable");
     }
 
-    /// Bytes of the page's JavaScript objects, after collecting those that nobody needs.
+    /// Size of the page's JavaScript heap after garbage collection, bytes.
     ///
     /// # Panics
     /// If the browser does not answer.
@@ -227,28 +228,28 @@ impl Drop for Browser {
     }
 }
 
-/// A run of the program with a page, stopped when dropped.
+/// Running program that serves a page, stopped when dropped.
 pub struct Served {
     child: Child,
-    /// Address of the page on this machine, wherever else it is served: `127.0.0.1:PORT`.
+    /// Local address of the page, whatever other addresses it is served at: `127.0.0.1:PORT`.
     pub address: String,
-    /// Token in the link that the program shows, if there is one.
+    /// Token in the link that the program prints, if there is one.
     pub token: Option<String>,
 }
 
 impl Served {
-    /// Starts a command that has everything but `--view`, with a page that only this machine reaches.
+    /// Starts a command, to which it adds `--view` and an address that only this machine reaches.
     ///
     /// # Panics
-    /// If it serves no page.
+    /// If the program serves no page.
     pub fn start(command: &mut Command) -> Served {
         Served::start_at("127.0.0.1:0", command)
     }
 
-    /// Starts a command that has everything but `--view`, with a page at an address of its own.
+    /// Starts a command, to which it adds `--view` and the address `listen`.
     ///
     /// # Panics
-    /// If it serves no page.
+    /// If the program serves no page.
     pub fn start_at(listen: &str, command: &mut Command) -> Served {
         let mut child = command.args(["--view", "--listen", listen]).stderr(Stdio::piped()).spawn().expect("starts");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
@@ -265,7 +266,7 @@ impl Served {
         Served { child, address: format!("127.0.0.1:{port}"), token }
     }
 
-    /// Address at which browsers find it.
+    /// URL of the page for browsers.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }
@@ -275,10 +276,10 @@ impl Served {
         self.child.id()
     }
 
-    /// Asks for an orderly end, waits for it and says whether it was one.
+    /// Interrupts the program, waits for its end and returns whether it ended successfully.
     ///
     /// # Panics
-    /// If it does not end.
+    /// If the program does not end.
     pub fn stop(mut self) -> bool {
         let _ = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
         let end = Instant::now() + PATIENCE;
@@ -291,10 +292,10 @@ impl Served {
         }
     }
 
-    /// Waits for its own end.
+    /// Waits until the program ends by itself; returns whether it succeeded.
     ///
     /// # Panics
-    /// If it cannot be waited for.
+    /// If waiting for the process fails.
     pub fn wait(mut self) -> bool {
         self.child.wait().expect("a child").success()
     }

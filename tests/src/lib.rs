@@ -17,15 +17,15 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// A file under `fixtures/`.
+/// Path of a file under `fixtures/`.
 pub fn fixture(name: &str) -> PathBuf {
     root().join("fixtures").join(name)
 }
 
-/// Text of a fixture in which receivers and scenes have their full paths, so that a copy of it may lie anywhere.
+/// Text of a fixture in which receivers and scenes have their full paths, so that a copy works in any folder.
 ///
 /// # Panics
-/// If there is no such fixture.
+/// If the fixture does not exist.
 pub fn fixture_text(name: &str) -> String {
     let text = std::fs::read_to_string(fixture(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     ["receivers", "scenes"].iter().fold(text, |text, folder| {
@@ -34,7 +34,7 @@ pub fn fixture_text(name: &str) -> String {
     })
 }
 
-/// Writes a corridor in which one person walks between two ranges.
+/// Writes a scene of a corridor in which one person walks between two ranges.
 ///
 /// # Panics
 /// If the scene cannot be written.
@@ -49,8 +49,8 @@ pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
     scene
 }
 
-/// Simulates a scene into a recording, which is replaced if it is there, with options such as `--frames 40 --seed 7`. Gives the
-/// program's answer.
+/// Simulates a scene into a recording, with options such as `--frames 40 --seed 7`. Replaces an existing recording.
+/// Returns the program's JSON answer.
 ///
 /// # Panics
 /// If the program fails.
@@ -76,8 +76,8 @@ pub fn frames(recording: &Path) -> (Vec<Frame>, Vec<Gap>) {
     }
 }
 
-/// Copies a recording and adds a signal to the samples of all receivers, codes: a function of the waveform, of the time of the chirp
-/// and of the time within it, s.
+/// Copies a recording and adds a signal, in codes, to the samples of all receivers. `signal` is a function of the
+/// waveform, the time of the chirp, s, and the time within the chirp, s.
 ///
 /// # Panics
 /// If a recording cannot be read or written.
@@ -108,7 +108,7 @@ pub fn add_signal(from: &Path, to: &Path, keep_truth: bool, signal: impl Fn(&Wav
     writer.finish().expect("finishes");
 }
 
-/// The built program.
+/// Command that runs the built program.
 ///
 /// # Panics
 /// If it has not been built.
@@ -118,14 +118,14 @@ pub fn radome() -> Command {
     assert!(program.exists(), "{} is absent: run tests/run, which builds it", program.display());
     let mut command = Command::new(program);
     command.current_dir(root());
-    // Scenes and specs that tests write elsewhere name fixtures and shared data.
+    // Scenes and specs that tests write to other folders refer to fixtures and shared data.
     if let Ok(folders) = std::env::join_paths([root().join("fixtures"), radome_skip::shared_folder()]) {
         command.env("RADOME_PATH", folders);
     }
     command
 }
 
-/// A command of the built program by its name, such as `board list`.
+/// Command of the built program by the name of its subcommand, such as `board list`.
 ///
 /// # Panics
 /// If the program has not been built.
@@ -135,7 +135,8 @@ pub fn subcommand(name: &str) -> Command {
     command
 }
 
-/// `radome live` on a source, with the shipped model of the paper's waveform and options such as `--frames 40 --json`.
+/// Command `radome live` on a source, with the shipped model of the paper's waveform and options such as `--frames 40
+/// --json`.
 ///
 /// # Panics
 /// If the program has not been built.
@@ -145,12 +146,12 @@ pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
     command
 }
 
-/// SOURCE of the corridor through an emulated board.
+/// SOURCE argument that replays the corridor scene through an emulated board.
 pub fn emulated_corridor() -> String {
     format!("emulated:{}", fixture("scenes/corridor.toml").display())
 }
 
-/// Runs; gives the exit status, stdout and stderr.
+/// Runs a command; returns the exit status, stdout and stderr.
 ///
 /// # Panics
 /// If the program cannot be run.
@@ -159,7 +160,7 @@ pub fn outcome(command: &mut Command) -> (Option<i32>, String, String) {
     (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
 }
 
-/// Runs and returns the JSON lines of stdout.
+/// Runs a command and returns the JSON lines of its stdout.
 ///
 /// # Panics
 /// If the program fails or prints anything but JSON lines.
@@ -167,10 +168,11 @@ pub fn json_lines(command: &mut Command) -> Vec<Value> {
     json_lines_of(command, &[0])
 }
 
-/// The same for a program that ends with one of these exit statuses: 3 is done although something was lost.
+/// Like [`json_lines`], for a program that may end with any of these exit statuses. Status 3 means done, but with
+/// losses.
 ///
 /// # Panics
-/// If the program ends with another or prints anything but JSON lines.
+/// If the program ends with another status or prints anything but JSON lines.
 pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
     let output = run(command);
     let is_expected = output.status.code().is_some_and(|status| statuses.contains(&status));
@@ -181,7 +183,7 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
         .collect()
 }
 
-/// Runs and expects failure with exit status 1; returns what was said on stderr.
+/// Runs a command that must fail with exit status 1; returns its stderr.
 ///
 /// # Panics
 /// If the program succeeds or fails in another way.
@@ -191,7 +193,7 @@ pub fn failure(command: &mut Command) -> String {
     said
 }
 
-/// The shipped room-cnn as a model of one waveform, the hall's: it refuses any other.
+/// Copies the shipped room-cnn as a model of one waveform, the hall's; this copy refuses all other waveforms.
 ///
 /// # Panics
 /// If the model cannot be read or written.
@@ -203,7 +205,7 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
     path
 }
 
-/// Help of a command such as `board list`, or of the program if `name` is empty.
+/// Help text of a command such as `board list`, or of the program if `name` is empty.
 ///
 /// # Panics
 /// If the program has no such command.
@@ -213,7 +215,7 @@ pub fn help(name: &str) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Long options that a help lists.
+/// Long options that a help text lists.
 pub fn long_options(help: &str) -> Vec<&str> {
     let listed = help.lines().filter(|line| line.trim_start().starts_with('-'));
     let named = listed.filter_map(|line| line.get(line.find("--")?..));

@@ -1,4 +1,4 @@
-//! A program that runs while a test looks at it.
+//! Program that runs while a test observes it.
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use crate::subcommand;
 
-/// Time that a test waits for what must come: far longer than it takes on any machine.
+/// Longest time that a test waits for an expected event: far longer than it takes on any machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Lines that a program has written so far.
@@ -29,7 +29,7 @@ impl Lines {
         lines
     }
 
-    /// A copy of them.
+    /// Copy of all lines.
     pub fn all(&self) -> Vec<String> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -39,16 +39,16 @@ impl Lines {
         all[all.len().saturating_sub(count)..].to_vec()
     }
 
-    /// The first for which `pick` finds something, from line `from` on; waits for it.
+    /// Waits for the first line, from line `from` on, for which `pick` returns a value; returns that value.
     ///
     /// # Panics
-    /// If it does not come.
+    /// If no such line appears in time.
     pub fn find<T>(&self, from: usize, what: &str, pick: impl Fn(&str) -> Option<T>) -> T {
         wait_for(what, || self.all().iter().skip(from).find_map(|line| pick(line)))
     }
 }
 
-/// Waits until `look` finds something.
+/// Waits until `look` returns a value.
 ///
 /// # Panics
 /// If that takes longer than [`PATIENCE`].
@@ -56,10 +56,10 @@ pub fn wait_for<T>(what: &str, look: impl FnMut() -> Option<T>) -> T {
     wait_up_to(PATIENCE, what, look)
 }
 
-/// The same for what may take longer.
+/// Waits until `look` returns a value, for at most the time `patience`.
 ///
 /// # Panics
-/// If it does.
+/// If that takes longer than `patience`.
 pub fn wait_up_to<T>(patience: Duration, what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
@@ -71,20 +71,20 @@ pub fn wait_up_to<T>(patience: Duration, what: &str, mut look: impl FnMut() -> O
     }
 }
 
-/// A program that is killed when the test is over.
+/// Program that is killed when the test is over.
 pub struct Running {
     child: Child,
-    /// Lines that it writes to stdout.
+    /// Lines that the program writes to stdout.
     pub stdout: Lines,
-    /// Lines that it writes to stderr.
+    /// Lines that the program writes to stderr.
     pub stderr: Lines,
 }
 
 impl Running {
-    /// Starts it.
+    /// Starts the program.
     ///
     /// # Panics
-    /// If it cannot be started.
+    /// If the program cannot be started.
     pub fn start(command: &mut Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())
@@ -97,39 +97,39 @@ impl Running {
         Running { child, stdout, stderr }
     }
 
-    /// Its process.
+    /// Process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it still runs.
+    /// Whether the program still runs.
     pub fn is_running(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// Sends it a signal by its name, as `kill -s` takes it.
+    /// Sends the program a signal, named as for `kill -s`.
     ///
     /// # Panics
-    /// If there is no `kill`.
+    /// If `kill` is not installed.
     pub fn signal(&self, name: &str) {
         let status = Command::new("kill").args(["-s", name, &self.id().to_string()]).status();
         assert!(status.is_ok_and(|status| status.success()), "kill -s {name}");
     }
 
-    /// Waits for its end and for all that it wrote.
+    /// Waits for the end of the program and for all of its output.
     ///
     /// # Panics
-    /// If it does not end.
+    /// If the program does not end.
     pub fn wait(&mut self) -> ExitStatus {
         let status = wait_for("the program's end", || self.child.try_wait().ok().flatten());
-        // What is in the pipes is read at once.
+        // The reading threads need a moment for the rest of the pipes' content.
         std::thread::sleep(Duration::from_millis(200));
         status
     }
 }
 
 impl Drop for Running {
-    /// Prints the last output of the programs when a test has failed, which may tell why.
+    /// Prints the last output of the program when the test has failed, since it may explain the failure.
     #[allow(clippy::print_stderr)]
     fn drop(&mut self) {
         let ended = self.child.try_wait();
@@ -144,21 +144,21 @@ impl Drop for Running {
     }
 }
 
-/// Starts an emulated board that serves a source with these options; and its port.
+/// Starts an emulated board that serves a source with these options. Returns the board and its port.
 ///
 /// # Panics
-/// If it does not start.
+/// If the board does not start.
 pub fn emulated_board(from: &Path, options: &[&str]) -> (Running, String) {
     let board = Running::start(subcommand("board emulate").args(options).arg("--from").arg(from));
     let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
     (board, port)
 }
 
-/// A port that nothing listens on, and that neither a test of this process nor an outgoing connection will take meanwhile: those
-/// that the kernel hands out lie above 32768.
+/// Port that nothing listens on. Neither another test of this process nor an outgoing connection takes it meanwhile:
+/// the kernel hands out ports above 32768.
 ///
 /// # Panics
-/// If there is none.
+/// If no port is free.
 pub fn free_port() -> u16 {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     const PORTS: std::ops::Range<u16> = 20_000..32_000;

@@ -1,4 +1,5 @@
-//! A model is adapted to a room that sways as none did that it was trained on: by labelled recordings, or by the empty room alone.
+//! Tests of adapting a model to a room with swaying objects, absent from its training: by labelled recordings, or by
+//! the empty room alone.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -15,8 +16,8 @@ const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference
     [augmentation.sway]\nprobability = 0.7\nlevel_db = [0.0, 18.0]\nvelocity_bins = 3\nstretches = [1, 3]\n\
     stretch_bins = [4, 16]\n";
 
-/// A small dataset of halls in `maps`, a model of it in `model.safetensors`, and recordings `PEOPLE-SEED.mcap` of 30 s of a hall that
-/// sways, of which `1-1.mcap` has a label.
+/// Folder with a small dataset of halls in `maps`, a model of it in `model.safetensors`, and recordings
+/// `PEOPLE-SEED.mcap`. They show 30 s of a hall with swaying objects; `1-1.mcap` has a label.
 fn made() -> &'static Path {
     static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = MADE.get_or_init(|| {
@@ -46,7 +47,8 @@ fn made() -> &'static Path {
     folder.path()
 }
 
-/// The same without its truth, and with three things that sway by 2 cm about once a second, 8 codes strong, at 2.6 to 3.6 m.
+/// Copies a recording without its truth, and adds three objects at 2.6 to 3.6 m. They sway by 2 cm about once a second,
+/// with an amplitude of 8 codes.
 fn with_sway(from: &Path, to: &Path, phase: f64) {
     add_signal(from, to, false, |waveform, time_s, in_chirp_s| {
         let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
@@ -60,7 +62,7 @@ fn with_sway(from: &Path, to: &Path, phase: f64) {
     });
 }
 
-/// `radome model adapt` of the model with recordings such as `0-1=empty`.
+/// Command `radome model adapt` of the model with recordings such as `0-1=empty`.
 fn adapt(recordings: &[&str]) -> Command {
     let mut command = subcommand("model adapt");
     command.arg(made().join("model.safetensors")).arg("--json");
@@ -125,7 +127,7 @@ fn the_empty_room_alone_lowers_false_alarms() {
     let mut command = adapt(&[]);
     command.arg("--empty").arg(made().join("0-1.mcap")).arg("-o").arg(&output);
     let answer = json_lines(&mut command).remove(0);
-    // One recording cannot be held out, and nobody was there to be missed.
+    // A single recording leaves none to hold out, and without people no misses can be measured.
     assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(3), "{answer}");
     assert!(answer["adapted"]["held_out"].is_null() && answer["file"].is_string(), "{answer}");
     let of = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &[made().join("0-3.mcap=empty")]));
@@ -133,7 +135,7 @@ fn the_empty_room_alone_lowers_false_alarms() {
     assert!(after > before + 0.3, "frames of the empty room that are called empty: {before}, then {after}");
 }
 
-/// A point for each labelled time, on the room itself and on the other room.
+/// Asserts that the curve has a point for each labelled time, for the room itself and for the other room.
 #[test]
 fn a_curve_tells_accuracy_against_minutes_of_labels() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,5 @@
-//! A fan in the room: who captures the empty room is not told that somebody is there, and is told when somebody is.
+//! Tests of a captured background with a fan in the room: no false alarm in the empty room, and people are still
+//! detected.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -6,13 +7,14 @@ use std::path::Path;
 use radome_tests::{add_signal, failure, fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::Value;
 
-/// A corridor with so many people in it, for thirty seconds.
+/// Simulates thirty seconds of a corridor with this number of people.
 fn simulated(path: &Path, people: &str, seed: &str) {
     let options = format!("--people {people} --seed {seed} --frames 300");
     simulate(&fixture("scenes/corridor.toml"), &options, path);
 }
 
-/// The same with a fan at 3 m: three blades that come and go by 6 cm 2.3 times a second, 3 codes strong.
+/// Copies a recording and adds a fan at 3 m: three blades that move by 6 cm 2.3 times a second, with an amplitude of 3
+/// codes.
 fn with_fan(from: &Path, to: &Path, phase: f64) {
     add_signal(from, to, true, |waveform, time_s, in_chirp_s| {
         let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
@@ -55,7 +57,7 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
 
     let is_occupied = |frame: &Value| frame["occupied"] == true;
     for seed in ["100007", "100008"] {
-        // Another night, with the fan at another place of its turn.
+        // Another recording, with another phase of the fan.
         simulated(&at("empty.mcap"), "0", seed);
         with_fan(&at("empty.mcap"), &at("empty-fan.mcap"), 1.0);
         let before = share(&live(&at("empty-fan.mcap"), None), is_occupied);

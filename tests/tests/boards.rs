@@ -1,4 +1,4 @@
-//! Every emulated board serves a recording through its own bytes, and what is recorded from it is the recording.
+//! Every emulated board serves a recording in its own protocol; a recording made from it equals the original.
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn desk(frames: usize, fed: &Path) {
     simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), fed);
 }
 
-/// Records frames of a board, which is then unplugged for good.
+/// Records frames of a board, which then disconnects for good.
 fn record(_board: Running, source: &str, frames: usize, recorded: &Path) -> Output {
     let mut record = subcommand(&format!("record --json --allow-loss --frames {frames} -o"));
     record.arg(recorded).arg(source).output().expect("runs")
@@ -38,28 +38,28 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         let (board, port) = emulated_board(&source, &["--protocol", protocol, "--link", &link]);
         let recorded = folder.path().join(format!("{protocol}.mcap"));
         let copy = folder.path().join(protocol);
-        // Nobody names the waveform: the board knows.
+        // The command names no waveform, since the board reports its own.
         let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
         json_lines(subcommand("recording convert").arg(&recorded).arg(&copy).arg("--json"));
         let got = codes(&copy);
         let frame = expected.len() / (FRAMES + 20);
         assert_eq!(got.len(), frame * FRAMES, "{protocol}");
-        // A machine with other things to do may be late to read, and real time does not wait: what is lost then is told, and
-        // nothing else differs.
+        // A busy machine may read late, and the board does not wait. Lost frames are then reported, and nothing else
+        // differs.
         let summary: serde_json::Value = serde_json::from_slice(&output.stdout).expect("a summary");
         let (mut next, mut lost) = (0, 0);
         for (number, recorded) in got.chunks(frame).enumerate() {
             let ahead = expected.chunks(frame).skip(next).position(|sent| sent == recorded);
             let ahead =
                 ahead.unwrap_or_else(|| panic!("{protocol}: frame {number} was never sent, or was sent before"));
-            // An ESP32 talks whether or not somebody listens yet.
+            // An ESP32 sends before a client listens, so that its first frames may be lost.
             lost += if number == 0 && protocol == "esp32" { 0 } else { ahead };
             next += ahead + 1;
         }
         assert_eq!(summary["dropped"], lost, "{protocol}");
     };
-    // They take their real time, side by side.
+    // The boards run in real time, in parallel.
     std::thread::scope(|scope| {
         let check = &check;
         for (protocol, scheme) in [
@@ -74,7 +74,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     });
 }
 
-/// A PSoC 6 kit says what it is set to: nobody has to name a waveform.
+/// Asserts that a PSoC 6 kit reports its waveform, so that no option has to name one.
 #[test]
 fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -88,7 +88,8 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
     assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&20.into(), &0.into()));
 }
 
-/// An ESP32 takes no requests: it measures what it was built for, whatever the model would program a board with.
+/// Asserts that the axes are those of the waveform that an ESP32 reports. It takes no requests, so that no model can
+/// program it.
 #[test]
 fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -131,11 +132,11 @@ mod hard_cases {
     }
 }
 
-/// Nobody has told the board a waveform, and the detector needs none of its own.
+/// Asserts that a named waveform programs a board without one, for a detector that needs no particular waveform.
 #[test]
 fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     let (_board, port) = emulated_board(&fixture("scenes/corridor.toml"), &[]);
-    // Who opens it resets its chip.
+    // Opening the board resets its chip.
     drop(radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board"));
     let live = |model: &str, more: &[&str]| {
         let mut command = radome();
@@ -145,7 +146,7 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     let said = failure(&mut live("cfar", &[]));
     assert!(said.contains("not been told a waveform") && said.contains("--waveform"), "{said}");
 
-    // The model's waveform and the one named cannot both be: the board is not even opened.
+    // The model's waveform contradicts the named one: the command fails before it opens the board.
     let (model, other) = (fixture("models/paper-hqnn.safetensors"), fixture("models/desk-hqnn.safetensors"));
     let (model, other) = (model.display().to_string(), other.display().to_string());
     let said = failure(&mut live(&model, &["--waveform", &other]));
@@ -157,7 +158,7 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     }
 }
 
-/// A waveform of another shape than the desk's, and the file that names it.
+/// Waveform of another shape than the desk's, and the path of its file.
 fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
     let path = folder.join("other.toml");
     let text = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 32\nchirps_per_frame = 16\n\
@@ -177,7 +178,7 @@ fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
     (Waveform::realise(request).expect("a waveform"), path)
 }
 
-/// Records so many frames of a board; none may be missing.
+/// Records this number of frames of a board; none may be missing.
 fn record_frames(port: &str, frames: usize, waveform: Option<&Path>, recorded: &Path) {
     let mut record = radome();
     record.args(["record", &format!("serial:{port}"), "--frames", &frames.to_string(), "--json", "-o"]).arg(recorded);
@@ -193,7 +194,7 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_, other) = other_waveform(folder.path());
     let (board, port) = emulated_board(&fixture("scenes/desk.toml"), &["--speed", "0"]);
-    // Who names no waveform has that of the client before it.
+    // A client that names no waveform gets that of the client before it.
     for (number, waveform, frame) in [(0, None, 3 * 8 * 64), (1, Some(&other), 2 * 16 * 32), (2, None, 2 * 16 * 32)] {
         let recorded = folder.path().join(format!("{number}.mcap"));
         record_frames(&port, 10, waveform.map(PathBuf::as_path), &recorded);
@@ -219,7 +220,7 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
     stream.next_frame(&mut Frame::zeroed(other.shape())).expect_err("no frames");
     let said = board.stderr.find(0, "a word", |line| line.contains("sends no frames").then(|| line.to_owned()));
     assert!(said.contains("16 chirps x 32 samples") && said.contains("8 chirps x 64 samples"), "{said}");
-    // The same client goes on.
+    // The same client continues.
     let client = stream.stop().expect("answers");
     let own = radome_driver::recording::open(&fed).expect("opens").waveform().clone();
     let mut stream = client.start(&own).expect("starts");
@@ -239,7 +240,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     assert!(said.contains("30 frames were sent") && said.contains("silent") && said.contains("--loop"), "{said}");
     client.signal("TERM");
     client.wait();
-    // It stays what it is: a board that answers.
+    // The board still answers.
     radome_driver::Mcu7Board::open(Path::new(&port)).expect("answers");
     assert_eq!(board.stderr.all().iter().filter(|line| line.contains("has ended")).count(), 1);
 
@@ -283,7 +284,7 @@ fn a_link_is_one_boards_and_goes_with_it() {
     first.wait();
     assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
 
-    // One that is killed leaves it behind, for the next to take.
+    // A killed emulator leaves its link behind, and the next one replaces it.
     let (mut killed, _) = emulated_board(&fed, &arguments);
     killed.signal("KILL");
     killed.wait();

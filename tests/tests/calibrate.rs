@@ -1,4 +1,4 @@
-//! Receivers fitted to recordings, and models judged on them.
+//! Tests of receivers fitted to recordings, and of models judged on them.
 
 use std::path::Path;
 
@@ -9,7 +9,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
-/// The first half of a real recording, in which somebody breathes, says what the second half will be like.
+/// Asserts that a receiver fitted to the first half of a real recording, of a breathing person, describes the second
+/// half.
 #[test]
 fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
@@ -26,7 +27,8 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
         let sigma = number(&channel["sigma_simulated_db"]) - number(&channel["sigma_real_db"]);
         assert!(sigma.abs() < 0.2, "{channel}");
     }
-    // The gap has intervals, which hold the figures, and halves of the recording are nearer to each other than a simulation.
+    // The gap has intervals, which contain the figures. Halves of the recording are closer to each other than to a
+    // simulation.
     assert_eq!(answer["resampled"], "contiguous blocks of the one recording");
     for (channel, between) in after.iter().zip(answer["between_real"].as_array().expect("channels")) {
         for name in ["mean_difference_db", "kolmogorov_smirnov", "wasserstein_db", "doppler_m_per_s", "range_m"] {
@@ -40,11 +42,11 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
         channels.iter().map(|channel| number(&channel["wasserstein_db"])).sum()
     };
     assert!(distance("after") < distance("before"), "{answer}");
-    // The file says how it was made, and not where.
+    // The file states the command that made it, but no absolute path.
     let text = std::fs::read_to_string(&file).expect("readable");
     assert!(text.contains("radome scene calibrate breathing-person-20260106 --part 0.5 -o receiver.toml"), "{text}");
     assert!(!text.contains("/breathing-person"), "{text}");
-    // A scene takes the file that was written.
+    // A scene accepts the written file.
     let scene = std::fs::read_to_string(fixture("scenes/desk.toml")).expect("readable");
     let scene = scene.replace("../receivers/desk.toml", "receiver.toml");
     let path = folder.path().join("scene.toml");
@@ -53,8 +55,9 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     assert_eq!(made[0]["frames"], 4);
 }
 
-/// Somebody of average build at the recording's distance, through the receiver that was fitted to it: a line of slow time as
-/// strong, and as far away. Persons differ, so that many are drawn; none is chosen by the recording.
+/// Asserts that simulated persons at the recording's distance, through the receiver fitted to it, give a slow-time line
+/// of equal strength and range. Persons of average build differ, so that many are drawn; none is selected by the
+/// recording.
 #[test]
 fn a_simulated_copy_of_the_recording_breathes_as_strongly_and_as_far_away() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
@@ -72,11 +75,12 @@ fn a_simulated_copy_of_the_recording_breathes_as_strongly_and_as_far_away() {
     assert!(number(&after["level_difference_db"]).abs() < 3.0, "{line}");
     assert!(number(&after["range_difference_m"]).abs() < 0.05, "{line}");
     assert!((0.15..0.40).contains(&number(&after["breath_hz"])), "{line}");
-    // Nothing in this recording says how strong echoes are: what is beyond half a metre moves.
+    // This recording does not determine the echo strength: everything beyond half a metre moves.
     assert!(answer["gain"]["gain_db"].is_null() && number(&answer["gain"]["bins"]) < 9.0, "{answer}");
 }
 
-/// A recording of the corridor by a receiver that is 5 dB louder than the one that is assumed; two of it, of other drift.
+/// Simulates a corridor recording by a receiver that is 5 dB louder than the assumed one. Recordings differ in seed and
+/// drift.
 fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
     let paper = std::fs::read_to_string(fixture("receivers/paper.toml")).expect("readable");
     let loud = paper.replace("gain_correction_db = 0.0 ", "gain_correction_db = 5.0 ");
@@ -95,7 +99,7 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
     recording
 }
 
-/// Static echoes tell how strong echoes are, and how far from constant.
+/// Asserts that static echoes determine the echo strength, and its deviation from constant.
 #[test]
 fn levels_and_jitter_of_what_stands_still_are_found_again() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -112,7 +116,7 @@ fn levels_and_jitter_of_what_stands_still_are_found_again() {
     let (gain, clutter) = (&lines[0]["gain"], &lines[0]["clutter"]);
     assert!(number(&gain["bins"]) >= 20.0, "{gain}");
     assert!((number(&gain["gain_db"]) - 5.0).abs() < 3.0 * number(&gain["error_db"]), "{gain}");
-    // 30 mrad, 0.3 rad in ten seconds, 1 %.
+    // The simulated values are 30 mrad, 0.3 rad in ten seconds, and 1 %.
     assert!((0.02..0.045).contains(&number(&clutter["phase_jitter_rad"])), "{clutter}");
     assert!((0.1..0.6).contains(&number(&clutter["phase_drift_rad_per_10s"])), "{clutter}");
     assert!((0.006..0.02).contains(&number(&clutter["amplitude_jitter"])), "{clutter}");
@@ -133,7 +137,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     }
     let text = std::fs::read_to_string(&file).expect("readable");
     assert!(text.contains("corridor-1: 20 of 40 frames; corridor-2: 20 of 40 frames"), "{text}");
-    // Those of one waveform only.
+    // All recordings must have the same waveform.
     let Some(other) = shared("data/recordings/breathing-person-20260106") else { return };
     let said = failure(subcommand("scene calibrate").args(&recordings).arg(other));
     assert!(said.contains("another waveform") && said.contains("hint:"), "{said}");

@@ -1,4 +1,4 @@
-//! `radome bench circuit` for other circuits than the paper's.
+//! Tests of `radome bench circuit` with circuits other than the paper's.
 
 use radome_tests::{failure, json_lines, subcommand};
 
@@ -10,7 +10,7 @@ fn numbers(value: &serde_json::Value) -> Vec<f64> {
     value.as_array().expect("a list").iter().map(|v| v.as_f64().expect("a number")).collect()
 }
 
-/// Two repetitions against Qiskit: values of its Statevector.
+/// Asserts that two repetitions give the values of Qiskit's Statevector.
 #[test]
 fn two_repetitions_agree_with_qiskit() {
     let text = include_str!("../../fixtures/circuit/qiskit_pqc.json");
@@ -31,7 +31,7 @@ fn two_repetitions_agree_with_qiskit() {
     }
 }
 
-/// Without an entangler each qubit is a cosine, the first output that of the highest qubit.
+/// Asserts cosines for circuits without entangler; the first output belongs to the highest qubit.
 #[test]
 fn angles_that_add_up_are_cosines() {
     let got = circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5");
@@ -43,7 +43,8 @@ fn angles_that_add_up_are_cosines() {
     assert!((noisy["iiz"].as_f64().expect("number") - 0.5 * 1.1f64.cos()).abs() < 1e-14);
 }
 
-/// One qubit without entangler is `-cos(2x) sin(theta)`: 1/4 and 1. More qubits have less of a gradient, at the depth that scrambles most.
+/// Asserts variances 1/4 and 1 for one qubit without entangler, `-cos(2x) sin(theta)`, and smaller gradients for more
+/// qubits at the depth that scrambles most.
 #[test]
 fn gradients_shrink_with_qubits() {
     let bench = |arguments: &str| {
@@ -52,7 +53,7 @@ fn gradients_shrink_with_qubits() {
     let one = &bench("--qubits 1 --depths 0 --points 4000")[0];
     for (key, want) in [("angle_gradient_square", 0.25), ("input_gradient_square", 1.0)] {
         let got = one[key].as_f64().expect("a number");
-        // Five standard errors.
+        // Tolerance of five standard errors.
         assert!((got - want).abs() < 5.0 * 1.2 * want / 4000f64.sqrt(), "{key}: {got}");
     }
     let deep = bench("--qubits 8 --depths 8 --points 300");
@@ -69,9 +70,9 @@ fn shots_are_seeded() {
     let (one, two) = (at("--shots 4096 --seed 1"), at("--shots 4096 --seed 2"));
     assert_eq!(one, at("--shots 4096 --seed 1"));
     assert_ne!(one["zi"], two["zi"]);
-    // Ten standard errors.
+    // Tolerance of ten standard errors.
     assert!((one["zi"].as_f64().expect("number") - exact["zi"].as_f64().expect("number")).abs() < 10.0 / 64.0);
-    // Exact gradients are the state vector's here, the closed form's there.
+    // Exact gradients come from the state vector here and from the closed form in the reference.
     let gradient = numbers(&at("--shots 4096 --gradient exact")["zi_grad_theta"]);
     for (got, want) in gradient.iter().zip(numbers(&exact["zi_grad_theta"])) {
         assert!((got - want).abs() < 1e-14);

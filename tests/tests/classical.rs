@@ -1,11 +1,11 @@
-//! Methods without training: the detector that counts people, and directions of echoes.
+//! Tests of methods without training: the CFAR people counter, and directions of echoes.
 
 use std::path::Path;
 
 use radome_tests::{failure, fixture, fixture_text, json_lines, radome, simulate, subcommand};
 use serde_json::Value;
 
-/// The hall without what reverberates in it: there one walker is taken for two, which is the detector's limit and not the scene's.
+/// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
 fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
     let hall = fixture_text("scenes/hall.toml");
     let (points, bounces) = ("diffuse_points = 64\n", "diffuse_bounces = 8\n");
@@ -16,7 +16,8 @@ fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
     path
 }
 
-/// Empty halls are called empty and walkers somebody, through the same filter and figures as a network's.
+/// Asserts that the detector calls empty halls empty and walkers occupied, with the same filter and metrics as a
+/// network.
 #[test]
 fn the_detector_judges_recordings_in_place_of_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -33,7 +34,7 @@ fn the_detector_judges_recordings_in_place_of_a_model() {
     assert_eq!(recordings[1]["majority"], "one", "{answer}");
 }
 
-/// The detector takes any waveform, live too.
+/// Asserts that the detector accepts any waveform, also live.
 #[test]
 fn the_detector_watches_any_source() {
     let args = ["live", "--model", "cfar", "--frames", "60", "--people", "0", "--json"];
@@ -50,7 +51,7 @@ fn the_detector_wants_frames_and_not_maps() {
     assert!(said.contains("raw frames") && said.contains("hint:"), "{said}");
 }
 
-/// The corridor with something else after its furniture, in place of its people or before them.
+/// Writes the corridor scene with `rest` after its furniture, in place of its people or before them.
 fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
     let corridor = fixture_text("scenes/corridor.toml");
     let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
@@ -60,7 +61,8 @@ fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
     path
 }
 
-/// A walker on the radar's left has a positive azimuth, on its right a negative one; the strongest echo is theirs.
+/// Asserts that the strongest echo is the walker's: its azimuth is positive on the radar's left and negative on its
+/// right.
 #[test]
 fn azimuth_is_on_the_side_on_which_somebody_walks() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -77,8 +79,8 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
     }
 }
 
-/// Receivers of the simulator are alike: a reflector in a known place tells phases near none, and the file that is written is
-/// read again.
+/// Asserts phase offsets near zero: the simulator's receivers are equal and the reflector's position is known. The
+/// written file can be read again.
 #[test]
 fn a_reflector_tells_what_receivers_are_unlike_in() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! Commands that come to an end, in one program, so that it is linked once.
+//! Tests of commands that end by themselves, in one test program, so that it is linked once.
 
 mod adapt;
 mod calibrate;

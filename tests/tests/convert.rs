@@ -1,4 +1,4 @@
-//! Recordings from format to format, and recorders that are killed.
+//! Tests of conversions between formats, and of recorders that are killed.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource};
 use radome_tests::{failure, fixture, frames, json_lines, json_lines_of, radome, shared, simulate, subcommand};
 use serde_json::Value;
 
-/// All frames of a recording, and how many were lost.
+/// All frames of a recording, and the number of lost frames.
 fn read(path: &Path) -> (Vec<Frame>, u64) {
     let (frames, gaps) = frames(path);
     (frames, gaps.iter().map(|gap| gap.frames).sum())
@@ -88,7 +88,7 @@ fn a_recording_cut_in_two_is_repaired() {
     assert!(std::fs::read(&cut).expect("reads") == bytes[..bytes.len() / 2]);
 }
 
-/// Kills a recorder at a random moment; returns how many frames it had been given and how many can be read.
+/// Kills a recorder at a random moment; returns the numbers of frames that it was given and that can be read.
 ///
 /// The recorder says on stderr which frames it has, so that no clock is needed to know what must be there.
 fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, whole: &[Frame]) -> (usize, usize) {
@@ -116,7 +116,7 @@ fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, w
     let given = said.matches("frame recorded").count();
     let (frames, lost) = match path.exists() && std::fs::metadata(path).expect("there").len() > 0 {
         true => read(path),
-        // Nothing but the name of the file yet.
+        // The file has no content yet.
         false => (Vec::new(), 0),
     };
     assert!(frames.len() <= given + 1 && lost == 0, "{given} frames given, {} read", frames.len());
@@ -131,7 +131,7 @@ fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, w
     (given, frames.len())
 }
 
-/// `kill -9` at random moments; 100 of them where `RADOME_LONG` is set.
+/// Asserts what `kill -9` at random moments leaves, for 100 recorders where `RADOME_LONG` is set.
 #[test]
 #[allow(clippy::print_stderr)]
 fn a_killed_recorder_leaves_all_but_the_last_second() {
@@ -157,7 +157,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
         let (given, read) = kill_one(arguments, &path, &mut draw, &whole);
         worst = worst.max(given.saturating_sub(read));
         frames_given += given;
-        // It may have been killed before it made the file.
+        // The file does not exist if the recorder was killed before it created it.
         let _ = std::fs::remove_file(&path);
     }
     eprintln!(
@@ -173,7 +173,7 @@ mod hard_cases {
         std::fs::read_dir(folder).expect("lists").flatten().map(|entry| entry.path()).collect()
     }
 
-    /// A limit on the size of files stands for a full disk.
+    /// Asserts that a full disk ends the recording; a file-size limit stands for it.
     #[test]
     #[cfg(unix)]
     fn a_full_disk_leaves_nothing_that_looks_whole() {

@@ -1,4 +1,5 @@
-//! Datasets: the same bytes after kills, in shards and out of order; labelled folders of every kind; what is wrong is said.
+//! Tests of datasets: identical bytes after kills, in shards and out of order; labelled folders of every kind; error
+//! messages.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use radome_tests::{
     failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, radome, simulate, subcommand,
 };
 
-/// Maps of one channel in decibels.
+/// TOML section for maps of one channel in decibels.
 const MAP: &str = r#"[map]
 scale = "minus_one_to_one"
 channels = { one = 0 }
@@ -21,7 +22,7 @@ slow_time = "chirps"
 amplitude = "unnormalised"
 floor_db = -200.0"#;
 
-/// A spec of `runs` short runs of the paper's two scenes; every unit takes a moment.
+/// Writes a spec with `runs` short runs of each of the paper's two scenes; every unit takes a moment.
 fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
     let path = folder.join("spec.toml");
     let scene = |name: &str| fixture(&format!("scenes/{name}.toml")).canonicalize().expect("a scene");
@@ -54,7 +55,7 @@ fn build(spec: &Path, output: &Path) -> Command {
     command
 }
 
-/// Every file of a dataset with its content.
+/// Contents of all files of a dataset, by name.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
     entries.map(|e| (e.file_name().to_string_lossy().into_owned(), std::fs::read(e.path()).expect("reads"))).collect()
@@ -69,7 +70,7 @@ fn files_of(folder: &Path) -> std::collections::BTreeSet<String> {
     entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect()
 }
 
-/// Starts a build and kills it, without a word, when it has made some units and not all.
+/// Starts a build and kills it by SIGKILL when it has made some units, but not all.
 fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
     let until = Instant::now() + Duration::from_secs(300);
@@ -78,7 +79,6 @@ fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
         assert!(Instant::now() < until, "no unit was ever made");
         std::thread::sleep(Duration::from_millis(2));
     }
-    // SIGKILL.
     let _ = child.kill();
     child.wait().expect("ended");
 }
@@ -99,7 +99,7 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
         assert!(!path("again").exists() || after == 6);
     }
     if !path("again").exists() {
-        // Whoever changes the spec meanwhile is told so, and nothing is lost.
+        // A changed spec is refused with an error, and no unit is lost.
         let text = std::fs::read_to_string(&spec).expect("reads");
         std::fs::write(&spec, text.replace("every = 50", "every = 25")).expect("writable");
         let said = failure(&mut build(&spec, &path("again")));
@@ -125,7 +125,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
         command.args(["--shard", "auto/8"]).env("SLURM_ARRAY_TASK_ID", index.to_string());
         command
     };
-    // Out of order, as arrays run; one killed, and one asked for twice.
+    // Shards run out of order, as in array jobs. One of them is killed, and one is started twice.
     for index in [3, 0, 7, 5, 1, 6, 2] {
         json_lines(&mut shard(index));
     }
@@ -153,7 +153,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
         "{report}"
     );
 
-    // Doubled and foreign ones.
+    // Duplicate and foreign shards are refused.
     let mut doubled = all(None);
     doubled.push(path("copy"));
     assert!(Command::new("cp").arg("-r").arg(&doubled[6]).arg(path("copy")).status().expect("cp").success());
@@ -205,19 +205,19 @@ fn a_zero_sigma_is_not_hidden() {
         rows.iter().find(|r| r["scene"] == scene && r["class"] == class).unwrap_or_else(|| panic!("{scene} {class}"))
     };
     let empty = row("corridor", "empty");
-    // The receiver's noise: 5.57 dB for any radar.
+    // Sigma of the receiver's noise in dB is 5.57 dB for any radar.
     assert!((empty["sigma_db"].as_f64().expect("a number") - 5.6).abs() < 0.1 && empty["domain"] == "sim", "{empty}");
     assert!(empty["raised_fraction"].is_null() && empty["mean_db"].is_number(), "{empty}");
     let two = row("corridor", "two");
     let (fraction, level) = (two["raised_fraction"].as_f64(), two["raised_level_db"].as_f64());
     assert!(fraction > Some(0.002) && fraction < Some(0.2) && level > Some(4.0) && level < Some(40.0), "{two}");
-    // Intervals are over sequences, of which a row may have one only.
+    // Intervals are over sequences; rows with a single sequence have none.
     for row in table.as_array().expect("a list") {
         let halves = ["mean_half_width_db", "sigma_half_width_db"].map(|key| row[key].as_f64());
         assert!(halves.iter().all(|half| half.is_some() == (row["sequences"].as_u64() > Some(1))), "{row}");
     }
 
-    // The same without a receiver's noise, as in the paper: every cell of an empty map lies at the floor.
+    // Without receiver noise, as in the paper, every cell of an empty map lies at the floor.
     let text = std::fs::read_to_string(&spec).expect("reads");
     std::fs::write(&spec, text.replace("floor_db = -200.0", "floor_db = 50.0")).expect("writable");
     json_lines(&mut build(&spec, &folder.path().join("flat")));
@@ -225,12 +225,12 @@ fn a_zero_sigma_is_not_hidden() {
     let (table, said) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.code() == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
     assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
-    // And verify finds that these maps are all the same.
+    // `dataset verify` reports that these maps are identical.
     let said = failure(subcommand("dataset verify").arg(folder.path().join("flat")));
     assert!(said.contains("1 groups of duplicates"), "{said}");
 }
 
-/// A session as Radar Fusion GUI writes it, of a few simulated frames.
+/// Writes a session with a few simulated frames in the format of Radar Fusion GUI.
 fn session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames}"), &recording);
@@ -249,7 +249,7 @@ fn edit(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
     std::fs::write(file, serde_json::to_string_pretty(&value).expect("JSON")).expect("writable");
 }
 
-/// An array of codes as NumPy writes it.
+/// NumPy file with an array of codes.
 fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
     let [f, r, c, s] = shape;
     let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({f}, {r}, {c}, {s}), }}");
@@ -260,7 +260,8 @@ fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
     bytes
 }
 
-/// Every kind of folder that the references tell of (real-frames.md, hardware.md sections 5 and 6), under one rule.
+/// Asserts that one rule labels every kind of folder that the references describe (real-frames.md, hardware.md sections
+/// 5 and 6).
 #[test]
 fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -270,7 +271,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let single_shape = |value: &mut serde_json::Value| value["device_config"]["fmcw_single_shape"].take();
     let put = |value: &mut serde_json::Value, shape| value["device_config"]["fmcw_single_shape"] = shape;
 
-    // As today's recorder writes it, and as a GUI export with the board's own words, CRLF and a session without keys.
+    // Folders of the present recorder, and a GUI export with the board's own values, CRLF and a session without keys.
     copy(&made, &path("data/home/empty_20260106-151615"));
     copy(&made, &path("data/home/empty_gui"));
     let radar = path("data/home/empty_gui/RadarIfxAvian_00");
@@ -279,7 +280,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
         *value = serde_json::json!({ "_comment": null, "os_release": null })
     });
     std::fs::write(radar.join("format.version"), "1.0.0\r\n").expect("writable");
-    // SDK 3.4 and before: other names for the band, no filters.
+    // SDK 3.4 and before use other names for the band and have no filters.
     copy(&made, &path("data/home/ann/one_old"));
     edit(&path("data/home/ann/one_old/RadarIfxAvian_00/config.json"), |value| {
         let mut shape = single_shape(value);
@@ -292,7 +293,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
         object.remove("aaf_cutoff_Hz");
         put(value, shape);
     });
-    // ifxdaq 3.0.1 of 2022: time stamps, temperatures, numbers with exponents, frames at uneven times.
+    // ifxdaq 3.0.1 of 2022 has time stamps, temperatures, numbers with exponents, and frames at uneven times.
     copy(&made, &path("data/home/ann/one_2022"));
     let radar = path("data/home/ann/one_2022/RadarIfxAvian_00");
     let text = std::fs::read_to_string(radar.join("config.json")).expect("reads");
@@ -308,7 +309,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     edit(&path("data/home/ann/one_2022/meta.json"), |value| {
         *value = serde_json::json!({ "ifxdaq": "3.0.1", "user": "x" })
     });
-    // Two boards in one session; they belong together.
+    // Two boards of one session form one sequence.
     copy(&made, &path("data/home/bob/two_boards"));
     let second = path("data/home/bob/two_boards/RadarIfxAvian_01");
     copy(&made.join("RadarIfxAvian_00"), &second);
@@ -316,7 +317,8 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let codes: Vec<u16> = npyz::NpyFile::new(bytes.as_slice()).expect("an array").into_vec().expect("codes");
     let other: Vec<u16> = codes.iter().map(|code| (code + 1).min(4095)).collect();
     std::fs::write(second.join("radar.npy"), npy([frames as usize, 3, 128, 256], &other)).expect("writable");
-    // One receiver alone, without a session's folder: maps of the same cells, but another waveform, and so a dataset of its own.
+    // One receiver alone, without a session's folder. Its maps have the same cells, but another waveform and therefore
+    // a dataset of their own.
     copy(&made.join("RadarIfxAvian_00"), &path("single/bob/two_rx1"));
     edit(&path("single/bob/two_rx1/config.json"), |value| {
         value["device_config"]["fmcw_single_shape"]["rx_antennas"] = serde_json::json!([1]);
@@ -324,7 +326,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let first_rx: Vec<u16> = codes.chunks(3 * 128 * 256).flat_map(|frame| frame[..128 * 256].to_vec()).collect();
     std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
         .expect("writable");
-    // The SDK's text recording, a native one, and one whose labels say what it is.
+    // The SDK's text recording, a native recording, and a recording that contains its labels.
     json_lines(subcommand("recording convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
     copy(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
     copy(&made, &path("data/home/mixed_1"));
@@ -358,8 +360,8 @@ scene = "home"
     assert_eq!(of("home/bob/two_boards/RadarIfxAvian_01")["sequence"], "home/bob/two_boards");
     assert_eq!(of("home/bob/two_sdk")["label"], "two");
     assert!(of("home/empty_gui").get("subject").is_none());
-    // What the filters were and how the band is called does not change what is in the samples; nor does it matter here
-    // whether the other receivers were recorded.
+    // Neither the filter settings nor the names of the band change the samples. The other receivers do not matter here
+    // either.
     let alone = path("alone.toml");
     std::fs::write(&alone, text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""))
         .expect("writable");
@@ -369,7 +371,7 @@ scene = "home"
         manifest.lines().next().and_then(|line| serde_json::from_str(line).ok()).expect("a row");
     assert_eq!((&row["hash"], &row["subject"]), (&of("home/ann/one_old")["hash"], &"bob".into()));
 
-    // What fits no rule, or two, is named.
+    // Folders that match no rule, or two, are named in the error.
     copy(&made, &path("data/home/nobody_knows"));
     let said = failure(&mut build(&spec, &path("set2")));
     assert!(said.contains("'home/nobody_knows' fits none of the patterns"), "{said}");
@@ -400,7 +402,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     assert_eq!((ends(&spans[0]).0, ends(&spans[spans.len() - 1]).1), (0.0, 15.0));
     assert!(spans.windows(2).all(|pair| ends(&pair[0]).1 == ends(&pair[1]).0 && pair[0]["label"] != pair[1]["label"]));
 
-    // The detector: an empty corridor is called empty throughout, and somebody walking in it somebody for most of the time.
+    // The detector calls an empty corridor empty in all frames, and a walker occupied in most frames.
     simulate("nobody.mcap", "0");
     let nobody = json_lines(label("nobody.mcap").args(["--propose", "detector"])).remove(0);
     assert_eq!((nobody[0]["label"].as_str(), nobody.as_array().map(Vec::len)), (Some("empty"), Some(1)), "{nobody}");
@@ -412,11 +414,11 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     let agree =
         (0..150).filter(|i| at(&truth, f64::from(*i) * 0.1 + 0.05) == at(&found, f64::from(*i) * 0.1 + 0.05)).count();
     assert!(agree > 120, "{agree} of 150 frames: {found}");
-    // They are in the recording now, and a dataset is built of them.
+    // The recording now contains the labels, and a dataset is built from them.
     let held = json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0);
     assert_eq!(held, found);
 
-    // What contradicts them, runs backwards or lies outside is refused by name, and nothing is written.
+    // Labels that overlap, run backwards or lie outside the recording are refused by name, and nothing is written.
     for (span, what) in [
         ("3:2=one", "'one' is reversed"),
         ("14:16=two", "'two' from 14 to 16 s is out of range"),
@@ -428,7 +430,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     assert_eq!(json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
     json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
 
-    // A folder keeps its labels beside the samples; a file of them is taken in.
+    // A folder keeps its labels beside the samples; a label file is imported.
     let session = session(folder.path(), 12);
     std::fs::write(path("track.txt"), "0.0\t0.6\tempty\n").expect("writable");
     json_lines(label("made").args(["--span", "0.6:1.2=one", "--from"]).arg(path("track.txt")));
@@ -457,7 +459,7 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     );
 }
 
-/// Writes the hall with other values of these keys of its waveform.
+/// Writes the hall scene with other values for these keys of its waveform.
 fn hall_in(path: &Path, changes: &[(&str, &str)]) {
     let mut text = fixture_text("scenes/hall.toml");
     for (key, value) in changes {
@@ -510,7 +512,7 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     );
 }
 
-/// A waveform in the spec makes the maps that a scene of that waveform makes.
+/// Asserts that a waveform in the spec gives the same maps as a scene with that waveform.
 #[test]
 fn a_spec_gives_a_scene_another_waveform() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -556,7 +558,7 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     assert!(output.status.success(), "{said}");
     let answer: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
-    // Once, although the recording is judged twice.
+    // The message appears once, although the recording is judged twice.
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
     assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
 

@@ -1,4 +1,4 @@
-//! Findings of the doctor.
+//! Tests of the findings of `radome doctor`.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -18,7 +18,7 @@ fn named<'a>(checks: &'a [Value], name: &str) -> &'a Value {
     checks.iter().find(|check| check["check"] == name).unwrap_or_else(|| panic!("no {name} in {checks:?}"))
 }
 
-/// Checks of a run that fails, and what it says at the end.
+/// Checks of a run that fails, and its stderr.
 fn failing(command: &mut std::process::Command) -> (Vec<Value>, String) {
     let output = command.output().expect("runs");
     assert_eq!(output.status.code(), Some(1), "{command:?}");
@@ -89,7 +89,8 @@ fn unpacked(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
     parts
 }
 
-/// Everything that names a person, a machine or a network is a token in the archive, and stderr lists what is packed.
+/// Asserts that the archive has tokens in place of all names of persons, machines and networks, and that stderr lists
+/// the packed files.
 #[test]
 fn a_bundle_names_nobody_and_lists_what_it_packs() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -100,7 +101,7 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
     let bundle = home.join("zqreport.zip");
     let mut command = radome();
     command.args(["doctor", "--json"]).arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-    // The model by its name in the working folder, scene and archive by absolute paths.
+    // The model has a relative path; scene and archive have absolute paths.
     command.current_dir(&home).args(["--model", "zqmodel.safetensors", "--record-to", ".", "--bundle"]).arg(&bundle);
     command.args(["--mqtt", "mqtt://zquser:zqhunter@zqhost.example:18x83"]);
     command.env("HOME", &home).env("USER", "zqzoe").env("TMPDIR", temporary.path());
@@ -114,7 +115,7 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
         let line = format!("{:>10} bytes  {name}", bytes.len());
         assert!(said.lines().any(|said| said == line), "no {line:?} in {said}");
         let text = String::from_utf8_lossy(bytes).to_lowercase();
-        // The emulated board's identity, as text and on the wire.
+        // Identity of the emulated board, as text and as bytes of the protocol trace.
         let identity = ["000102030405060708090a0b0c0d0e0f", "00 01 02 03 04 05 06 07"];
         let names = ["zqhome", "zqzoe", "zqmodel", "zqreport", "zquser", "zqhunter", "zqhost", "zqradar", "zqpassword"];
         for secret in identity.iter().chain(&names).chain(&["corridor.toml"]) {
@@ -124,7 +125,7 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
     assert!(parts.len() >= 9 && said.contains("<path-N>") && said.contains("<serial-N>"), "{said}");
     let checks = String::from_utf8_lossy(&parts["checks.json"]).into_owned();
     assert!(checks.contains("<path-") && checks.contains("MB/s"), "{checks}");
-    // Nothing stays behind in the folder for temporary files, under whatever name.
+    // No file remains in the folder for temporary files.
     assert_eq!(std::fs::read_dir(temporary.path()).expect("readable").count(), 0);
 }
 
@@ -142,7 +143,7 @@ fn a_bundle_is_not_written_over_another_file() {
     assert!(said.contains("exists") && !target.exists(), "{said}");
 }
 
-/// Requests and answers of the emulated board, and of its frames the headers.
+/// Checks the trace of the emulated board: requests, answers and the headers of frames.
 fn wire_is_bytes_with_times_and_directions(text: &str) {
     assert!(text.len() < 100_000, "{} bytes", text.len());
     let (mut last_s, mut sent, mut received, mut pieces) = (0.0, Vec::new(), Vec::new(), 0);
@@ -161,7 +162,8 @@ fn wire_is_bytes_with_times_and_directions(text: &str) {
         match mark {
             "opened" => assert!(shown.starts_with("/dev/"), "{line}"),
             ">" => sent.push(bytes()),
-            // Strata: pieces of frames begin with a byte from 0xD0 on and have a header of six.
+            // Messages of the Strata protocol that carry frame data begin with a byte from 0xD0 on and have a header of
+            // six bytes.
             "<" if bytes()[0] >= 0xD0 => {
                 assert!(bytes().len() == 6 && more.ends_with(" bytes"), "{line}");
                 pieces += 1;
@@ -171,7 +173,7 @@ fn wire_is_bytes_with_times_and_directions(text: &str) {
         }
     }
     assert!(text.contains("opened /dev/") && sent.len() > 10 && pieces > 20, "{text}");
-    // Answers begin with the code of their request.
+    // Each answer begins with the code of its request.
     let codes = |messages: &[Vec<u8>]| messages.iter().map(|bytes| bytes[0]).collect::<Vec<u8>>();
     assert_eq!(codes(&received), codes(&sent));
 }
@@ -190,7 +192,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     assert!(named(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
     let parts = unpacked(&bundle);
     let wire = String::from_utf8_lossy(&parts["wire.txt"]).into_owned();
-    // Paths are tokens: one path, one token.
+    // Each path has one token.
     let token = wire.trim_end().rsplit_once("opened ").map(|(_, token)| token).expect("a path");
     assert!(token.starts_with("<path-"), "{wire}");
     let checks = String::from_utf8_lossy(&parts["checks.json"]).into_owned();
@@ -208,7 +210,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     assert_eq!(named(&checks, "room")["verdict"], "fail");
 }
 
-/// The files to install by hand are those that the program prints.
+/// Asserts that the packaged udev rules are those that the program prints, and that the unit uses existing options.
 #[test]
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =

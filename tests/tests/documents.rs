@@ -1,7 +1,7 @@
-//! Documentation against the tree and the program: links, paths, commands and their options.
+//! Checks the documentation against the tree and the program: links, paths, commands and their options.
 //!
-//! Fenced blocks marked `sh` are run. Those marked `console` need a board, a network or more than seconds: their commands and
-//! options are compared with the help, as are those in the text.
+//! Fenced blocks marked `sh` are run. Blocks marked `console` need a board, a network or more than seconds. The test
+//! compares their commands and options, and those in the text, with the help.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,13 +10,13 @@ use std::process::Command;
 
 use radome_tests::{help, long_options, radome, root};
 
-/// Folders whose files pages name by their path from the root.
+/// Folders to whose files pages refer by paths from the root.
 const FOLDERS: [&str; 10] = ["cli", "docs", "driver", "dsp", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
-/// Parts of paths that stand for any name.
+/// Path segments that stand for any name.
 const PLACEHOLDERS: [&str; 2] = ["GROUP", "NAME"];
-/// Commands that have commands of their own.
+/// Commands with subcommands.
 const GROUPS: [&str; 6] = ["bench", "board", "dataset", "model", "recording", "scene"];
-/// Page that leads from nothing to a model.
+/// Page that leads a new user from the first command to a model.
 const FIRST_STEPS: &str = "docs/label-and-adapt.md";
 /// Other pages with commands that are run.
 const RUN: [&str; 6] =
@@ -62,7 +62,7 @@ impl Page {
         spans.map(|span| span.split_whitespace().collect::<Vec<_>>().join(" ")).collect()
     }
 
-    /// Targets of links and pictures within the tree.
+    /// Link and picture targets within the tree.
     fn links(&self) -> Vec<&str> {
         let targets = |opening: &'static str, closing: char| {
             let rests = self.prose.split(opening).skip(1);
@@ -72,7 +72,7 @@ impl Page {
         all.filter(|target| !target.contains("://")).collect()
     }
 
-    /// Commands of the program, in text and blocks: the words after its name.
+    /// Arguments of the program's commands in text and blocks.
     fn commands(&self) -> Vec<Vec<String>> {
         let mut lines = self.spans();
         for (language, content) in &self.blocks {
@@ -128,7 +128,7 @@ fn find_pages(folder: &str, pages: &mut Vec<Page>) {
     }
 }
 
-/// All pages of the tree, by path.
+/// All pages of the tree, ordered by path.
 fn pages() -> Vec<Page> {
     let mut pages = Vec::new();
     find_pages("", &mut pages);
@@ -141,14 +141,15 @@ fn page(path: &str) -> Page {
     pages().into_iter().find(|page| page.path == path).unwrap_or_else(|| panic!("no {path}"))
 }
 
-/// Commands that a help lists.
+/// Subcommands that a help text lists.
 fn subcommands(help: &str) -> Vec<&str> {
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
     let named = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     named.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
 }
 
-/// Runs the blocks of a page that are marked `sh`, in the source tree, with `out/` moved to a folder. Returns stdout.
+/// Runs the blocks of a page that are marked `sh` in the source tree, with `out/` redirected to `folder`. Returns
+/// stdout.
 fn run_blocks(page: &Page, folder: &Path) -> String {
     let program = PathBuf::from(radome().get_program());
     let commands = page
@@ -198,7 +199,7 @@ fn the_readme_links_every_page_of_docs() {
     }
 }
 
-/// Paths are written from the root, or from the folder of the page.
+/// Asserts that paths in the text exist, relative to the root or to the folder of the page.
 #[test]
 fn paths_in_the_text_exist() {
     let (mut count, mut wrong) = (0, Vec::new());
@@ -220,7 +221,7 @@ fn paths_in_the_text_exist() {
     assert!(count > 100, "{count} paths found");
 }
 
-/// Former names of commands are refused here: help shows the present ones.
+/// Asserts that commands and options on pages appear in the help, which excludes former names.
 #[test]
 fn commands_and_options_are_those_of_the_program() {
     let is_name = |word: &str| word.chars().all(|c| c.is_ascii_lowercase());
@@ -245,7 +246,7 @@ fn commands_and_options_are_those_of_the_program() {
 #[test]
 fn the_table_of_commands_is_that_of_the_program() {
     let page = page("docs/commands.md");
-    // Tables of the sections below are of other things.
+    // The tables of later sections list other things.
     let listed: BTreeSet<String> = page
         .prose
         .lines()
@@ -273,7 +274,7 @@ fn the_first_steps_lead_to_a_labelled_recording_and_a_model() {
     assert!(page.script().contains("# From nothing to a model"), "{}", page.script());
     let said = run_blocks(&page, folder.path());
     assert!(folder.path().join("first/model.safetensors").exists());
-    // What `evaluate` and `live` say last.
+    // `evaluate` and `live` end with these lines.
     assert!(said.contains("balanced accuracy") && said.contains("latency"), "{said}");
 }
 
@@ -298,8 +299,8 @@ fn the_commands_of_all_other_pages_succeed() {
     }
 }
 
-/// The reader of pages itself.
-/// Blocks of `docs/rooms.md`: a scene; a file, which is not at hand; a box in place of the scene's plan; and a material.
+/// Asserts that the program reads the blocks of `docs/rooms.md`: a scene, an absent file, a box in place of the scene's
+/// plan, and a material.
 #[test]
 fn the_toml_files_on_pages_are_read_by_the_program() {
     let toml = |path: &str| -> Vec<String> {

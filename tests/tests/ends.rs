@@ -1,5 +1,5 @@
-//! Every end has its cause on stderr, its summary, and its exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was
-//! lost.
+//! Every program end reports its cause on stderr, prints its summary and has its exit status: 0 done, 1 failed, 2 wrong
+//! use, 3 done with losses.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -11,12 +11,12 @@ use radome_tests::running::{Running, emulated_board, wait_for};
 use radome_tests::{failure, fixture, frames, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
-/// Frames of a simulated desk.
+/// Simulates a desk recording with this number of frames.
 fn desk(frames: u64, to: &Path) {
     simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), to);
 }
 
-/// Twenty frames of a simulated desk of which three, from number 8 on, are missing.
+/// Writes twenty frames of a simulated desk, of which three, from number 8 on, are missing.
 fn with_a_gap(folder: &Path) -> PathBuf {
     let (whole, holed) = (folder.join("whole.mcap"), folder.join("holed.mcap"));
     desk(20, &whole);
@@ -35,20 +35,20 @@ fn with_a_gap(folder: &Path) -> PathBuf {
     holed
 }
 
-/// Whether a recording is marked finished, its frames, and its gaps.
+/// Whether a recording is marked as finished, its number of frames, and its gaps.
 fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
     let reader = McapReader::open(path).expect("a file that opens");
     let (frames, gaps) = frames(path);
     (reader.is_complete(), frames.len() as u64, gaps)
 }
 
-/// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
+/// Starts an emulated board behind a link with a unique path, and returns the path. Terminal numbers are reused.
 fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
     emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol, "--link", &link])
 }
 
-/// A recorder of boards that looks for a lost one for a second, and says each frame that it writes.
+/// Starts a recorder of boards that reports each frame and searches for a lost board for one second.
 fn patient(mut command: Command, recording: &Path) -> Running {
     command.args(["--give-up-after-s", "1", "--json", "--allow-loss", "-o"]).arg(recording);
     Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"))
@@ -81,7 +81,7 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
         let summary: Value = serde_json::from_str(summary.last().expect("a summary")).expect("JSON");
         let (is_finished, frames, gaps) = read(&recording);
         assert!(is_finished && frames >= 5 && summary["frames"] == frames, "{protocol}: {frames}, {summary}");
-        // What the board would have sent is a hole of unknown length.
+        // The frames that the board would have sent form a gap of unknown length.
         let last = gaps.last().expect("a gap");
         assert_eq!((last.frames, last.reason), (0, GapReason::Disconnected), "{protocol}: {gaps:?}");
     };
@@ -125,7 +125,7 @@ fn a_port_that_is_not_there_is_a_failure() {
     assert!(said.contains("/dev/no-such-port") && !recording.exists(), "{said}");
 }
 
-/// Runs a command whose stdout is closed when so many lines have been read.
+/// Runs a command and closes its stdout after this number of lines.
 fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
     let stderr = child.stderr.take().expect("piped");
@@ -158,7 +158,7 @@ fn a_closed_stdout_ends_every_command_quietly() {
         let mut live = radome();
         live.arg("live").arg(at("desk.mcap")).args(["--model", "cfar"]).args(arguments);
         quiet(live.arg("-o").arg(at(&name)), lines);
-        // Who closes stdout before there is a frame may leave no recording; one that is there is whole.
+        // If stdout closes before the first frame, there may be no recording; an existing recording is complete.
         assert!(!at(&name).exists() || read(&at(&name)).0, "{name}");
     }
 }
@@ -228,7 +228,7 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             assert_eq!(run(&["--max-dropped", "3"]).0, Some(3));
         }
     }
-    // Without a recording nothing is lost that was to be kept.
+    // Without a recording, lost frames do not change the exit status.
     assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
 }
 
@@ -238,7 +238,7 @@ fn wrong_use_ends_with_2() {
     {
         assert_eq!(outcome(radome().args(arguments)).0, Some(2), "{arguments:?}");
     }
-    // Options that would have no effect.
+    // Options without effect are refused.
     for arguments in [
         &["--listen", "127.0.0.1:0"][..],
         &["--read-only-labels"],
@@ -283,16 +283,17 @@ fn what_is_stopped_by_a_signal_ends_in_order_with_0() {
     assert!(board.stderr.all().iter().any(|line| line.contains("packets sent")), "{:?}", board.stderr.all());
 }
 
-/// A limit on the size of files stands for a full disk.
+/// Tests with a file-size limit in place of a full disk.
 #[cfg(unix)]
 mod full_disk {
     use super::*;
 
-    /// Chunks of a second, which are thirteen frames of at most 3 KiB, of which some fit in a file and others do not.
+    /// Number of frames. A chunk holds one second: thirteen frames of at most 3 KiB, of which some fit in a file and
+    /// others do not.
     const FRAMES: u64 = 240;
     const BLOCKS: u32 = 120;
 
-    /// A program that may write so many blocks to a file, of 512 bytes or 1 KiB as the shell has them.
+    /// Command that may write this number of blocks to a file. Blocks have 512 bytes or 1 KiB, depending on the shell.
     fn limited(blocks: u32, command: &Command) -> Command {
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\""), "sh"]);

@@ -1,4 +1,4 @@
-//! `dataset stats --features`: simulated halls beside what recordings of people walking about show.
+//! Tests of `dataset stats --features`: features of simulated halls beside those of recordings of walking people.
 
 use radome_tests::{failure, fixture, fixture_text, json_lines, subcommand};
 
@@ -22,11 +22,11 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
         let noise = row(&format!("noise_lsb.{bin}"));
         assert_eq!(noise["holds"], true, "{noise}");
     }
-    // A map of noise alone has the moving energy of an empty room, people more.
+    // A map of noise alone has the moving energy of an empty room; people have more.
     let found = |key: &str| row(key)["found"].as_f64().expect("a number");
     assert!((found("empty.moving_energy_db") - 13.0).abs() < 2.0);
     assert!(found("one.moving_energy_db") > 17.0);
-    // Clutter is seen in frames, which a dataset does not hold.
+    // Clutter levels need frames, which a dataset does not hold.
     assert!(row("clutter.level_lsb")["found"].is_null());
     let scene = fixture("scenes/hall.toml");
     let with_frames = json_lines(&mut stats(&["--frames", scene.to_str().expect("a path")])).remove(0);

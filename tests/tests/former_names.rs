@@ -1,12 +1,12 @@
-//! Former names of commands do what the present ones do.
+//! Tests that former names of commands behave like the present names.
 
 use radome_tests::{help, long_options, outcome, radome};
 
-/// Page with the table of former and present names. A test of the program holds its own list to it.
+/// Page with the table of former and present names. A test of the program compares the program's own list with it.
 const PAGE: &str = include_str!("../../docs/commands.md");
 
-/// Options of each command when it had its former name, without those of all commands. Former options that are hidden now are
-/// in [`FORMER_OPTIONS`].
+/// Options of each command under its former name, without the options that all commands have. [`FORMER_OPTIONS`] lists
+/// the former options that are hidden now.
 const OPTIONS: [(&str, &str); 23] = [
     ("devices", "--json --probe --udev-rules --watch"),
     ("config", "--json --registers"),
@@ -51,11 +51,11 @@ const OPTIONS: [(&str, &str); 23] = [
     ),
 ];
 
-/// Options that have another name now, and that name.
+/// Options that were renamed: command, former name and present name.
 const FORMER_OPTIONS: [(&str, &str, &str); 3] =
     [("results", "--csv", "--output"), ("paths", "--preview", "--output"), ("dataset pair", "--map", "--preset")];
 
-/// Commands that take no time, by their former names.
+/// Commands that end at once, by their former names.
 const CHEAP: [&str; 5] = [
     "devices --udev-rules",
     "config paper --registers --json",
@@ -91,7 +91,8 @@ fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
     }
 }
 
-/// Arguments arrive: both refuse the same ones with the same words, and cheap commands say the same.
+/// Asserts that both names receive their arguments: they refuse the same ones with the same message, and cheap commands
+/// print the same.
 #[test]
 fn former_and_present_names_do_the_same() {
     let table = table();
@@ -137,13 +138,13 @@ fn completions_know_the_groups_and_their_commands() {
     let script = String::from_utf8(output.stdout).expect("text");
     for (_, present) in table() {
         let (group, name) = present.split_once(' ').unwrap_or_else(|| panic!("{present} has no group"));
-        // The hidden ones are not completed.
+        // Hidden commands are not completed.
         let is_listed = script.contains(&format!("radome__subcmd__{group},{name})"));
         assert!(is_listed || present == "recording labels", "{present}");
     }
 }
 
-/// Sources, recordings, scenes, models and waveforms are completed by the names of files.
+/// Asserts that file names complete sources, recordings, scenes, models and waveforms.
 #[test]
 fn completions_offer_files_wherever_one_can_be_named() {
     let output = radome().args(["completions", "zsh"]).output().expect("runs");

@@ -1,15 +1,15 @@
-//! Behaviour on malformed input: a right answer, or an error that says what, where and what
-//! to do; never half a file.
+//! Behaviour on malformed input: a right answer, or an error that states the problem, its place and the remedy. No
+//! partial file remains.
 
 use std::path::Path;
 
 use radome_tests::{failure, fixture, json_lines, radome, subcommand};
 use serde_json::json;
 
-/// Frames, channels, chirps, samples of the made-up recording.
+/// Shape of the made-up recording: frames, channels, chirps, samples.
 const SHAPE: [usize; 4] = [3, 3, 8, 64];
 
-/// Writes a recording folder of Infineon's kind with these codes in a shape that its configuration may contradict.
+/// Writes a recording folder in Infineon's format with these codes, in a shape that may contradict its configuration.
 fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u16) {
     let shape = json!({
         "rx_antennas": [1, 2, 3], "tx_antennas": [1], "tx_power_level": 31, "if_gain_dB": 23,

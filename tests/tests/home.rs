@@ -1,4 +1,5 @@
-//! The house from outside: a real MQTT broker, a scraper, systemd's socket, and those who mean no good.
+//! Tests of the home integrations from outside: a real MQTT broker, a metrics client, systemd's socket, and hostile
+//! clients.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -14,7 +15,7 @@ use serde_json::Value;
 /// Id of the emulated board.
 const ID: &str = "000102030405060708090a0b0c0d0e0f";
 
-/// A mosquitto of the test's own.
+/// Private mosquitto broker.
 struct Broker {
     folder: tempfile::TempDir,
     port: u16,
@@ -22,7 +23,8 @@ struct Broker {
 }
 
 impl Broker {
-    /// On a free port; `None` where mosquitto is not installed: the test is then counted as skipped.
+    /// Prepares the broker on a free port. Returns `None` and counts the test as skipped where mosquitto is not
+    /// installed.
     fn prepare() -> Option<Self> {
         if ["mosquitto", "mosquitto_sub", "mosquitto_pub"].into_iter().any(|name| program(name).is_none()) {
             skip("mosquitto", "tests/run installs mosquitto and mosquitto-clients");
@@ -47,7 +49,7 @@ impl Broker {
         format!("mqtt://127.0.0.1:{}", self.port)
     }
 
-    /// All messages, from those that are retained on.
+    /// Subscribes to all messages, including retained ones.
     fn listen(&self) -> Running {
         let mut command = Command::new(program("mosquitto_sub").expect("there"));
         let hub = Running::start(command.args(["-p", &self.port.to_string(), "-d", "-v", "-t", "#"]));
@@ -68,13 +70,13 @@ fn program(name: &str) -> Option<PathBuf> {
     folders.find_map(|folder| Some(Path::new(folder).join(name)).filter(|program| program.exists()))
 }
 
-/// The corridor through an emulated board, at its own pace, until stopped.
+/// Command that watches the corridor through an emulated board in real time, until stopped.
 fn watch() -> Command {
     live_command(emulated_corridor(), "--speed 1 --json")
 }
 
-/// Asks for an orderly end; asserts that every frame was judged, but for those that an overloaded machine's emulated board itself
-/// has lost and said so, and returns the summary.
+/// Terminates the program and returns its summary. Asserts that every frame was judged, except those that the emulated
+/// board reports as lost on a busy machine.
 fn stop_and_count(mut live: Running) -> Value {
     live.signal("TERM");
     assert!(live.wait().success(), "{:?}", live.stderr.all());
@@ -141,13 +143,13 @@ fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
     assert!(said["count"].as_u64().is_some_and(|count| count >= 1), "{said}");
     assert!(said["confidence"].as_f64().is_some_and(|c| (0.0..=1.0).contains(&c)) && said["dropped_frames"] == 0);
 
-    // Who comes later finds all of it retained.
+    // A later subscriber receives all of it as retained messages.
     let late = broker.listen();
     for topic in [&discovery_topic(), &availability, &state] {
         late.stdout.find(0, topic, |line| message(line, topic));
     }
 
-    // The hub starts again.
+    // The hub restarts.
     let before = hub.stdout.all().len();
     broker.publish("homeassistant/status", &["-m", "online"]);
     hub.stdout.find(before, "a second announcement", |line| message(line, &discovery_topic()));
@@ -198,7 +200,7 @@ fn an_orderly_end_says_offline_itself() {
     });
 }
 
-/// Runs openssl in a folder; `false` if there is none.
+/// Runs openssl in a folder; returns `false` if it is not installed.
 fn openssl(folder: &Path, arguments: &str) -> bool {
     let output = Command::new("openssl").args(arguments.split(' ')).current_dir(folder).output();
     output.is_ok_and(|output| output.status.success())
@@ -222,7 +224,7 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
         skip("openssl", "openssl or mosquitto_passwd is absent; tests/run installs openssl and mosquitto");
         return;
     }
-    // mosquitto gives up root's rights before it reads them.
+    // mosquitto drops root's privileges before it reads these files.
     for name in ["ca.pem", "hub.pem", "hub.key", "logins"] {
         let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
         std::fs::set_permissions(folder.join(name), open).expect("settable");
@@ -259,7 +261,7 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     stop_and_count(live);
 }
 
-/// Answer of a server to these bytes, as far as it comes.
+/// Sends these bytes to a server; returns as much of the answer as arrives.
 fn ask(port: u16, request: &[u8]) -> String {
     let mut answer = Vec::new();
     if let Ok(mut socket) = TcpStream::connect(("127.0.0.1", port)) {
@@ -274,12 +276,12 @@ fn get(port: u16, path: &str) -> String {
     get_as(port, path, &format!("127.0.0.1:{port}"), "")
 }
 
-/// Asks as a client that calls the server by this name, with further headers.
+/// Requests a path under this host name, with additional headers.
 fn get_as(port: u16, path: &str, host: &str, headers: &str) -> String {
     ask(port, format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n").as_bytes())
 }
 
-/// Reports what is true.
+/// Reports the true class.
 fn report(port: u16, truth: &str) -> String {
     ask(port, format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n").as_bytes())
 }
@@ -289,7 +291,7 @@ fn metric(page: &str, name: &str) -> f64 {
     value.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {page}"))
 }
 
-/// The metrics once there are such; while a crowd is served there may be none.
+/// Requests the metrics until they satisfy `until`; the server may answer otherwise while it is busy.
 fn scrape(port: u16, until: impl Fn(&str) -> bool) -> String {
     wait_for("metrics", || Some(get(port, "/metrics")).filter(|page| page.starts_with("HTTP/1.1 200") && until(page)))
 }
@@ -334,7 +336,7 @@ fn prometheus_reads_counters_gauges_and_a_histogram() {
     assert!(summary["frames"].as_f64().is_some_and(|all| all >= frames));
 }
 
-/// Receiver of the notifications that systemd would hear.
+/// Socket that receives the notifications for systemd.
 struct Ear {
     socket: UnixDatagram,
     folder: tempfile::TempDir,
@@ -352,7 +354,7 @@ impl Ear {
         self.folder.path().join("notify")
     }
 
-    /// Notifications within this time.
+    /// Notifications that arrive within this time.
     fn hear(&self, time: Duration) -> Vec<String> {
         let (start, mut heard, mut bytes) = (Instant::now(), Vec::new(), [0; 4096]);
         while start.elapsed() < time {
@@ -373,7 +375,7 @@ impl Ear {
 #[test]
 fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_come() {
     let ear = Ear::new();
-    // A board in a process of its own, that can be made to stand still.
+    // The board is another process, so that a signal can stop it.
     let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
     let mut live = live_command(format!("serial:{port}"), "--json");
     live.env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
@@ -384,7 +386,7 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     ear.wait_for("WATCHDOG=1");
     ear.wait_for("STATUS=");
     board.signal("STOP");
-    // What was on its way may still come.
+    // Frames in transit may still arrive.
     ear.hear(Duration::from_secs(2));
     let heard = ear.hear(Duration::from_secs(4));
     assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
@@ -421,12 +423,12 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
             (whole.len() == n).then_some(whole)
         })
     };
-    // A report that the broker keeps is about another night; what is no class is no report.
+    // A retained report is out of date, and an unknown class is no report.
     let topic = button["cmd_t"].as_str().expect("a topic");
     broker.publish(topic, &["-m", "three"]);
     broker.publish(topic, &["-m", button["pl_prs"].as_str().expect("a payload")]);
     let first = kept(1);
-    // Those within five seconds of another are refused.
+    // A report within five seconds of another is refused.
     assert!(report(port, "one").starts_with("HTTP/1.1 202"));
     scrape(port, |page| metric(page, "radome_reports_refused_total") >= 1.0);
     std::thread::sleep(Duration::from_secs(5));
@@ -435,7 +437,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     std::thread::sleep(Duration::from_secs(5));
     live.signal("USR1");
     let third = kept(3);
-    // A report is counted once it is whole.
+    // A report is counted once its file is complete.
     let page = scrape(port, |page| metric(page, "radome_reports_kept_total") >= 3.0);
     assert_eq!((metric(&page, "radome_reports_kept_total"), metric(&page, "radome_mqtt_refused_total")), (3.0, 1.0));
     stop_and_count(live);
@@ -446,7 +448,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     for path in &third {
         let answers = json_lines(subcommand("recording answers").arg(path).arg("--json"));
         let times: Vec<u64> = answers.iter().map(|answer| answer["time_ns"].as_u64().expect("a time")).collect();
-        // Three seconds, but for frames that an overloaded machine's board has lost.
+        // Each report covers three seconds, less the frames that the board lost on a busy machine.
         let span_s = (times[times.len() - 1] - times[0]) as f64 * 1e-9;
         assert!((2.0..3.05).contains(&span_s), "{span_s} s");
         let found = json_lines(subcommand("recording labels").arg(path).arg("--json"));
@@ -471,7 +473,7 @@ mod hard_cases {
         let (large, topic) = (folder.path().join("large"), format!("radome/{ID}/report"));
         std::fs::write(&large, vec![b'x'; 3_000_000]).expect("writable");
         let large = large.to_str().expect("text");
-        // Before the radar comes, and retained: it gets them as soon as it asks.
+        // Retained messages that precede the radar: it receives them as soon as it subscribes.
         broker.publish("homeassistant/status", &["-r", "-f", large]);
         broker.publish(&topic, &["-r", "-m", "empty"]);
         let mut command = watch();
@@ -481,7 +483,7 @@ mod hard_cases {
         let hub = broker.listen();
         hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
         scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 1.0 && page.contains("\nradome_up 1\n"));
-        // And while it listens.
+        // Messages that arrive while it is subscribed.
         broker.publish(&topic, &["-f", large]);
         broker.publish("homeassistant/status", &["-m", "offline"]);
         broker.publish("homeassistant/status", &["-m", "../../etc/passwd"]);
@@ -495,7 +497,7 @@ mod hard_cases {
         let page = scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 3.0);
         assert_eq!(metric(&page, "radome_mqtt_connected"), 1.0, "{page}");
         assert_eq!(metric(&page, "radome_mqtt_connections_total"), 1.0, "it was never thrown out");
-        // Three thousand hubs are announced to at most once a second.
+        // Three thousand birth messages of hubs cause at most one announcement a second.
         assert!(count_of(&hub.stdout.all(), &discovery_topic()) < 60);
         assert_eq!(metric(&page, "radome_reports_kept_total"), 0.0);
         stop_and_count(live);
@@ -506,13 +508,13 @@ mod hard_cases {
         let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
         let port = metrics_port(&live);
         scrape(port, |page| page.contains("\nradome_up 1\n"));
-        // Ten times two hundred who come and say nothing.
+        // Ten times two hundred connections that send nothing.
         for _ in 0..10 {
             let crowd: Vec<_> = (0..200).map(|_| TcpStream::connect(("127.0.0.1", port))).collect();
             assert!(crowd.iter().filter(|socket| socket.is_ok()).count() > 0);
         }
         let idle: Vec<_> = (0..200).filter_map(|_| TcpStream::connect(("127.0.0.1", port)).ok()).collect();
-        // Those who are let in and say nothing are shown out, so that others are served again.
+        // Accepted connections that send nothing time out, so that other clients are served again.
         let page = scrape(port, |page| metric(page, "radome_http_turned_away_total") >= 100.0);
         assert!(metric(&page, "radome_frames_total") > 0.0);
         drop(idle);
@@ -568,7 +570,8 @@ mod hard_cases {
         stop_and_count(live);
     }
 
-    /// A name that was bound to this machine's address by somebody else reads nothing through a visitor's browser.
+    /// Asserts that a foreign host name that resolves to this machine's address cannot read the metrics through a
+    /// browser.
     #[test]
     fn metrics_are_not_served_under_names_that_are_not_theirs() {
         let live = Running::start(watch().args(["--metrics", "127.0.0.1:0", "--allow-host", "Radar.example:9100"]));
@@ -636,7 +639,7 @@ mod hard_cases {
     fn addresses_that_are_none_and_ports_that_are_taken_are_named() {
         let said = |options: &[&str]| radome_tests::failure(watch().args(options));
         let text = said(&["--mqtt", "http://hub"]);
-        // The address is not repeated: it may hold a password.
+        // The address is not repeated in the error, since it may hold a password.
         assert!(text.contains("does not begin with mqtt://") && text.contains("hint:"), "{text}");
         let text = said(&["--mqtt", "mqtt://:secret@hub:bad"]);
         assert!(!text.contains("secret") && text.contains("hint:"), "{text}");

@@ -1,8 +1,8 @@
-//! Imports within and between the crates: no cycle of modules, and none against the order of the crates.
+//! Checks imports within and between the crates: no cycle of modules, and no import against the order of the crates.
 //!
-//! Sources are read as text. Test modules and comments do not count. Of an import, the deepest module that it names counts; names
-//! that a module re-exports count as the module that they come from. Two modules of one folder form a cycle if files in or below
-//! each import from the other.
+//! Sources are read as text, without test modules and comments. An import counts for the deepest module that it names.
+//! A name that a module re-exports counts as its original module. Two modules of one folder form a cycle if files in or
+//! below each import from the other.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 use radome_tests::root;
 
-/// Crates, each with those that it may import.
+/// Crates, each with the crates that it may import.
 const CRATES: [(&str, &[&str]); 5] = [
     ("dsp", &[]),
     ("driver", &["dsp"]),
@@ -19,13 +19,13 @@ const CRATES: [(&str, &[&str]); 5] = [
     ("cli", &["dsp", "driver", "sim", "models"]),
 ];
 
-/// Segments of a path below a crate's root; none for the root.
+/// Segments of a module's path below the crate's root; empty for the root.
 type ModulePath = Vec<String>;
 
 /// Sources of a crate without comments and test modules, by module.
 struct Sources(BTreeMap<ModulePath, String>);
 
-/// Path in a `use`, and the name that it has in the module.
+/// Path in a `use`, and its name in the importing module.
 struct Import {
     path: Vec<String>,
     name: String,
@@ -53,7 +53,7 @@ impl Sources {
         Some([base, rest].concat())
     }
 
-    /// Module that an absolute path names, or that the item at its end comes from.
+    /// Module that an absolute path names, or the original module of the item at its end.
     fn resolve(&self, target: &[String], exports: &BTreeMap<ModulePath, ModulePath>, depth: usize) -> ModulePath {
         for length in 1..=target.len() {
             if self.0.contains_key(&target[..length]) {
@@ -69,7 +69,7 @@ impl Sources {
         target.to_vec()
     }
 
-    /// For each parent, the imports among its children.
+    /// Imports between the children of each parent module.
     fn edges(&self) -> BTreeMap<ModulePath, BTreeMap<String, BTreeSet<String>>> {
         let mut exports = BTreeMap::new();
         for (module, code) in &self.0 {
@@ -122,8 +122,8 @@ fn read_folder(
     }
 }
 
-/// Removes comments and test modules from a source that rustfmt has formatted. Returns the names of test modules in files of
-/// their own too.
+/// Removes comments and test modules from a source that rustfmt has formatted. Also returns the names of test modules
+/// in separate files.
 fn without_tests(text: &str) -> (String, Vec<String>) {
     let (mut code, mut test_modules) = (String::new(), Vec::new());
     let mut lines = text.lines();
@@ -156,7 +156,7 @@ fn without_tests(text: &str) -> (String, Vec<String>) {
     (code, test_modules)
 }
 
-/// Item without `pub`, `pub(crate)` and the like.
+/// Line without `pub`, `pub(crate)` and similar prefixes.
 fn without_visibility(line: &str) -> &str {
     let line = line.trim();
     let Some(rest) = line.strip_prefix("pub") else { return line };
@@ -210,7 +210,7 @@ fn expand(tree: &str, prefix: &[String], imports: &mut Vec<Import>) {
     }
 }
 
-/// Paths from `crate` or `super` anywhere in the code, but for the beginnings of trees, which [`uses`] reads.
+/// Paths that begin with `crate` or `super` anywhere in the code, except in `use` items, which [`uses`] reads.
 fn inline_paths(code: &str) -> Vec<Vec<String>> {
     let is_part = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
     let mut paths = Vec::new();
@@ -277,7 +277,7 @@ fn crates_import_only_those_below_them() {
     }
 }
 
-/// The reader of imports itself: trees, re-exports, test modules.
+/// Asserts that the import reader handles trees, re-exports and test modules.
 #[test]
 fn a_cycle_by_a_reexport_is_found_and_one_by_tests_is_not() {
     let module = |path: &str, text: &str| {

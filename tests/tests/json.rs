@@ -1,4 +1,5 @@
-//! `docs/json.md` against the program: every command with `--json` has a section, and every key that is printed is in it.
+//! Compares `docs/json.md` with the program: every command with `--json` has a section, which lists every key that it
+//! prints.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -30,7 +31,7 @@ impl Page {
         Page(sections)
     }
 
-    /// Keys of a section, with those of the sections that its rows name.
+    /// Keys of a section, including those of the sections that its rows refer to.
     fn keys(&self, anchor: &str) -> Vec<String> {
         let rows = self.0.get(anchor).unwrap_or_else(|| panic!("docs/json.md has no section #{anchor}"));
         let mut keys = Vec::new();
@@ -50,7 +51,7 @@ impl Page {
     }
 }
 
-/// Whether a key of the page stands for a printed one: it is the same, a wildcard of it, or a key within it.
+/// Whether a key of the page covers a printed key: it is equal, a wildcard for it, or a key within it.
 fn stands_for(documented: &str, printed: &str) -> bool {
     let is_within = documented.strip_prefix(printed).is_some_and(|rest| rest.starts_with(['.', '[']));
     let is_wildcard = documented.strip_suffix('*').is_some_and(|prefix| printed.starts_with(prefix));
@@ -72,7 +73,7 @@ fn add_keys(value: &Value, place: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Checks what a command printed against its section.
+/// Asserts that the section of a command lists every key that it printed.
 fn check(page: &Page, command: &str, printed: &[Value]) {
     let mut found = BTreeSet::new();
     printed.iter().for_each(|value| add_keys(value, "", &mut found));
@@ -93,14 +94,14 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("a path in UTF-8")
 }
 
-/// Commands below a group that take `--json`, by their help.
+/// Adds the commands of a group that take `--json`, according to their help.
 fn add_commands(group: &str, found: &mut Vec<String>) {
     let help = help(group);
     if help.contains("--json") {
         found.push(group.to_owned());
     }
     let below = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    // Names are indented by two blanks, lines that go on by more.
+    // Names are indented by two spaces, continuation lines by more.
     let names = below.filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')));
     for name in names.filter_map(|line| line.split(' ').next()).filter(|name| *name != "help") {
         add_commands(format!("{group} {name}").trim_start(), found);
@@ -177,7 +178,7 @@ fn every_key_of_boards_models_and_stages_is_documented() {
     ] {
         check(&page, command, &json_lines(&mut with(command, &arguments)));
     }
-    // It fails where a check does.
+    // `doctor` fails where one of its checks fails.
     check(&page, "doctor", &json_lines_of(&mut with("doctor", &[]), &[0, 1]));
 }
 

@@ -1,4 +1,4 @@
-//! Labels go into a recording and come out of it in the formats of other tools; frames stay as they are.
+//! Tests of labels that are imported into a recording and exported in formats of other tools; frames do not change.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -37,7 +37,7 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
 }
 
-/// Labels of a recording, whatever state it is in.
+/// Labels of a recording, complete or not.
 fn spans(recording: &Path) -> Vec<Value> {
     match json_lines(subcommand("recording labels").arg(recording).arg("--json")).remove(0) {
         Value::Array(spans) => spans,
@@ -45,7 +45,7 @@ fn spans(recording: &Path) -> Vec<Value> {
     }
 }
 
-/// Labels that the page reports as saved are in the file, and outlive a program that has no time to end it.
+/// Asserts that labels that the page reports as saved are in the file, even if the program is killed.
 #[test]
 fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -55,10 +55,10 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
         radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made).stdout(Stdio::null()),
     );
     let mut socket = page(&served.address);
-    // Until the first frame is seen: labels begin at the newest one.
+    // Waits for the first frame, since labels begin at the newest one.
     while !socket.read().expect("a message").is_binary() {}
     for (key, ended) in [("one", 0), ("two", 1), ("empty", 2)] {
-        // Frames go by, so that the label before has a length.
+        // Waits for more frames, so that the previous label has a length.
         let before = spans(&made).last().map_or(0.0, |span| span["end_s"].as_f64().expect("a time"));
         wait_for("a label that grows in the file", || {
             (ended == 0 || spans(&made).last()?["end_s"].as_f64()? > before).then_some(())
@@ -75,7 +75,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
             }
         }
     }
-    // By a signal that nobody can catch.
+    // Dropping kills the program by SIGKILL.
     drop(served);
     let killed = spans(&made);
     let names: Vec<&str> = killed.iter().filter_map(|span| span["label"].as_str()).collect();
@@ -84,12 +84,13 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
         assert_eq!(pair[0]["end_s"], pair[1]["start_s"]);
     }
     let repaired = folder.path().join("repaired.mcap");
-    // It may have been killed within a chunk, which is lost then.
+    // The program may have been killed within a chunk, which is then lost.
     json_lines_of(subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
     assert_eq!(spans(&repaired), killed);
 }
 
-/// The page gets the command that adapts the model by the labels, says what is missing, and the command works.
+/// Asserts that the page shows the command that adapts the model by the labels, that it reports missing labels, and
+/// that the command works.
 #[cfg(unix)]
 #[test]
 fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
@@ -121,7 +122,7 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     assert!(command.starts_with("radome model adapt room-hqnn '"), "{command}");
     assert!(served.stop(), "an orderly end");
 
-    // As somebody would who copies it into a shell.
+    // Runs the command in a shell, as a user would.
     let program = radome();
     let folder_of_program = Path::new(program.get_program()).parent().expect("a folder");
     let mut shell = Command::new("/bin/sh");

@@ -1,4 +1,5 @@
-//! `radome model evaluate` on recordings whose labels change, on recordings that a model refuses, and on a ladder of simulated ones.
+//! Tests of `radome model evaluate` on recordings whose labels change, on recordings that a model refuses, and on a
+//! ladder of simulated recordings.
 
 use std::path::{Path, PathBuf};
 
@@ -20,14 +21,14 @@ fn sum(confusion: &Value) -> u64 {
     confusion.as_array().expect("rows").iter().flat_map(|row| row.as_array().expect("a row")).map(whole).sum()
 }
 
-/// Two seconds of each label, and two seconds without: from a file, and from the recording itself.
+/// Asserts that labelled spans, from a file or from the recording, select the frames that are judged.
 #[test]
 fn frames_are_judged_by_the_span_that_they_lie_in() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("walk.mcap");
     simulate(&fixture("scenes/hall.toml"), "--seed 700101 --people 1 --frames 60", &recording);
 
-    // Without spans the simulator's truth counts, but for frames in which somebody enters.
+    // Without spans the simulator's truth counts, except for frames in which a person enters.
     let truth = json_lines(evaluate("cfar").arg(&recording)).remove(0);
     assert!((1..=60).contains(&whole(&truth["recordings"][0]["frames"])), "{truth}");
 
@@ -59,12 +60,12 @@ fn frames_are_judged_by_the_span_that_they_lie_in() {
     assert_eq!(held, by_file);
 }
 
-/// Others are judged; the status says that not all were.
+/// Asserts that the other recordings are judged, and that the exit status reports the refused one.
 #[test]
 fn a_refused_recording_is_listed_and_the_others_are_judged() {
     let folder = tempfile::tempdir().expect("a folder");
     let (hall, desk) = (folder.path().join("hall.mcap"), folder.path().join("desk.mcap"));
-    // Bins of 15 cm hold nothing for a model of bins of 3 cm.
+    // Range bins of 15 cm do not suffice for a model with bins of 3 cm.
     simulate(&fixture("scenes/hall.toml"), "--seed 700101 --people 1 --frames 5", &hall);
     simulate(&fixture("scenes/desk.toml"), "--seed 700101 --people 1 --frames 135", &desk);
     let inputs = [&hall, &desk].map(|path| format!("{}=one", path.display()));
@@ -77,7 +78,7 @@ fn a_refused_recording_is_listed_and_the_others_are_judged() {
     assert_eq!(json_lines(evaluate("desk-hqnn").args(&inputs).arg("--skip-refused")), [answer]);
     let said = failure(evaluate("desk-hqnn").args(&inputs));
     assert!(said.contains("1 of 2 recordings were refused") && said.contains("--skip-refused"), "{said}");
-    // Nothing was judged: that is a failure in any case.
+    // If no recording was judged, the command fails in any case.
     let said = failure(evaluate("desk-hqnn").arg(&inputs[0]).arg("--skip-refused"));
     assert!(said.contains("hall.mcap"), "{said}");
 }
@@ -98,7 +99,7 @@ fn rung(folder: &Path) -> PathBuf {
     path
 }
 
-/// Each frame is simulated once and put to both; kept recordings give the same answer.
+/// Asserts that each frame is simulated once and judged by both models, and that kept recordings give the same answer.
 #[test]
 fn models_are_compared_on_the_same_frames() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -122,7 +123,7 @@ fn models_are_compared_on_the_same_frames() {
         assert_eq!(row["refused"].as_array().map(Vec::len), Some(refused), "{row}");
         assert_eq!(whole(&row["recordings_judged"]) as usize, 4 - refused, "{row}");
         assert_eq!(row["recordings"].as_array().map(Vec::len), Some(4 - refused), "{row}");
-        // Of two people's recording the frames in which somebody enters are left out.
+        // The truth of two people leaves out the frames in which a person enters.
         let frames = sum(&row["confusion"]);
         assert!((24..=59).contains(&frames) && frames == whole(&row["reliability"]["frames"]), "{row}");
         assert_eq!(row["reliability"]["bins"].as_array().map(Vec::len), Some(10), "{row}");
@@ -150,7 +151,7 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(kept(), answer);
     assert_eq!(files(), first, "kept recordings were made anew");
 
-    // Settings of the filter that suit all of these, from the recordings of both that were judged.
+    // Fits one set of filter settings to all judged recordings of both models.
     assert!(answer["fitted_smoothing"].is_null(), "{answer}");
     let fitted = json_lines(ladder().arg("--keep").arg(&keep).arg("--fit-smoothing")).remove(0);
     let fit = &fitted["fitted_smoothing"];
@@ -160,7 +161,7 @@ fn models_are_compared_on_the_same_frames() {
     assert!(fit["log_loss"].is_f64() && fit["log_loss_by_frame"].is_f64(), "{fit}");
     assert_eq!(fitted["models"], answer["models"]);
 
-    // The same as a table.
+    // Prints the same result as a table.
     let output = subcommand("model evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
     let table = String::from_utf8(output.stdout).expect("text");
     assert!(output.status.success() && table.contains("small") && table.contains("1 refused"), "{table}");

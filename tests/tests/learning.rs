@@ -1,4 +1,4 @@
-//! From a dataset to models and reports: training that is killed, studies that are stopped, models under other names.
+//! Tests from a dataset to models and reports: killed trainings, interrupted studies and renamed models.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use radome_tests::{failure, fixture, fixture_text, json_lines, radome, subcommand};
 
-/// A small dataset of halls, made once for all tests.
+/// Small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
     static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
     let (_, path) = MAPS.get_or_init(|| {
@@ -39,14 +39,14 @@ fn a_training_that_is_killed_ends_with_the_same_weights() {
         command
     };
     let told = json_lines(&mut train("whole.safetensors"));
-    // Two starts of two epochs, then four more, and the last line.
+    // Two starts of two epochs, four more epochs, and the summary.
     assert_eq!(told.len(), 2 + 6 + 1);
     let mut runs = 0;
     loop {
         let mut child =
             train("killed.safetensors").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
         runs += 1;
-        // Killed as soon as it has said something, three times; then left alone.
+        // The first three runs are killed after their first output; the fourth runs to its end.
         if runs <= 3 {
             let mut line = String::new();
             let mut out = std::io::BufReader::new(child.stdout.take().expect("stdout"));
@@ -92,7 +92,7 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     }
     let said = failure(subcommand("model train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
     assert!(said.contains("no network 'hqmm'") && said.contains("doppler_net"), "{said}");
-    // Descriptors are of levels over noise, which the default settings do not give.
+    // Descriptors need levels over noise, but the default reference is absolute.
     let said = failure(subcommand("model train").arg(maps()).args(["--network", "descriptor_linear", "-o", "x"]));
     assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
     let said = failure(
@@ -101,7 +101,7 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     assert!(said.contains("no ONNX form") && said.contains("hint: "), "{said}");
 }
 
-/// With a dozen recordings each in turn is the test split.
+/// Asserts that each of a dozen recordings can be the test split.
 #[test]
 fn one_recording_can_be_held_out() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -168,14 +168,14 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
     for name in ["report.md", "report.json"].map(str::to_owned).into_iter().chain(plots) {
         assert!(output.join(&name).exists(), "{name}");
     }
-    // Nothing is trained twice, and another study is kept out of the folder.
+    // No training is repeated, and another study cannot use the folder.
     assert_eq!(json_lines(&mut study()).len(), 1);
     std::fs::write(&spec, text.replace("seeds = [1, 2]", "seeds = [1, 3]")).expect("writable");
     assert!(failure(&mut study()).contains("another study"));
 }
 
-/// All that maps are changed by while training, the bound and the filter's settings go into a model; parts of its maps are
-/// replaced by noise and the recalls read again, of a dataset's maps and of recordings.
+/// Asserts that augmentation, limit and filter settings reach the model file. Also asserts that ablation replaces parts
+/// of maps by noise and reports the recalls again, for maps of a dataset and for recordings.
 #[test]
 fn parts_of_maps_are_replaced_and_recalls_read_again() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -207,7 +207,7 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
             "{row}"
         );
     }
-    // The same noise again, and no word of it where it was not asked for.
+    // The noise is reproducible; without the option the answer does not contain it.
     assert_eq!(json_lines(on_maps().args(["--ablate", "--json"])).remove(0), answer);
     let plain = json_lines(on_maps().arg("--json")).remove(0);
     assert!(plain.get("ablation").is_none(), "{plain}");
@@ -233,7 +233,7 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     assert!(said.contains("raw frames") && said.contains("hint:"), "{said}");
 }
 
-/// The settings of the shipped models can be read and trained with.
+/// Asserts that the settings of the shipped models can be read and used for training.
 #[test]
 fn shipped_settings_train_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -257,7 +257,8 @@ fn shipped_settings_train_a_model() {
 mod hard_cases {
     use super::*;
 
-    /// The level above noise is unknown for maps with a 0 dB of their own; a misspelt setting is refused.
+    /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
+    /// above one, and an unknown key.
     #[test]
     fn settings_of_augmentation_that_cannot_be_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! The main job from outside: emulated board, protocol, maps, labels.
+//! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
@@ -26,7 +26,8 @@ fn demo_counts_people_through_the_emulated_board() {
     assert!(summary["latency_ms"]["p50"].is_number() && summary["latency_ms"]["p99"].is_number());
 }
 
-/// Another board's gain is another one, and so is the same board's on a hot day; the model measures maps against their own noise.
+/// Asserts that labels do not depend on the gain, which varies between boards and with temperature. The model measures
+/// maps against their own noise.
 #[test]
 fn people_are_counted_alike_at_other_gains() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -64,7 +65,7 @@ fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     assert!(said.contains("256 samples") && said.contains("64 samples") && said.contains("hint:"), "{said}");
 }
 
-/// The sign convention from scene to page: someone who walks away has positive velocity in what the browser gets.
+/// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.
 #[test]
 fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
@@ -85,7 +86,7 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
             if !message.is_binary() {
                 continue;
             }
-            // The next picture comes when this one has been taken in.
+            // The page sends the next picture after this acknowledgement.
             let _ = socket.send(tungstenite::Message::text("{\"do\":\"seen\"}"));
             let bytes = message.into_data();
             let Some(length) = bytes.get(..4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize) else {
@@ -95,12 +96,12 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
             if head["answer"]["time_s"].as_f64().expect("a time") < 1.5 || head["parts"][0][0] != "map" {
                 continue;
             }
-            // The first part.
+            // Cells of the message's first part.
             let cells = &bytes[4 + length..];
             let head = &head["map"];
             let range = head["range"].as_u64().expect("number") as usize;
             let doppler = head["doppler"].as_u64().expect("number") as usize;
-            // The body, not the limbs: the strongest cell beyond the first metre.
+            // The strongest cell beyond the first metre is the torso rather than the limbs.
             let peak = (0..doppler * range).filter(|i| i % range > 6).max_by_key(|i| cells[*i]).expect("cells");
             let velocity = (peak / range) as f64 - (doppler / 2) as f64;
             let velocity = velocity * head["velocity_step_m_per_s"].as_f64().expect("number");

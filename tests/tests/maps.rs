@@ -1,4 +1,4 @@
-//! `radome recording maps` on the real recording against the formula in f64, written out here on its own.
+//! Compares `radome recording maps` on the real recording with an independent f64 implementation of the formula.
 
 use std::f64::consts::TAU;
 
@@ -53,7 +53,7 @@ fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
     assert!(worst < 0.01, "{worst} dB");
 }
 
-/// `-o -` writes the bytes of the file to stdout, and what is said to stderr.
+/// Asserts that `-o -` writes the bytes of the file to stdout and messages to stderr.
 #[test]
 fn an_array_on_stdout_is_the_file() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,13 +1,13 @@
-//! Models as ONNX files at work in onnxruntime, where it is installed: `tests/run` puts it under `target/`.
+//! Tests of exported ONNX models in onnxruntime, where it is installed: `tests/run` installs it under `target/`.
 
 use std::path::{Path, PathBuf};
 
 use radome_tests::{failure, fixture, json_lines, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
-/// The shipped models, each with a scene of its waveform and with frames enough for its maps.
+/// Shipped models, each with a scene of its waveform.
 const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("room-cnn", "hall")];
-/// The shipped models that describe maps by numbers.
+/// Shipped models of map descriptors, which have no ONNX form.
 const WITHOUT_ONNX_FORM: [&str; 2] = ["room-hqnn", "room-linear"];
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
@@ -17,8 +17,8 @@ fn export(model: &Path, folder: &Path) -> PathBuf {
     file
 }
 
-/// Whether there is an onnxruntime, by what the program says of a file that it would need it for. Where there is none, the test is
-/// counted as skipped.
+/// Whether onnxruntime is installed, according to the program's message about an ONNX file. Counts the test as skipped
+/// where it is not.
 fn is_installed(onnx: &Path) -> bool {
     let output = subcommand("model evaluate").arg("--model").arg(onnx).arg("nowhere=one").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
@@ -36,7 +36,7 @@ fn without_latency(answer: &Value) -> Value {
     answer
 }
 
-/// Equal but for the last digits of numbers.
+/// Asserts that two values are equal except for the last digits of numbers.
 fn assert_alike(a: &Value, b: &Value) {
     match (a, b) {
         (Value::Object(a), Value::Object(b)) => {
@@ -66,9 +66,9 @@ fn exported_models_answer_as_the_models() {
         }
         let recording = folder.path().join(format!("{model}.mcap"));
         let scene = fixture(&format!("scenes/{scene}.toml"));
-        // As many as the desk's maps are made of, and some.
+        // More frames than the window of the desk's maps holds.
         simulate(&scene, "--frames 140 --people 1", &recording);
-        // Every frame's probabilities, as `live` says them.
+        // Probabilities of every frame from `live`.
         let live =
             |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
         let (ours, theirs) = (live(&native), live(&onnx));
@@ -99,7 +99,7 @@ fn exported_models_answer_as_the_models() {
     );
 }
 
-/// A board can be programmed by an ONNX file: the waveform stands in its card.
+/// Asserts that an ONNX file can program a board, since its card holds the waveform.
 #[test]
 fn the_waveform_travels_along() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -124,7 +124,7 @@ mod hard_cases {
         std::fs::read(export(&fixture("models/paper-hqnn.safetensors"), folder.path())).expect("readable")
     }
 
-    /// Found before any runtime is looked for.
+    /// Asserts that cut files are refused before any runtime is loaded.
     #[test]
     fn cut_files_are_refused_wherever_they_are_cut() {
         let whole = exported();
@@ -142,7 +142,7 @@ mod hard_cases {
             let said = refusal(bytes);
             assert!(said.contains("some.onnx") && said.contains("ONNX"), "{said}");
         }
-        // And an ONNX file under a safetensors name.
+        // An ONNX file with a safetensors name is refused too.
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("renamed.safetensors");
         std::fs::write(&path, exported()).expect("writable");
@@ -159,7 +159,7 @@ mod hard_cases {
         assert!(said.contains("'radome' entry") && said.contains("hint:"), "{said}");
     }
 
-    /// A damaged card or a number that is none is told as for a native file.
+    /// Asserts that a damaged card and a number that is NaN are reported as for a native file.
     #[test]
     fn damage_is_found_before_it_is_put_to_work() {
         let whole = exported();
@@ -170,13 +170,13 @@ mod hard_cases {
         assert!(said.contains("model card"), "{said}");
         let mut numbers = whole;
         let name = numbers.windows(10).rposition(|window| window == b"fc1.weight").expect("an array");
-        // Behind its name a tag and its length in three bytes, then its numbers.
+        // After the name come a tag, a length of three bytes, and the numbers.
         numbers[name + 14..name + 18].copy_from_slice(&[0xff; 4]);
         let said = refusal(&numbers);
         assert!(said.contains("tensor fc1.weight") && said.contains("NaN or infinite"), "{said}");
     }
 
-    /// A stranger's files beside the user's own are no installation.
+    /// Asserts that files of another user in the working folder do not count as an installation.
     #[test]
     fn a_library_in_the_working_folder_is_not_loaded() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -185,7 +185,7 @@ mod hard_cases {
         std::fs::create_dir_all(package.join("capi")).expect("writable");
         std::fs::write(package.join("__init__.py"), "").expect("writable");
         std::fs::write(package.join("capi/libonnxruntime.so.1"), "planted").expect("writable");
-        // A python3 of the folder's, for a PATH that names the working folder.
+        // Plants a python3, found if PATH names the working folder.
         let python = folder.path().join("python3");
         std::fs::write(&python, format!("#!/bin/sh\necho {}\n", package.display())).expect("writable");
         std::fs::set_permissions(&python, std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("settable");
@@ -198,7 +198,7 @@ mod hard_cases {
             let mut command = subcommand("model evaluate");
             command.args(["--model"]).arg(&onnx).arg("nowhere=one").current_dir(folder.path());
             command.env_remove("ORT_DYLIB_PATH").env_remove("PYTHONPATH").env(variable, value);
-            // Where onnxruntime is installed, the recording is what is missing.
+            // Where onnxruntime is installed, the missing recording causes the failure.
             let said = failure(&mut command);
             assert!(!said.contains("cannot be loaded"), "{variable}: {said}");
         }

@@ -1,4 +1,4 @@
-//! Pace of long runs and its steadiness: `tests/long home`. Off by default.
+//! Tests of the throughput and memory of long runs: `tests/long home`. Ignored by default.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -16,7 +16,7 @@ fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
 }
 
-/// A hundred small frames a second, over and over, that cost nothing to make.
+/// Source that repeats small frames, a hundred for each second of its time, without computing cost.
 struct SmallFrames {
     waveform: Waveform,
     end: u64,
@@ -54,14 +54,14 @@ impl FrameSource for SmallFrames {
     }
 }
 
-/// Memory that a process holds, KiB.
+/// Resident memory of a process, KiB.
 fn resident_kib(process: u32) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("a process");
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("its memory");
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// Frames judged and lost, by the metrics.
+/// Numbers of frames judged and lost, according to the metrics.
 fn counted(port: u16) -> (u64, u64) {
     let mut page = String::new();
     let mut socket = TcpStream::connect(("127.0.0.1", port)).expect("listens");
@@ -74,15 +74,15 @@ fn counted(port: u16) -> (u64, u64) {
     (sum("radome_frames_total "), sum("radome_frames_dropped_total{"))
 }
 
-/// `RADOME_FRAMES` small frames, a million unless told otherwise, as fast as they go: memory stays what it is, and what was sent
-/// is what was judged and what was counted as lost.
+/// Asserts that memory stays constant over `RADOME_FRAMES` small frames (a million by default) at full speed. Frames
+/// judged and frames counted as lost must add up to the frames sent.
 #[test]
 #[ignore = "takes minutes: tests/long home"]
 #[allow(clippy::print_stderr)]
 fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     let end = setting("RADOME_FRAMES", 1_000_000);
     let folder = tempfile::tempdir().expect("a folder");
-    // The paper's network, told that its maps come from small frames: what it says means nothing, what it costs is the same.
+    // The paper's network, declared for small frames: its predictions are meaningless, but its cost is the same.
     let mut model = Model::load(&fixture("models/paper-hqnn.safetensors")).expect("loads");
     model.card.waveform = small();
     (model.card.rdm_spec.doppler_fft_length, model.card.rdm_spec.range_fft_length) = (Some(128), Some(256));
@@ -109,7 +109,7 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
         if frames + lost > last.0 {
             last = (frames + lost, Instant::now());
         }
-        // All, or nothing more for a minute.
+        // Ends when all frames are counted, or when the counts have not changed for a minute.
         if frames + lost >= end || last.1.elapsed() > Duration::from_secs(60) {
             break (frames, lost);
         }
@@ -118,7 +118,7 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     let took_s = start.elapsed().as_secs_f64();
     live.signal("TERM");
     assert!(live.wait().success(), "{:?}", live.stderr.all());
-    // Pools, queues and the ring of the last seconds are filled by a tenth of a million.
+    // Pools, queues and the buffer of the last seconds are full after this many frames.
     let filled = (end / 10).max(75_000).min(end / 2);
     let settled: Vec<u64> = memory.iter().filter(|(frames, _)| *frames > filled).map(|(_, kib)| *kib).collect();
     let (first, most) = (settled.first().copied().unwrap_or(0), settled.iter().max().copied().unwrap_or(0));
@@ -131,8 +131,8 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     assert!(most <= first + 4096, "memory grows: {settled:?}");
 }
 
-/// Records as many small frames as fast as they go, left to the operating system and synced, and says what syncing costs. Memory stays
-/// the same from a quarter of the run on.
+/// Records the same number of small frames at full speed, without and with syncing, and prints the cost of syncing.
+/// Asserts that memory stays constant from a quarter of the run on.
 #[test]
 #[ignore = "takes minutes: tests/long home"]
 #[allow(clippy::print_stderr)]
@@ -165,15 +165,16 @@ fn a_million_small_frames_are_recorded_with_and_without_syncing() {
             start.elapsed().as_secs_f64() - recorded_s
         );
         assert_eq!(summary.frames, end);
-        // At a quarter of the run, and at its end.
+        // Memory at a quarter of the run, and at its end.
         let (quarter, last) = (memory.get(5).copied().unwrap_or(0), memory.last().copied().unwrap_or(u64::MAX));
         assert!(last < quarter + 1024, "memory grows: {memory:?}");
         std::fs::remove_file(&path).expect("removes");
     }
 }
 
-/// `RADOME_PACE_FRAMES` frames of the paper's waveform at their own pace, a minute unless told otherwise, from a board in another
-/// process, while all is recorded and two pages look on: the label is there 2 ms after the last sample, 5 ms at most.
+/// Measures latency over `RADOME_PACE_FRAMES` frames of the paper's waveform in real time (a minute by default). The
+/// board is another process; the run is recorded, and two pages are open. The label follows the last sample after 2 ms,
+/// 5 ms at most.
 #[test]
 #[ignore = "takes minutes, and means something on an idle machine only: tests/long home"]
 #[allow(clippy::print_stderr)]
@@ -190,7 +191,7 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let address = address.trim_start_matches("http://").split(['/', ' ', '?']).next().expect("an address").to_owned();
     let pages = [(); 2].map(|()| {
         let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
-        // A picture is answered, as the page does; news are not.
+        // Acknowledges pictures as the page does, but no other messages.
         std::thread::spawn(move || {
             let mut pictures = 0;
             while let Ok(message) = socket.read() {
@@ -202,7 +203,7 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
             pictures
         })
     });
-    // Until it has them all, or nothing more comes: a board whose own FIFO overflowed has fewer.
+    // Waits for all frames, or until no more arrive: a board whose FIFO overflowed sends fewer.
     let mut last = (0, Instant::now());
     wait_up_to(Duration::from_secs(60 + frames / 5), "the last frame", || {
         let lines = live.stdout.all().len();

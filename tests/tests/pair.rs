@@ -1,4 +1,4 @@
-//! A recording and the scene that mirrors it: simulated recordings whose trajectory is known, and a real one.
+//! Tests of recordings and the scenes that mirror them: simulated recordings with known trajectories, and a real one.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,10 +7,10 @@ use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_tests::{failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 
-/// Path of a walker: places, and the speed of the way to each; a place twice is a stand of two seconds.
+/// Path of a walker: way-points, and the speed towards each. A repeated way-point is a pause of two seconds.
 type Path2 = [([f64; 2], f64)];
 
-/// The way-points rounded as scenes round them; the person does not matter.
+/// Motion along the way-points, which are rounded as in scene files. The choice of the person does not matter.
 fn motion(path: &Path2) -> Motion {
     let mut builder = MotionBuilder::new(Person::draw(0, [0, 0], 1.75), 0.0, path[0].0, 0.0);
     for (place, speed) in &path[1..] {
@@ -19,7 +19,7 @@ fn motion(path: &Path2) -> Motion {
     builder.stay()
 }
 
-/// A scene file of the fixtures with these people in it.
+/// Writes a scene of the fixtures with these people in it.
 fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
     let text = fixture_text(fixture_name);
     let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
@@ -55,23 +55,23 @@ fn numbers(value: &Value) -> [f64; 2] {
     [number(0), number(1)]
 }
 
-/// Distance of a followed trajectory from the true one.
+/// Errors of an estimated trajectory against the true one.
 #[derive(Debug, Default)]
 struct Errors {
-    /// Frames in which somebody was visible, of all.
+    /// Number of frames in which the person was visible, followed by the number of all frames.
     visible: usize,
     frames: usize,
-    /// Sorted: of place (m), of velocity (m/s) and of its radial part.
+    /// Sorted errors of position (m), of velocity (m/s) and of radial velocity.
     place: Vec<f64>,
     velocity: Vec<f64>,
     radial: Vec<f64>,
 }
 
 impl Errors {
-    /// Errors of a person's lines; speed is not compared where the walker turns, starts or stops within these times (s, from
-    /// and to).
+    /// Computes the errors of a person's track. Velocities are not compared within the intervals `turns` (s, from and
+    /// to), in which the walker turns, starts or stops.
     fn of(set: &Path, person: u64, truth: &Motion, radar: [f64; 2], frames: usize, turns: &[[f64; 2]]) -> Self {
-        /// Middle of the frames of the paper's waveform, s.
+        /// Time from the start to the middle of a frame of the paper's waveform, s.
         const MIDDLE_S: f64 = 0.032;
         let text = std::fs::read_to_string(set.join("track.jsonl")).expect("a track");
         let mut errors = Errors { frames, ..Errors::default() };
@@ -119,7 +119,7 @@ fn part(sorted: &[f64], share: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * share).round() as usize]
 }
 
-/// Corners of a path, half a second either way: velocities change there by up to 3 m/s in a second.
+/// Intervals of half a second either side of a path's corners, where velocities change by up to 3 m/s in a second.
 fn turns(path: &Path2) -> Vec<[f64; 2]> {
     let mut time_s = 0.0;
     let mut turns = vec![[-0.5, 0.5]];
@@ -135,9 +135,9 @@ fn turns(path: &Path2) -> Vec<[f64; 2]> {
 const CORRIDOR: [f64; 2] = [0.35, 1.0];
 const ROOM: [f64; 2] = [0.1, 3.0];
 
-/// Along the corridor, past its walls, with noise and repeats: 10 cm and 0.1 m/s for nine in ten frames, and on the average,
-/// wherever the person is visible. Velocity across the sight is known from places alone, and where people turn on their heels it
-/// lags: there only places are held to it.
+/// Asserts errors below 10 cm and 0.1 m/s, for nine in ten frames and on average, wherever the person is visible. The
+/// paths run along the corridor and past its walls, with noise and multipath. Tangential velocity follows from
+/// positions alone and lags at sharp turns, where only positions are compared.
 #[test]
 fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
     let up_and_down: &Path2 = &[([6.5, 0.5], 0.0), ([2.0, 1.5], 1.3), ([6.0, 0.6], 0.9)];
@@ -153,7 +153,7 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
         let scene = scene(folder.path(), name, &[path]);
         let recording = record(&scene, frames, seed);
         let set = folder.path().join("set");
-        // Of the scene only the room is used: its fixture has other people.
+        // The command takes only the room from the scene file, whose people are others.
         let said = json_lines(&mut pair(&recording, &fixture(name), &set)).remove(0);
         let errors = Errors::of(&set, 1, &motion(path), radar, frames as usize, &turns(path));
         let told = format!("{name} seed {seed}: {}", errors.said());
@@ -162,7 +162,7 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
         assert!(rms(&errors.place) < 0.1 && part(&errors.place, 0.9) < 0.1, "{told}");
         assert!(rms(&errors.velocity) < 0.1, "{told}");
         assert!(part(&errors.radial, 0.9) < 0.1, "{told}");
-        // The mirror's own echoes lie where the recording's do.
+        // Echoes of the mirrored scene lie at the ranges of the recording's.
         let person = &said["people"][0];
         assert!(person["compared"].as_u64() > Some(frames * 8 / 10), "{said}");
         assert!(person["range_m"]["rms"].as_f64() < Some(0.1), "{said}");
@@ -170,7 +170,7 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
     }
 }
 
-/// Two who pass each other in the corridor keep their names.
+/// Asserts that two people who pass each other in the corridor keep their identities.
 #[test]
 fn two_who_pass_each_other_are_both_recovered() {
     let to: &Path2 = &[([7.0, 0.6], 0.0), ([1.5, 0.6], 1.2), ([5.0, 0.6], 1.0)];
@@ -189,14 +189,15 @@ fn two_who_pass_each_other_are_both_recovered() {
     }
 }
 
-/// The output is a dataset like any other, whose splits keep both sides together; the mirror is a scene like any other.
+/// Asserts that the output is a regular dataset, whose splits keep both sides together, and that the mirror is a
+/// regular scene.
 #[test]
 fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     let folder = tempfile::tempdir().expect("a folder");
     let path: &Path2 = &[([5.0, 1.2], 0.0), ([2.0, 0.8], 1.1)];
     let scene = scene(folder.path(), "scenes/corridor.toml", &[path]);
     let recording = record(&scene, 30, 2);
-    // Labels of a file count before the recording's own truth, and half of the frames have none.
+    // Labels of a file take precedence over the recording's own truth; half of the frames have no label.
     let labels = folder.path().join("labels.txt");
     std::fs::write(&labels, "0.0\t2.0\ttwo\n").expect("writable");
     let set = folder.path().join("set");
@@ -222,7 +223,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     assert_eq!((verified["pairs"].as_u64(), verified["sequences"].as_u64()), (Some(1), Some(1)));
     assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
     json_lines(subcommand("dataset stats").arg("--json").arg(&set));
-    // The mirror gives the same frames once more.
+    // The mirrored scene gives the same number of frames again.
     let again = json_lines(subcommand("scene simulate --json --frames 30").arg(set.join("mirror.toml")));
     assert_eq!(again[0]["frames"], 30);
     let twice = folder.path().join("twice");
@@ -230,12 +231,12 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     for file in ["manifest.jsonl", "mirror.toml", "track.jsonl", "maps-00000.npy"] {
         let read = |set: &Path| std::fs::read(set.join(file)).expect("a file");
         let (a, b) = (read(&set), read(&twice));
-        // But for the folder's own name in the mirror's header.
+        // Only the folder's name in the header of `mirror.toml` differs.
         assert!(a == b || file == "mirror.toml" && a.len() == b.len() + "set".len() - "twice".len(), "{file}");
     }
     let said = failure(&mut make(&set));
     assert!(said.contains("exists already"), "{said}");
-    // Labels of two people where one is seen: somebody is missing, and is named.
+    // If labels state two people but one is detected, the error names the missing person.
     let said = failure(make(&folder.path().join("three")).arg("--labels").arg(&labels));
     assert!(said.contains("person 2 is in the room") && said.contains("--waypoints"), "{said}");
     assert!(!folder.path().join("three").exists() && !folder.path().join("three.partial").exists());
@@ -250,7 +251,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     assert_eq!((said["maps"].as_u64(), said["people"].as_array().map(Vec::len)), (Some(60), Some(2)));
 }
 
-/// Somebody comes in by a door, walks, and goes: labels and doors say what the beam does not show.
+/// Asserts that labels and doors complete a path whose ends lie outside the beam: a person enters, walks and leaves.
 #[test]
 fn visitors_come_and_go_by_doors() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -271,7 +272,7 @@ fn one_receiver_tells_distance_alone() {
     let text = std::fs::read_to_string(&scene).expect("a scene").replace("[1, 2, 3]", "[1]");
     std::fs::write(&scene, text).expect("writable");
     let recording = record(&scene, 30, 2);
-    // A scene of three receivers is no obstacle: the waveform is the recording's.
+    // A scene of three receivers is accepted, since the recording determines the waveform.
     let set = folder.path().join("set");
     let output = pair(&recording, &fixture("scenes/corridor.toml"), &set).output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
@@ -280,11 +281,12 @@ fn one_receiver_tells_distance_alone() {
     let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(answer["tells_direction"], false);
     let errors = Errors::of(&set, 1, &motion(path), CORRIDOR, 30, &[]);
-    // It went along the boresight.
+    // The person walked along the boresight.
     assert!(errors.visible > 10 && rms(&errors.place) < 0.1, "{}", errors.said());
 }
 
-/// A person who sits and breathes: no speed to go by, eight chirps a frame.
+/// Asserts that a recording of a sitting, breathing person is processed completely: no walking speed, eight chirps a
+/// frame.
 #[test]
 fn a_real_recording_goes_through_to_the_end() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };

@@ -1,4 +1,4 @@
-//! `radome scene paths`: the list against mirrors worked out by hand.
+//! Compares the list of `radome scene paths` with mirror images computed by hand.
 
 use radome_tests::{failure, fixture, json_lines, subcommand};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use serde_json::Value;
 /// Speed of light, m/s.
 const C: f64 = 299_792_458.0;
 
-/// A room of metal with the radar off its middle, and somebody who stands before it.
+/// Writes a scene of a metal room with the radar off its middle and a person in front of the radar.
 fn scene(folder: &std::path::Path) -> std::path::PathBuf {
     let wall = r#"{ material = "metal" }"#;
     let sides =
@@ -43,7 +43,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Each wall once: the antenna in its mirror, as far behind as it stands before.
+/// Asserts the lengths of single reflections: the distance to the antenna's mirror image behind each wall.
 #[test]
 fn first_reflections_are_as_long_as_mirrors_say() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -64,16 +64,17 @@ fn first_reflections_are_as_long_as_mirrors_say() {
         assert!((number(&path["delay_s"]) - length_m / C).abs() < 1e-17, "{path}");
         assert!((points[1][wall / 2] - plane).abs() < 1e-9, "{path}");
         assert_eq!(number(&path["doppler_hz"]), 0.0);
-        // Metal loses nothing, and antennas look one way: no more than free space gives.
+        // Metal reflects without loss and antennas have one main direction, so that free space bounds the gain.
         let free_db = 20.0 * (C / frequency_hz / (4.0 * std::f64::consts::PI * length_m)).log10();
         assert!(number(&path["gain_db"]) <= free_db + 1e-6, "{path}: {free_db}");
         seen += 1;
     }
-    // Three receivers see each of four walls at least; the upright field falls endlong on floor and ceiling right below.
+    // Three receivers see at least four walls each. Vertically polarised antennas have a null towards the floor and
+    // ceiling directly below and above.
     assert!(seen >= 12, "{seen} paths");
 }
 
-/// Walls before and behind a body: the corners of each path are as far apart as it is long.
+/// Asserts that the length of each path past a body and walls equals the sum of the distances between its corners.
 #[test]
 fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -84,12 +85,13 @@ fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
     for path in paths {
         assert_eq!(path["person"], 0);
         let apart: f64 = corners(path).windows(2).map(|w| distance(w[0], w[1])).sum();
-        // Corners are those of the first receiver and end at the transmitter: receivers lie within 2 cm of it.
+        // The corners are those of the first receiver and end at the transmitter, from which the receivers are at most
+        // 2 cm away.
         assert!((number(&path["length_m"]) - apart).abs() < 0.03, "{path}: {apart}");
     }
     let direct = paths.iter().filter(|path| path["surfaces"] == serde_json::json!(["person 0 chest"]));
     let lengths: Vec<f64> = direct.map(|path| number(&path["length_m"])).collect();
-    // 1.5 m ahead, less half a chest.
+    // The person stands 1.5 m ahead; half a chest depth is subtracted.
     assert!(!lengths.is_empty() && lengths.iter().all(|l| (2.5..3.1).contains(l)), "{lengths:?}");
 }
 

@@ -1,5 +1,6 @@
-//! The built-in model on recordings that are hard to judge: few and many chirps, too narrow a band, dead and saturated receivers, and
-//! people who are there from the first frame. All frames are simulated, in rooms of the kind that training sees, of other seeds.
+//! Tests of the built-in model on difficult recordings: few and many chirps, too narrow a band, dead and saturated
+//! receivers, and people present from the first frame on. All frames are simulated, in rooms like those of the
+//! training, with other seeds.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +9,7 @@ use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
 use radome_tests::{failure, fixture_text, json_lines, radome, simulate, subcommand};
 use serde_json::Value;
 
-/// A scene of `fixtures/scenes/rooms.toml` whose waveform has other values for these keys.
+/// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
 fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
     let mut text = fixture_text("scenes/rooms.toml");
     for (key, value) in waveform {
@@ -22,14 +23,14 @@ fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
     path
 }
 
-/// A recording of a scene.
+/// Simulates a recording of a scene.
 fn simulated(scene: &Path, people: usize, seed: u64, frames: usize) -> PathBuf {
     let path = scene.with_file_name(format!("people{people}-seed{seed}.mcap"));
     simulate(scene, &format!("--people {people} --seed {seed} --frames {frames}"), &path);
     path
 }
 
-/// A copy of a recording without its first frames and with others changed, which are numbered from 0.
+/// Copies a recording without its first frames; `change` edits the others, numbered from 0.
 fn changed(from: &Path, name: &str, skipped: usize, mut change: impl FnMut(usize, &mut Frame)) -> PathBuf {
     let to = from.with_file_name(name);
     let mut source = Recording::open(from).expect("opens");
@@ -47,14 +48,14 @@ fn changed(from: &Path, name: &str, skipped: usize, mut change: impl FnMut(usize
     to
 }
 
-/// Answers of the built-in model, one a frame, and what the program says on stderr.
+/// Answers of the built-in model, one a frame, and the program's stderr.
 fn live(recording: &Path) -> (Vec<Value>, String) {
     let output = radome().arg("live").arg(recording).arg("--json").output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{}: {said}", recording.display());
     let text = String::from_utf8(output.stdout).expect("text");
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
-    // Behind the answers there is a summary.
+    // The last line is a summary.
     let answers: Vec<Value> = lines.filter(|line| line.get("sequence").is_some()).collect();
     for answer in answers.iter().filter(|answer| !answer["label"].is_null()) {
         let sum: f64 = ["empty", "one", "two"].map(|class| probability(answer, class)).iter().sum();
@@ -68,23 +69,23 @@ fn probability(answer: &Value, class: &str) -> f64 {
     answer["probabilities"][class].as_f64().unwrap_or_else(|| panic!("no finite probability of {class}: {answer}"))
 }
 
-/// Number of frames with this truth in which nobody enters or leaves, and number of those that have the label.
+/// Number of frames with this truth in which nobody enters or leaves, and number of those with the label.
 fn called(answers: &[Value], truth: &str, label: &str) -> (usize, usize) {
     let of = answers.iter().filter(|answer| answer["truth"] == truth && answer["transition"] == false);
     let labels: Vec<&Value> = of.map(|answer| &answer["label"]).collect();
     (labels.len(), labels.iter().filter(|given| ***given == label).count())
 }
 
-/// Asserts that nearly all frames with this truth, of which there are at least so many, have its label.
+/// Asserts that nearly all frames with this truth have its label, and that there are at least `at_least` such frames.
 fn assert_right(answers: &[Value], truth: &str, at_least: usize) {
     let (frames, right) = called(answers, truth, truth);
     assert!(frames >= at_least, "{frames} frames are {truth}");
     assert!(10 * right >= 9 * frames, "{right} of {frames} frames are called {truth}");
 }
 
-/// Judges simulations of a scene without people and with one person, of this many frames each. Asserts that all frames are called right
-/// in the empty room, and that all have a label and most the right one with the person, who is to be there in half of them. Returns what
-/// the program says on stderr of the empty room.
+/// Judges simulations of a scene without people and with one person, of this many frames each. Asserts that all frames
+/// of the empty room are right. With the person, all frames must have a label and most the right one; the person must
+/// be present in half of them. Returns the program's stderr for the empty room.
 fn assert_empty_and_one_are_judged(scene: &Path, frames: usize) -> String {
     let (empty, said) = live(&simulated(scene, 0, 731_012, frames));
     assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == frames, "{empty:?}");
@@ -129,10 +130,10 @@ fn receiver(frame: &mut Frame, rx: usize) -> &mut [u16] {
     &mut frame.codes[rx * length..(rx + 1) * length]
 }
 
-/// A sample by its index.
+/// Function that gives a sample by its index.
 type Sample = fn(usize) -> u16;
 
-/// Samples that a dead receiver may send, with the name of a recording of them.
+/// Sample patterns that a dead receiver may send, each with the name of its recording.
 const DEAD: [(&str, Sample); 3] = [
     ("middle.mcap", |_| 2048),
     ("zero.mcap", |_| 0),
@@ -154,7 +155,7 @@ fn another_receiver_takes_the_place_of_a_dead_one() {
     };
     let (first, said) = live(&whole);
     assert!(!said.contains("receiver 1 of 3"), "{said}");
-    // What the second receiver alone says: it stands in the first one's place.
+    // Reference: the second receiver alone, copied over the first one.
     let second = changed(&whole, "second.mcap", 0, |_, frame| {
         let codes = receiver(frame, 1).to_vec();
         receiver(frame, 0).copy_from_slice(&codes);
@@ -179,7 +180,7 @@ fn another_receiver_takes_the_place_of_a_dead_one() {
 fn frames_without_a_signal_get_no_answer_and_change_none() {
     let folder = tempfile::tempdir().expect("a folder");
     let whole = simulated(&rooms(folder.path(), &FEW_CHIRPS), 1, 731_012, 60);
-    // From a frame on in which somebody has been there for a while.
+    // The receiver dies while a person has been present for some time.
     for (name, code) in DEAD {
         let dead = changed(&whole, name, 0, |index, frame| {
             if index >= 50 {
@@ -196,7 +197,7 @@ fn frames_without_a_signal_get_no_answer_and_change_none() {
             assert_eq!((&answer["no_signal"], &answer["people"]), (&true.into(), &1.into()), "{name}: {answer}");
         }
         assert!(said.contains("warning: receiver 1 of 1") && said.contains("get no answer"), "{said}");
-        // Nothing else is said of a recording that has no other frames.
+        // A recording with dead frames only is refused, without other messages.
         let nothing = changed(&dead, "nothing.mcap", 50, |_, _| ());
         let said = failure(subcommand("model evaluate").arg("room-hqnn").arg(format!("{}=one", nothing.display())));
         assert!(said.contains("no frame of it can be judged") && said.contains("no signal"), "{name}: {said}");
@@ -204,7 +205,7 @@ fn frames_without_a_signal_get_no_answer_and_change_none() {
     }
 }
 
-/// Too much gain: a tenth of the samples lie at the ends of the ADC.
+/// Asserts that frames with too much gain are judged and reported: a tenth of the samples lie at the ends of the ADC.
 #[test]
 fn clipped_frames_are_judged_and_said_to_be_clipped() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -228,7 +229,8 @@ fn clipped_frames_are_judged_and_said_to_be_clipped() {
     assert_right(&one, "one", 40);
 }
 
-/// Bursts of frames of which nearly all samples lie at the ends of the ADC, in any order.
+/// Asserts that bursts of saturated frames, in any order, cause no false alarm; nearly all of their samples lie at the
+/// ends of the ADC.
 #[test]
 fn bursts_of_saturated_frames_do_not_populate_an_empty_room() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -266,7 +268,7 @@ fn people_who_are_there_from_the_first_frame_are_found_within_a_second() {
     }
 }
 
-/// Hours of empty rooms by rung, and the same of a recording.
+/// Asserts that false alarms per hour are reported for each rung and for recordings.
 #[test]
 fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -290,7 +292,7 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     let said = failure(&mut ladder("1e6"));
     assert!(said.contains("--empty-hours") && said.contains("hint:"), "{said}");
 
-    // Somebody walks through a room that is said to be empty.
+    // A person walks through a room that is labelled empty.
     let walked = simulated(&scene, 1, 731_012, 60);
     let empty = format!("{}=empty", walked.display());
     let answer = json_lines(subcommand("model evaluate").args(["--json", "room-hqnn"]).arg(&empty)).remove(0);

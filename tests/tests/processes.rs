@@ -1,5 +1,5 @@
-//! Programs that go on while a test talks to them: boards, brokers, pages, ends. Commands, whose work takes all processors, are in
-//! a program of their own.
+//! Tests of programs that run while a test talks to them: boards, brokers, pages, shutdown. Commands that use all
+//! processors have their own test program.
 
 mod boards;
 mod doctor;

@@ -1,4 +1,4 @@
-//! The small commands, and the manners of all of them.
+//! Tests of the small commands, and of behaviour that all commands share.
 
 use std::process::Stdio;
 
@@ -58,7 +58,8 @@ fn config_derives_axes_from_the_sampled_band() {
     assert!((velocity - 2.5).abs() < 0.01, "{velocity}");
 }
 
-/// The gain comes in steps of 5 dB over 18 or 30, the frame of 98304 samples in twelve halves of the FIFO.
+/// Asserts the reported register values: gain in steps of 5 dB over 18 or 30, and a frame of 98304 samples in twelve
+/// halves of the FIFO.
 #[test]
 fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
     let paper = &json_lines(subcommand("board config").args(["paper", "--json"]))[0];

@@ -1,4 +1,4 @@
-//! Answers about frames, in the recording beside them.
+//! Tests of answers that a recording stores beside its frames.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use radome_tests::running::{Running, wait_for};
 use radome_tests::{emulated_corridor, failure, json_lines, live_command, skip, subcommand};
 use serde_json::Value;
 
-/// `live` on two seconds of a simulated corridor, recorded; its JSON lines.
+/// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
 fn live(output: &Path, frames: &str) -> Vec<Value> {
     json_lines(live_command(emulated_corridor(), &format!("--frames {frames} --json -o")).arg(output))
 }
@@ -30,7 +30,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         let p = |class: &str| said["probabilities"][class].clone();
         assert_eq!(kept["probabilities"], Value::from(vec![p("empty"), p("one"), p("two")]));
     }
-    // The frames are those of a recording that nobody judged.
+    // The frames equal those of a recording without answers.
     let judged_again = json_lines(&mut live_command(at("night.mcap"), "--json"));
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
@@ -80,7 +80,7 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
     for (signal, is_whole) in [("INT", true), ("KILL", false)] {
         let folder = tempfile::tempdir().expect("a folder");
         let night = folder.path().join("night.mcap");
-        // In real time a slow machine may lose frames, which is not what this is about.
+        // A slow machine may lose frames in real time, which this test permits.
         let mut command = live_command(emulated_corridor(), "--speed 1 --allow-loss --json -o");
         let mut live = Running::start(command.arg(&night));
         wait_for("frames", || (live.stdout.all().len() >= 45).then_some(()));
@@ -100,7 +100,7 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
         if is_whole {
             assert_eq!(sequences, said);
         } else {
-            // Chunks are a second long, and results follow theirs.
+            // A chunk spans one second, and answers follow the chunk of their frames.
             assert!(kept.len() + 25 >= said.len() && !kept.is_empty(), "{} of {said:?}", kept.len());
         }
     }

@@ -1,5 +1,5 @@
-//! `radome schema` against `docs/schemas`, and the fixtures that name these schemas. That the schemas accept the fixtures and refuse
-//! wrong keys is checked in `python/tests/test_schemas.py`.
+//! Compares `radome schema` with `docs/schemas`, and checks the fixtures that name these schemas.
+//! `python/tests/test_schemas.py` checks that the schemas accept the fixtures and refuse wrong keys.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 const KINDS: [&str; 6] = ["dataset", "receiver", "scene", "study", "training", "waveform"];
 
-/// Folders of fixtures, each with the kind of its files. Files of settings of trainings lie beside datasets.
+/// Folders of fixtures, each with the kind of its files. Settings of trainings lie in the same folders as datasets.
 const FOLDERS: [(&str, &str); 5] = [
     ("datasets", "dataset"),
     ("ladder/scenes", "scene"),
@@ -57,7 +57,7 @@ fn fixtures_name_their_schemas_in_their_first_lines() {
     assert!(count > 45, "{count} fixtures found");
 }
 
-/// TOML has no null, and editors show descriptions as help.
+/// Asserts that every key has a description, which editors show as help, and that no type is null, which TOML lacks.
 #[test]
 fn schemas_describe_their_keys_and_know_no_null() {
     for kind in KINDS {

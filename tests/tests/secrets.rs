@@ -1,4 +1,4 @@
-//! Passwords of the MQTT broker: where they may come from, and that nothing shows them.
+//! Tests of passwords for the MQTT broker: their permitted sources, and that no output shows them.
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -8,7 +8,7 @@ use std::process::Command;
 use radome_tests::running::Running;
 use radome_tests::{fixture, live_command};
 
-/// The corridor, simulated at its own pace until stopped, with everything in the log.
+/// Command that simulates the corridor in real time until stopped, with the most detailed log.
 fn watch(url: &str) -> Command {
     let mut command = live_command(fixture("scenes/corridor.toml"), "--speed 1 --json --mqtt");
     command.arg(url);
@@ -16,7 +16,7 @@ fn watch(url: &str) -> Command {
     command
 }
 
-/// Runs what is refused; returns what was said on stderr.
+/// Runs a command that must be refused; returns its stderr.
 fn refusal(command: &mut Command) -> String {
     let output = command.output().expect("runs");
     assert!(matches!(output.status.code(), Some(1 | 2)), "{command:?}: {:?}", output.status);
@@ -56,8 +56,8 @@ fn a_password_file_that_others_may_read_is_refused() {
     assert!(said.contains("/no/such/file"), "{said}");
 }
 
-/// The password of the file reaches the broker. This one sends back whatever it receives, and with it the login; neither is in
-/// the log at its finest.
+/// Asserts that the password of the file reaches the broker. This broker sends back everything that it receives,
+/// including the login. Neither must appear in the most detailed log.
 #[test]
 fn what_a_broker_sends_back_is_not_shown() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -67,7 +67,7 @@ fn what_a_broker_sends_back_is_not_shown() {
     let broker = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = broker.local_addr().expect("bound").port();
     let mut live = watch(&format!("mqtt://radar@127.0.0.1:{port}"));
-    // The file goes before the environment.
+    // The file takes precedence over the environment.
     live.arg("--mqtt-password-file").arg(&file).env("RADOME_MQTT_PASSWORD", "of-the-environment");
     let mut live = Running::start(&mut live);
     let (mut socket, _) = broker.accept().expect("a connection");

@@ -1,4 +1,4 @@
-//! Simulations into recordings: the same bytes whatever the threads, and whole through board and file.
+//! Tests of simulated recordings: bytes do not depend on the threads, and frames pass unchanged through board and file.
 
 use std::path::Path;
 

@@ -1,5 +1,6 @@
-//! A real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed: an array builds a dataset or runs a study,
-//! one of its tasks is killed and requeued, and the shards merge to the bytes of a single process.
+//! Tests with a real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed. An array job
+//! builds a dataset or runs a study. One task is killed and requeued; the merged shards equal the bytes of a single
+//! process.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ use radome_tests::{fixture, json_lines, skip, subcommand};
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
 
-/// Processes that end with the test.
+/// Child processes that are stopped at the end of the test.
 struct Daemons(Vec<Child>);
 
 impl Drop for Daemons {
@@ -37,7 +38,7 @@ fn text_of(command: &mut Command) -> String {
     String::from_utf8_lossy(&output.stdout).trim().to_owned()
 }
 
-/// Starts munge, the controller and a node, all private to `folder`; the path of the configuration.
+/// Starts munge, the controller and a node, all private to `folder`. Returns the path of the configuration.
 fn start(folder: &Path) -> (Daemons, PathBuf) {
     use std::os::unix::fs::PermissionsExt;
     let at = |name: &str| folder.join(name).display().to_string();
@@ -100,20 +101,21 @@ fn start(folder: &Path) -> (Daemons, PathBuf) {
     (daemons, configuration)
 }
 
-/// A cluster of this machine alone, private to a folder.
+/// Slurm cluster of this machine alone, private to a folder.
 struct Cluster {
-    /// They end before their folder is removed.
+    /// Daemons, dropped before their folder is removed.
     _daemons: Daemons,
     folder: tempfile::TempDir,
     configuration: PathBuf,
     _alone: MutexGuard<'static, ()>,
 }
 
-/// One cluster at a time: each believes that all processors are its own.
+/// Lock that permits one cluster at a time, since each cluster uses all processors.
 static ALONE: Mutex<()> = Mutex::new(());
 
 impl Cluster {
-    /// Starts it; `None`, which is counted, where Slurm is not installed or this is not root.
+    /// Starts the cluster. Returns `None` and counts the test as skipped where Slurm is not installed or the user is
+    /// not root.
     fn start() -> Option<Self> {
         let absent: Vec<&str> = ["munged", "slurmctld", "slurmd", "sbatch", "scontrol"]
             .into_iter()
@@ -134,14 +136,14 @@ impl Cluster {
         self.folder.path().join(name)
     }
 
-    /// A command of Slurm's.
+    /// Slurm command with the cluster's configuration.
     fn command(&self, name: &str) -> Command {
         let mut command = Command::new(name);
         command.env("SLURM_CONF", &self.configuration).env("RADOME_PATH", fixture("")).current_dir(self.folder.path());
         command
     }
 
-    /// Queues a script; the number of its job.
+    /// Queues a script; returns its job number.
     fn queue(&self, script: &str) -> String {
         fs::write(self.path("array.sh"), format!("{script}\n")).expect("writable");
         text_of(self.command("sbatch").args(["--parsable", "array.sh"]))
@@ -152,7 +154,7 @@ impl Cluster {
         String::from_utf8_lossy(&output.stdout).into_owned()
     }
 
-    /// Kills a task without a word, and waits until it is gone.
+    /// Kills a task by SIGKILL and waits until it has ended.
     fn kill(&self, task: &str) {
         text_of(self.command("scancel").args(["--signal=KILL", "--full", task]));
         wait("the task to be gone", || {
@@ -161,16 +163,16 @@ impl Cluster {
         });
     }
 
-    /// Queues a task again that was killed.
+    /// Requeues a task that was killed.
     fn requeue(&self, task: &str) {
         text_of(self.command("scontrol").args(["requeue", task]));
-        // Slurm lets what was requeued wait for two minutes; not here.
+        // Slurm delays requeued tasks by two minutes; the test removes this delay.
         let said = self.show(task);
         let number = said.split_whitespace().find_map(|word| word.strip_prefix("JobId=")).expect("a number");
         let _ = self.command("scontrol").args(["update", &format!("JobId={number}"), "StartTime=now"]).output();
     }
 
-    /// Number of times that a task was queued again.
+    /// Number of times that a task was requeued.
     fn restarts(&self, task: &str) -> Option<String> {
         self.show(task).split_whitespace().find_map(|word| word.strip_prefix("Restarts=")).map(str::to_owned)
     }
@@ -194,7 +196,7 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let script = text_of(subcommand("dataset slurm").args(["--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
     let job = cluster.queue(&script);
 
-    // Killed as soon as it has made a unit; then queued again.
+    // Kills the task as soon as it has made a unit, then requeues it.
     let parts = |index: usize| path(&format!("shards/shard-{index:05}-of-00008.parts"));
     let units = |index: usize| {
         let entries = fs::read_dir(parts(index)).into_iter().flatten().flatten();
@@ -251,7 +253,7 @@ fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
     let mut script = subcommand("model slurm");
     script.args(["--tasks", "6"]).arg(&spec).arg("--dataset").arg(maps());
     let job = cluster.queue(&text_of(script.arg("-o").arg(path("array"))));
-    // Two tasks run at once, the first before the others.
+    // Two tasks run in parallel, the first before the others.
     wait("the first task to be at work", || progress(&path("array")).iter().any(|count| *count > 0));
     let task = format!("{job}_0");
     cluster.kill(&task);

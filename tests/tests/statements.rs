@@ -1,7 +1,8 @@
-//! Figures on pages against the reports of studies that they are of, and reports against the JSON files beside them.
+//! Compares figures on pages with the reports of studies, and reports with the JSON files beside them.
 //!
 //! A page marks a figure, `<!-- = controls hqnn mean -->0.779`, and a table, `<!-- figures: controls clean -->` to `<!-- end -->`. Figures
-//! are those of `docs/studies/STUDY/report.md`; tables are made of the JSON file beside it (`blocks.rs`). This writes both anew:
+//! are those of `docs/studies/STUDY/report.md`; tables are made of the JSON file beside it (`blocks.rs`). To rewrite
+//! both:
 //!
 //!     RADOME_FIGURES=write cargo test --release -p radome-tests --test commands statements::
 
@@ -16,7 +17,7 @@ use radome_tests::root;
 
 use self::blocks::block;
 
-/// Pages with marks, and the way from each to the folder of reports.
+/// Pages with marks, and the relative path from each to the folder of reports.
 const PAGES: [(&str, &str); 3] =
     [("docs/paper.md", "studies/"), ("docs/performance.md", "studies/"), ("docs/studies/README.md", "")];
 
@@ -24,8 +25,8 @@ fn file(study: &str, name: &str) -> PathBuf {
     root().join("docs/studies").join(study).join(name)
 }
 
-/// A figure of a report's first table as it stands there; of `all` networks how many trainings are `done`, `planned` and `failed`, the
-/// `spread` of the means on the test split, and the least on the `training` maps.
+/// Figure of a network in a report's first table, as printed there. The network `all` has the numbers of trainings
+/// `done`, `planned` and `failed`, the `spread` of the means on the test split, and the least on the `training` maps.
 fn figure(study: &str, network: &str, figure: &str) -> String {
     let report = fs::read_to_string(file(study, "report.md")).unwrap_or_else(|e| panic!("report of {study}: {e}"));
     let table = report.lines().skip_while(|line| !line.starts_with("| network")).skip(2);
@@ -64,14 +65,14 @@ fn figure(study: &str, network: &str, figure: &str) -> String {
     }
 }
 
-/// The report of a study; `None` if it is not run yet.
+/// Report of a study; `None` if the study has not been run.
 fn report(study: &str) -> Option<Report> {
     let path = file(study, "report.json");
     let text = fs::read_to_string(&path).ok()?;
     Some(serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
 }
 
-/// Length of the figure that a text begins with: `0.779`, `0.779 ± 0.006`.
+/// Length of the figure at the beginning of a text: `0.779`, `0.779 ± 0.006`.
 fn figure_length(text: &str) -> usize {
     let digits = |text: &str| {
         let length = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
@@ -81,14 +82,14 @@ fn figure_length(text: &str) -> usize {
     text[first..].strip_prefix(" ± ").map_or(first, |rest| first + " ± ".len() + digits(rest))
 }
 
-/// A page with its figures as the reports have them, and what was wrong on it.
+/// Page with the figures of the reports filled in, and the errors found on it.
 fn filled(page: &str, text: &str, way: &str) -> (String, Vec<String>) {
     let (mut out, mut rest, mut wrong) = (String::new(), text, Vec::new());
     while let Some((before, mark)) = rest.split_once("<!-- ") {
         let (name, tail) = mark.split_once(" -->").unwrap_or_else(|| panic!("{page}: a comment has no end"));
         let _ = write!(out, "{before}<!-- {name} -->");
         let place = format!("{page}:{}: {name}", 1 + out.matches('\n').count());
-        // Figures that nothing holds to a report.
+        // A figure without a mark is compared with no report.
         let is_loose = |(at, _): &(usize, &str)| before[at + 2..].bytes().take_while(u8::is_ascii_digit).count() == 3;
         if page == "docs/paper.md" && before.match_indices("0.").any(|found| is_loose(&found)) {
             wrong.push(format!("{place}: before it stands a figure without a mark"));
@@ -101,7 +102,7 @@ fn filled(page: &str, text: &str, way: &str) -> (String, Vec<String>) {
             }
             _ => ("", String::new()),
         };
-        // GitHub takes a line that begins with a comment for HTML.
+        // GitHub parses a line that begins with a comment as HTML.
         if name.starts_with('=') && (before.is_empty() || before.ends_with('\n')) {
             wrong.push(format!("{place} begins a line"));
         }
@@ -139,7 +140,7 @@ fn a_wrong_figure_is_told_with_its_place_and_both_values() {
     assert!(wrong.len() == 1 && wrong[0].starts_with("page:2: = controls hqnn mean is 0.1 on the page"), "{wrong:?}");
 }
 
-/// Names of groups have blanks.
+/// Asserts that marks of tables accept names of groups with spaces.
 #[test]
 fn tables_of_conditions_are_named_by_their_group() {
     let text = "<!-- figures: none rungs: Real recordings --><!-- end -->";
@@ -149,7 +150,7 @@ fn tables_of_conditions_are_named_by_their_group() {
     assert_eq!(filled("page", &out, ""), (out.clone(), Vec::new()));
 }
 
-/// Where a report's JSON file lies beside it, the program makes the page of it.
+/// Asserts that the program makes the same report from the JSON file beside it, where there is one.
 #[test]
 fn reports_are_those_of_the_json_files_beside_them() {
     for entry in fs::read_dir(root().join("docs/studies")).expect("a folder").flatten() {

@@ -1,4 +1,4 @@
-//! Studies in several processes: shards, kills, folders in use, plans and the script of a cluster.
+//! Tests of studies in several processes: shards, kills, folders in use, plans and scripts for clusters.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,15 +10,15 @@ use radome_tests::{failure, fixture_text, json_lines, radome, subcommand};
 
 use super::learning::maps;
 
-/// 24 trainings of a second or less, and three that only choose a rate.
+/// Spec of a study with 24 trainings of a second or less, and three more that only select a rate.
 pub const STUDY: &str = "title = \"Small\"\ndataset = \"none.toml\"\nseeds = [1, 2, 3, 4]\nlearning_rates = [1e-3, 1e-2]\n\
     label_fractions = [1.0, 0.5]\nsnr_db = [20.0]\n\
     variants = [{ name = \"hqnn\" }, { name = \"estimator_matched\" }, { name = \"dequantization\" }]\n\
     [train]\nepochs = 3\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
-/// Trainings of it.
+/// Number of trainings of [`STUDY`].
 pub const TRAININGS: usize = 24 + 3;
 
-/// A folder with the study's file.
+/// Folder with the study's file.
 struct Place {
     folder: tempfile::TempDir,
 }
@@ -34,7 +34,7 @@ impl Place {
         self.folder.path().join(name)
     }
 
-    /// The command of the study in the folder `name`.
+    /// Command of the study in the folder `name`.
     fn study(&self, name: &str) -> Command {
         let mut command = subcommand("model study");
         command.arg(self.at("study.toml")).arg("--dataset").arg(maps());
@@ -52,14 +52,14 @@ impl Place {
         report(&self.at(name))
     }
 
-    /// Writes the study's file again, with conditions, and beside it the spec of its maps.
+    /// Rewrites the study's file with conditions, and writes the spec of their maps beside it.
     fn add_conditions(&self, study: &str, conditions: &str) {
         let text = study.replace("[train]", &format!("conditions = [{conditions}]\n[train]"));
         std::fs::write(self.at("study.toml"), text).expect("writable");
         std::fs::copy(maps().with_file_name("maps.toml"), self.at("maps.toml")).expect("copied");
     }
 
-    /// Content and times of the outcomes and models of trainings.
+    /// Contents and modification times of the results and models of trainings.
     fn trainings(&self, name: &str) -> BTreeMap<PathBuf, (Vec<u8>, SystemTime)> {
         let folders = ["results", "models"].map(|part| self.at(name).join(part));
         let entries = folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
@@ -71,12 +71,12 @@ impl Place {
     }
 }
 
-/// Six trainings: three networks with two shares of the labels.
+/// Spec of a study with six trainings: three networks with two shares of the labels.
 fn few() -> String {
     STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]").replace("learning_rates = [1e-3, 1e-2]\n", "")
 }
 
-/// Thermal noise on the raw samples, of the same power as the signal.
+/// Condition with thermal noise on the raw samples, of the same power as the signal.
 const NOISE: &str = "{ name = \"noise +0 dB\", group = \"Noise\", dataset = \"maps.toml\", raw_snr_db = 0.0 }";
 
 /// The written report of a study.
@@ -94,7 +94,7 @@ pub fn progress(folder: &Path) -> [usize; 2] {
     })
 }
 
-/// Waits for something, and looks often: a training takes a second.
+/// Waits until `done` returns true; polls often, since a training takes a second.
 pub fn wait(what: &str, mut done: impl FnMut() -> bool) {
     let until = Instant::now() + Duration::from_secs(300);
     while !done() {
@@ -103,8 +103,8 @@ pub fn wait(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Four shards at once, one of which is killed within a training and started again: the report is that of one run, byte for byte,
-/// and no training is done twice.
+/// Asserts that four parallel shards give the report of one run, byte for byte. One shard is killed within a training
+/// and restarted; no training runs twice.
 #[test]
 fn shards_with_one_killed_report_the_bytes_of_one_run() {
     let place = Place::new(STUDY);
@@ -112,7 +112,7 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
     assert_eq!(told.len(), TRAININGS + 1);
 
     let mut first = place.shard("shards", "0/4");
-    // It is alone: the checkpoint is its own.
+    // No other shard runs yet, so that the checkpoint belongs to this one.
     wait("a training to be at work", || progress(&place.at("shards"))[1] > 0);
     first.kill().expect("is killed");
     first.wait().expect("ends");
@@ -131,13 +131,14 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
     assert!(place.at("shards/times.md").exists());
 }
 
-/// Conditions are added to a study that is whole: nothing is trained again. Shards come to the same report.
+/// Asserts that conditions can be added to a complete study without new trainings, and that shards give the same
+/// report.
 #[test]
 fn conditions_are_added_without_training_again() {
     let place = Place::new(&few());
     json_lines(&mut place.study("whole"));
     let before = place.trainings("whole");
-    // Six outcomes, and the models of three.
+    // Six results, and the models of the three trainings on all labels.
     assert_eq!(before.len(), 6 + 3);
 
     place.add_conditions(&few(), NOISE);
@@ -167,7 +168,7 @@ fn conditions_are_added_without_training_again() {
         "{markdown}"
     );
 
-    // Noise changes maps and nothing else.
+    // Noise changes only the maps.
     let open = |path: &Path| Dataset::open(path).expect("a dataset");
     let (clean, noisy) = (open(maps()), open(&place.at("whole/conditions/noise_+0_dB")));
     let known = |dataset: &Dataset| {
@@ -177,7 +178,7 @@ fn conditions_are_added_without_training_again() {
     assert_eq!(known(&clean), known(&noisy));
     assert!(clean.rows().iter().zip(noisy.rows()).all(|(clean, noisy)| clean.hash != noisy.hash));
 
-    // Nothing is left to do, and shards do the same.
+    // No work is left; shards give the same result.
     assert_eq!(json_lines(&mut judge("whole")).len(), 1);
     for shard in ["0/2", "1/2"].map(|shard| {
         let mut command = judge("shards");
@@ -196,7 +197,7 @@ fn a_plan_says_what_is_left() {
     let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
     let plan = || json_lines(place.study("study").arg("--plan")).remove(0);
     let before = plan();
-    // Three networks at two rates with the whole share, and at one with the half.
+    // Three networks at two rates with all labels, and at one rate with half of them.
     assert_eq!((before["trainings"].as_u64(), before["done"].as_u64()), (Some(9), Some(0)), "{before}");
     assert!(before["cpu_hours"].as_f64() > Some(0.0), "{before}");
     for network in before["networks"].as_array().expect("networks") {
@@ -216,7 +217,7 @@ fn a_plan_says_what_is_left() {
     );
 }
 
-/// A plan builds no dataset of a condition, and counts what is to be judged all the same.
+/// Asserts that a plan counts the scores under a condition without building its dataset.
 #[test]
 fn a_plan_counts_scores_under_conditions() {
     let place = Place::new(&few());
@@ -224,14 +225,14 @@ fn a_plan_counts_scores_under_conditions() {
     let left =
         |more: &[&str]| json_lines(place.study("study").arg("--plan").args(more)).remove(0)["judgings_left"].as_u64();
     let same = format!("same={}", maps().display());
-    // Three models of all labels.
+    // Three models, trained on all labels.
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(3), Some(6)]);
     assert!(!place.at("study/conditions").exists());
     json_lines(&mut place.study("study"));
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(0), Some(3)]);
 }
 
-/// The script names the study, its shards and what comes behind them; a shell reads it.
+/// Asserts that the script names the study, its shards and the report after them, and that a shell accepts it.
 #[test]
 fn the_script_of_an_array_runs_the_study_in_shards() {
     let place = Place::new(STUDY);
@@ -250,7 +251,7 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
     let given = format!("it's abroad={}", given.display());
     let output = script(&["--dataset", "maps", "--condition", &given]).output().expect("runs");
     let with_condition = String::from_utf8(output.stdout).expect("text");
-    // Shards and the report behind them have it.
+    // The shards and the final report have the option.
     let word = format!("--condition '{}'", given.replace('\'', "'\\''"));
     assert_eq!(with_condition.matches(&word).count(), 2, "{with_condition}");
     let twice = ["--dataset", "maps", "--condition", &given, "--condition", &given];
@@ -258,14 +259,14 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
     let path = place.at("array.sh");
     std::fs::write(&path, &text).expect("writable");
     assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());
-    // Without a dataset its spec has to be there.
+    // Without a dataset the study needs the spec of one.
     assert!(failure(&mut script(&[])).contains("none.toml"));
 }
 
 mod hard_cases {
     use super::*;
 
-    /// A run that was killed within a training does that one again and no other.
+    /// Asserts that a run killed within a training repeats that training only.
     #[test]
     fn a_study_killed_within_a_training_repeats_no_other() {
         let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
@@ -304,13 +305,13 @@ mod hard_cases {
             let said = failure(&mut place.study("study"));
             assert!(said.contains(expected), "{conditions}: {said}");
         }
-        // No work, no dataset: the condition is left out of the report.
+        // The report leaves out a condition without a dataset.
         place.add_conditions(&few(), NOISE);
         let report = json_lines(place.study("study").arg("--report-only")).remove(0);
         assert_eq!(report["conditions"].as_array().map(Vec::len), Some(0), "{report}");
     }
 
-    /// A dataset that was built stays what its condition was then.
+    /// Asserts that a built dataset keeps the condition's definition: a change under the same name is refused.
     #[test]
     fn another_ratio_under_the_same_name_is_refused() {
         let place = Place::new(&few());
@@ -322,10 +323,10 @@ mod hard_cases {
         assert!(said.contains("noise_+0_dB") && said.contains("built from other settings"), "{said}");
     }
 
-    /// The second run into one folder says so; reports are given all the same.
+    /// Asserts that a second run in a folder fails with a message, while reports are still possible.
     #[test]
     fn a_second_run_says_that_the_folder_is_in_use() {
-        // As long as it takes: the first is killed in the end.
+        // The first run must outlast the test, which kills it at the end.
         let place = Place::new(&STUDY.replace("epochs = 3", "epochs = 10000"));
         let mut child = place.study("study").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
         wait("a training", || progress(&place.at("study"))[1] > 0);
@@ -339,7 +340,7 @@ mod hard_cases {
         child.wait().expect("ends");
     }
 
-    /// Shards of a study without a dataset: one of them builds it, the others wait.
+    /// Asserts that one shard builds the missing dataset while the others wait.
     #[test]
     fn shards_build_one_dataset() {
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));

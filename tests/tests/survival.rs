@@ -1,5 +1,5 @@
-//! Recordings outlive the program that makes them: nothing is replaced unasked, one writer at a time has a recording, and a kill or a
-//! full disk leaves a file that opens.
+//! Recordings survive the end of the program that makes them. No file is replaced without the option, a recording has
+//! one writer at a time, and a kill or a full disk leaves a readable file.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -11,13 +11,13 @@ use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequ
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{failure, fixture, json_lines, radome, root, skip, subcommand};
 
-/// One receiver at ten frames a second: 64 KiB a frame.
+/// Waveform of one receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
     let rx_antennas = RxMask::from_antennas(&[1]).expect("an antenna");
     Waveform::realise(WaveformRequest { rx_antennas, ..WaveformRequest::paper() }).expect("possible")
 }
 
-/// A recording of noise, which hardly becomes shorter by compression.
+/// Writes a recording of noise, which hardly compresses.
 fn noise(path: &Path, frames: u64) {
     let waveform = waveform();
     let mut recorder = Recorder::create(path, &RecordingHeader::new(waveform.clone())).expect("creates");
@@ -35,7 +35,7 @@ fn noise(path: &Path, frames: u64) {
     recorder.finish().expect("finishes");
 }
 
-/// Counts the frames that can be read, one after the other from the first on.
+/// Number of consecutive frames that can be read from the first on.
 fn readable(path: &Path) -> u64 {
     let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
     let mut frame = Frame::zeroed(source.waveform().shape());
@@ -51,7 +51,7 @@ fn is_complete(path: &Path) -> bool {
     McapReader::open(path).expect("opens").is_complete()
 }
 
-/// Frames that a recording which is being made has so far.
+/// Number of frames in an unfinished recording so far.
 fn so_far(path: &Path) -> u64 {
     McapReader::open(path).ok().and_then(|reader| reader.frame_count()).unwrap_or(0)
 }
@@ -106,7 +106,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     }
 }
 
-/// Command that the unit runs, as systemd would put it together.
+/// Command line that systemd makes from the packaged unit.
 fn service(source: &Path, options: &[&str]) -> Command {
     let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
     let line = unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("a command");
@@ -141,7 +141,7 @@ fn a_service_that_starts_again_records_to_another_file() {
         assert!(now.iter().all(|path| readable(path) == 12 && is_complete(path)));
         before = now.into_iter().map(|path| (path.clone(), std::fs::read(&path).expect("readable"))).collect();
     }
-    // A file's name is no use there: the second start is refused.
+    // With a file name instead of a folder, the second start of the service is refused.
     let one = folder.path().join("one.mcap").display().to_string();
     assert!(service(&source, &["-o", &one]).output().expect("runs").status.success());
     assert!(failure(&mut service(&source, &["-o", &one])).contains("exists already"));
@@ -192,7 +192,7 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
     recorder.signal("INT");
     assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
     assert!(is_complete(&made) && readable(&made) >= 5);
-    // Who waited may write now.
+    // The waiting writer may now write.
     json_lines(subcommand("recording labels").arg(&made).args(["--json", "--import"]).arg(at("track.txt")));
     assert_eq!(McapReader::open(&made).expect("opens").labels().expect("labels").len(), 1);
     assert_eq!(files(folder.path()), [made, source, at("track.txt")]);
@@ -223,7 +223,7 @@ fn labels_that_are_imported_at_once_are_all_there() {
     assert_eq!(readable(&at("a.mcap")), 60);
 }
 
-/// By a signal that nobody can catch: what was in the file stays, the lock goes with the process, and the name is not used again.
+/// Asserts that SIGKILL leaves the written frames, releases the lock, and that the file name is not used again.
 #[test]
 fn a_recorder_that_is_killed_leaves_what_it_had_written() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -239,7 +239,7 @@ fn a_recorder_that_is_killed_leaves_what_it_had_written() {
         let count = readable(&made);
         assert!(count >= seen && !is_complete(&made), "{count} of {seen}");
         let repaired = at(&format!("repaired-{name}"));
-        // Its exit status says that the end was lost.
+        // The exit status reports that the end was lost.
         subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).output().expect("runs");
         assert!(readable(&repaired) == count && is_complete(&repaired));
         let again = failure(radome().arg("record").arg(at("source.mcap")).arg("-o").arg(&made));
@@ -248,7 +248,7 @@ fn a_recorder_that_is_killed_leaves_what_it_had_written() {
     }
 }
 
-/// The error of a program that has no room: the file and the first cause, nothing that followed from it.
+/// Asserts that the error names the file and the first cause, and no consequences of it.
 fn assert_names_cause(output: &Output, path: &Path, cause: &str) {
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
@@ -257,10 +257,10 @@ fn assert_names_cause(output: &Output, path: &Path, cause: &str) {
     assert!(!said.contains("after a write method failed"), "{said}");
 }
 
-/// Commands that record, before their source.
+/// Commands that record, without their source.
 const RECORDERS: [&[&str]; 2] = [&["record"], &["live", "--model", "cfar", "--json"]];
 
-/// A limit on the size of files stands for a full disk.
+/// Asserts that a full disk ends the recording and leaves a readable file; a file-size limit stands for it.
 #[test]
 fn a_file_that_may_not_grow_ends_the_recording_and_opens() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -277,7 +277,7 @@ fn a_file_that_may_not_grow_ends_the_recording_and_opens() {
     }
 }
 
-/// A disk of two megabytes. It needs the right to mount one, in a name space of its own.
+/// Asserts the same on a mounted disk of two megabytes. The test needs the right to mount one in its own namespace.
 #[test]
 fn a_full_disk_ends_the_recording_and_leaves_a_file_that_opens() {
     const SCRIPT: &str = "mount -t tmpfs -o size=2m tmpfs \"$1\" || exit 77; disk=$1; copy=$2; shift 2

@@ -1,5 +1,5 @@
-//! `radome recording convert --to viewers`, read back with the `mcap` crate: schemas, numbers, images and times; and the layout
-//! for Foxglove.
+//! Reads files of `radome recording convert --to viewers` with the `mcap` crate: schemas, numbers, images and times.
+//! Also checks the layout for Foxglove.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
 const HOST_NS: u64 = 1_767_683_775_000_000_000;
-/// Its frames: numbers, which are also their times in units of 0.4 s.
+/// Sequence numbers of the frames of the golden recording, which are also their times in units of 0.4 s.
 const FRAMES: [u64; 8] = [0, 1, 2, 3, 4, 7, 8, 9];
 
-/// A picture of three bytes a pixel.
+/// Image with three bytes a pixel.
 struct Picture {
     columns: usize,
     rows: usize,
@@ -106,7 +106,7 @@ struct Answer {
     occupied: bool,
 }
 
-/// A message of a file: topic, type, time and content.
+/// Message of a file: topic, type, time and content.
 struct Found {
     topic: String,
     schema: String,
@@ -123,7 +123,7 @@ fn export(input: &Path, folder: &Path) -> PathBuf {
     output
 }
 
-/// All messages, after a check that their schemas describe types with all names that they use.
+/// Reads all messages; asserts that their schemas describe every type that they refer to.
 fn read(path: &Path) -> Vec<Found> {
     let bytes = std::fs::read(path).expect("reads");
     assert!(mcap::Summary::read(&bytes).expect("reads").is_some_and(|summary| summary.stats.is_some()));
@@ -148,7 +148,7 @@ fn read(path: &Path) -> Vec<Found> {
     found.collect()
 }
 
-/// Messages of a topic, which must be of this type.
+/// Messages of a topic, which must have this type.
 fn of<M: prost::Message + Default>(found: &[Found], topic: &str, schema: &str) -> Vec<(u64, M)> {
     let of_topic = found.iter().filter(|message| message.topic == topic);
     let decoded = of_topic.map(|message| {
@@ -158,7 +158,7 @@ fn of<M: prost::Message + Default>(found: &[Found], topic: &str, schema: &str) -
     decoded.collect()
 }
 
-/// Whether both are the same number or both unknown.
+/// Whether both values are the same number, or both are unknown.
 fn is_same(a: f64, b: Option<f64>) -> bool {
     b.map_or(a.is_nan(), |b| (a - b).abs() < 1e-6)
 }
@@ -176,7 +176,7 @@ fn chirps_and_maps_are_images_of_the_frames() {
         assert_eq!((image.width, image.height, image.step, image.encoding.as_str()), (8, 4, 16, "16UC1"));
         let codes: Vec<u64> = image.data.chunks(2).map(|b| u64::from(u16::from_le_bytes([b[0], b[1]]))).collect();
         assert_eq!(codes.len(), 32);
-        // The recording's own rule: 37 a frame, 1000 a receiver, 100 a chirp, 1 a sample.
+        // Rule of the golden recording: a code grows by 37 a frame, 1000 a receiver, 100 a chirp and 1 a sample.
         assert_eq!((codes[0], codes[10], codes[31]), (37 * number, 37 * number + 102, 37 * number + 1107));
         let timestamp = image.timestamp.as_ref().expect("a time");
         assert_eq!(timestamp.seconds as u64 * 1_000_000_000 + timestamp.nanos as u64, *time_ns);
@@ -186,7 +186,7 @@ fn chirps_and_maps_are_images_of_the_frames() {
     assert_eq!(maps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), times);
     for (_, map) in &maps {
         let image = Picture::decode(&map.data);
-        // Ranges and velocities of 8 samples and 2 chirps.
+        // 8 samples and 2 chirps give 4 range bins and 2 velocity bins.
         assert_eq!((map.format.as_str(), image.columns, image.rows), ("png", 4, 2));
     }
 }
@@ -206,7 +206,7 @@ fn numbers_and_events_are_those_of_the_recording() {
         let number = state.sequence;
         let temperature = (number >= 2).then_some(if number < 5 { 31.5 } else { 31.75 });
         assert!(is_same(state.temperature_celsius, temperature), "{state:?}");
-        // Unknown behind the start and behind the gap.
+        // The frame rate is unknown after the start and after the gap.
         assert!(is_same(state.frames_per_s, (number != 0 && number != 7).then_some(2.5)), "{state:?}");
         assert_eq!(state.frames_lost, if number < 5 { 0 } else { 2 });
         assert!(is_same(state.true_people, number.is_multiple_of(2).then_some(2.0)), "{state:?}");
@@ -239,7 +239,7 @@ fn numbers_and_events_are_those_of_the_recording() {
     );
 }
 
-/// A simulation has no host time and no answers; the pixels of its maps are the cells of `recording maps`.
+/// Asserts that the pixels of a map are the cells of `recording maps`. A simulation has neither host times nor answers.
 #[test]
 fn a_pixel_of_a_map_is_a_cell() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -260,12 +260,13 @@ fn a_pixel_of_a_map_is_a_cell() {
     let db: Vec<f32> = npyz::NpyFile::new(std::io::BufReader::new(file)).expect("npy").into_vec().expect("f32");
     let image = Picture::decode(&maps[0].1.data);
     assert_eq!((image.columns, image.rows), (columns, rows));
-    // The first map has the last colour at its peak: velocity rows from the top down, the fastest receding first.
+    // The peak of the first map has the last colour. Rows are velocities, from the fastest receding one at the top
+    // down.
     let first = &db[..rows * columns];
     let peak = (0..first.len()).max_by(|a, b| first[*a].total_cmp(&first[*b])).expect("cells");
     let (row, column) = (rows - 1 - peak / columns, peak % columns);
     assert_eq!(image.pixel(column, row), [253, 231, 37]);
-    // Colours are those of levels: the brighter of two cells has the larger green part.
+    // Colours follow levels: the brighter of two cells has the larger green component.
     let green = |cell: usize| {
         let (column, row) = (cell % columns, rows - 1 - cell / columns);
         image.pixel(column, row)[1]
@@ -276,7 +277,7 @@ fn a_pixel_of_a_map_is_a_cell() {
     }
 }
 
-/// The packages mcap, mcap-protobuf-support and, for Rerun's loader, rerun-sdk; they are in the Python that
+/// Needs the packages mcap, mcap-protobuf-support and, for Rerun's loader, rerun-sdk, in the Python that
 /// `RADOME_VIEWERS_PYTHON` names, or in python3.
 #[test]
 #[allow(clippy::print_stderr)]
@@ -293,7 +294,7 @@ fn python_packages_read_the_file() {
     eprint!("{}", String::from_utf8_lossy(&output.stdout));
 }
 
-/// All strings of a value.
+/// Collects all strings of a JSON value.
 fn strings<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
     match value {
         Value::String(text) => found.push(text),

@@ -1,4 +1,4 @@
-//! Draw of jobs, each one board with one kind of fault, as a function of the seed.
+//! Draws jobs as a function of the seed, each for one board with one kind of fault.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use radome_driver::protocol::mcu7::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
 
-/// Random numbers by what they are for: splitmix64.
+/// Random number generator: splitmix64.
 #[derive(Debug, Clone)]
 pub struct Random(pub u64);
 
@@ -62,12 +62,12 @@ impl Protocol {
         }
     }
 
-    /// Whether its messages carry a check sum.
+    /// Whether the protocol's messages carry a check sum.
     pub fn has_checksum(self) -> bool {
         matches!(self, Protocol::Mcu7V4 | Protocol::Mcu7V3)
     }
 
-    /// Whether its firmware sends such frames, and does not join hundreds of them into one message.
+    /// Whether the firmware sends frames of this shape, without joining hundreds of them into one message.
     fn takes(self, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
         let codes = antennas.len() * chirps * samples;
         self != Protocol::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
@@ -78,7 +78,7 @@ impl Protocol {
         SliceLayout::for_frame_as(waveform.shape().codes(), framing)
     }
 
-    /// Bytes that its messages have at least.
+    /// Length of the protocol's shortest message, bytes.
     fn shortest_message(self, waveform: &Waveform) -> u64 {
         let slice = self.slice(waveform);
         match self {
@@ -88,13 +88,13 @@ impl Protocol {
         }
     }
 
-    /// Messages of one frame, as a fraction.
+    /// Number of messages for each frame, possibly a fraction.
     fn messages(self, waveform: &Waveform) -> f64 {
         let codes = waveform.shape().codes();
         let slice = self.slice(waveform);
         match self {
             Protocol::Esp32 => 1.0,
-            // Its chunks hold the frames that a read of the FIFO completes.
+            // A chunk holds the frames that one read of the FIFO completes.
             Protocol::Deepcraft => (codes as f64 / FIFO_LEVEL_CODES as f64).min(1.0),
             _ => slice.packets() as f64 * codes as f64 / slice.samples as f64,
         }
@@ -119,7 +119,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// With how many of ten thousand faults are of this kind, and how many a board has.
+    /// Kinds, each with its number in ten thousand faults and the largest number for one board.
     pub const ALL: [(Kind, u64, u64); 13] = [
         (Kind::Drop, 1200, 40),
         (Kind::Double, 900, 40),
@@ -154,13 +154,14 @@ impl Kind {
         }
     }
 
-    /// Whether the board is without power, or silent, for a while: only the host's clock knows for how long.
+    /// Whether the board loses power or stops sending for a while, so that only the host's clock can count the lost
+    /// frames.
     pub fn interrupts(self) -> bool {
         matches!(self, Kind::Stall | Kind::Unplug | Kind::Mixed)
     }
 }
 
-/// One board.
+/// Board of the campaign, with its waveform and faults.
 #[derive(Debug, Clone)]
 pub struct Job {
     pub seed: u64,
@@ -168,12 +169,12 @@ pub struct Job {
     pub kind: Kind,
     pub waveform: Waveform,
     pub faults: Vec<Fault>,
-    /// Frames of the source to be reached.
+    /// Number of source frames to reach.
     pub frames: u64,
 }
 
-/// Receivers, chirps and samples: frames of one slice, of several, of a part of one, and with an odd number of codes,
-/// which share slices and bytes with their neighbours; the last one's slices end anywhere.
+/// Receivers, chirps and samples. A frame has one slice, several, or a part of one. Frames with an odd number of codes
+/// share slices and bytes with their neighbours. The last shape's slices end anywhere in a frame.
 const SHAPES: [(&[u8], usize, usize); 9] = [
     (&[1], 1, 16),
     (&[2, 3], 4, 32),
@@ -188,7 +189,7 @@ const SHAPES: [(&[u8], usize, usize); 9] = [
 
 fn waveform(random: &mut Random, protocol: Protocol, kind: Kind) -> Waveform {
     let (antennas, chirps, samples) = match kind {
-        // So much data that the board's memory is full soon.
+        // Frames large enough to fill the board's memory soon.
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
         _ => {
             std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|shape| protocol.takes(*shape)).expect("one of them")
@@ -209,17 +210,17 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         Kind::Drop => Fault::DropPacket(packet),
         Kind::Double => Fault::DoublePacket(packet),
         Kind::Reorder => Fault::ReorderPacket(packet),
-        // In the header as often as behind it, and never whole.
+        // Cuts in the header as often as after it; the message is never complete.
         Kind::Truncate => {
             let most = random.one_of(&[2, 12, 200, 5000]).min(shortest);
             Fault::TruncatePacket { packet, bytes: random.below(most) as usize }
         }
-        // Headers more often than they are long.
+        // Headers are hit more often than their share of the length.
         Kind::Flip => {
             let most = random.one_of(&[8 * 12, 8 * 12, 400, 40_000]);
             Fault::FlipBit { packet, bit: random.below(most) as usize }
         }
-        // Part of a slice, slices, frames, and backwards.
+        // Skips part of a slice, slices or frames, or counts backwards.
         Kind::Skip => {
             let frame = messages.round().max(1.0) as u64;
             let by = match random.below(6) {
@@ -236,7 +237,7 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         Kind::Stall => Fault::Stall(packet),
         Kind::Unplug => Fault::Unplug { packet, duration: Duration::from_millis(1 + random.below(60)) },
         Kind::SlowHost => Fault::SlowHost { packet, duration: Duration::from_millis(300 + random.below(200)) },
-        // 2 to 4 are spoken by one board or another.
+        // Versions 2 to 4 are valid for some board.
         Kind::Version => Fault::WrongVersion(random.one_of(&[0, 1, 5, 0xFFFF])),
         Kind::Chip => Fault::ForeignChip(random.one_of(&[0, 0x504, 0x606, 0x60B, 0x707, 0x80C, 0x1234, 0xFF_FFFF])),
         Kind::Mixed => {
@@ -248,12 +249,12 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
     }
 }
 
-/// The seed's job of this number.
+/// Job with this number of faults, drawn from the seed.
 fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     let mut random = Random(seed);
     let waveform = waveform(&mut random, protocol, kind);
     let messages = protocol.messages(&waveform);
-    // What a port has in it when its board is unplugged is lost: let some frames pass first.
+    // The data in a port's buffer are lost when its board is unplugged, so that some frames must pass first.
     let apart = match kind {
         Kind::Unplug => (40.0 + 6.0 * messages) as u64,
         Kind::Mixed => 2 + messages as u64,
@@ -269,14 +270,14 @@ fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     Job { seed, protocol, kind, waveform, faults: all, frames }
 }
 
-/// Jobs with so many faults, evenly over the protocols.
+/// Jobs with this number of faults in total, divided evenly among the protocols.
 pub fn jobs(seed: u64, faults: u64) -> Vec<Job> {
     let mut random = Random(seed);
     let mut jobs = Vec::new();
     for protocol in Protocol::ALL {
         for (kind, weight, at_most) in Kind::ALL {
             if protocol == Protocol::Esp32 && kind == Kind::Version {
-                // It does not say one.
+                // An ESP32 does not report a protocol version.
                 continue;
             }
             let mut left = (weight * faults).div_ceil(10_000 * Protocol::ALL.len() as u64);
@@ -288,7 +289,7 @@ pub fn jobs(seed: u64, faults: u64) -> Vec<Job> {
             }
         }
     }
-    // Those that sleep between those that work.
+    // Shuffles the jobs, so that jobs that sleep alternate with jobs that compute.
     for i in (1..jobs.len()).rev() {
         jobs.swap(i, random.below(i as u64 + 1) as usize);
     }

@@ -1,12 +1,12 @@
-//! A campaign of faults against every kind of board: thousands of packets lost, doubled, cut, changed and out of order,
-//! boards that stall, vanish and overflow, hosts that sleep.
+//! Campaign of faults against every kind of board. Thousands of packets are lost, doubled, cut, changed and out of
+//! order. Boards stall, disconnect and overflow, and hosts sleep.
 //!
-//! What holds for each frame that arrives: its samples are those of one frame of the source, later than the one before;
-//! on links without a check sum a changed digit of a sample is the one exception. What holds for the numbers: frames
-//! and gaps follow each other without hole or overlap, and a number less the source's own never changes, except where
-//! the board was away and the host's clock alone could count. And the stream goes on, each time.
+//! Each received frame must have the samples of one source frame, later than the one before. The only exception is a
+//! changed digit of a sample on links without a check sum. Sequence numbers of frames and gaps must follow each other
+//! without hole or overlap. Their offset from the source's numbers must be constant, unless the board was absent and
+//! only the host's clock could count. The stream must continue after every fault.
 //!
-//! The long one: `tests/long faults`, with `RADOME_FAULTS` and `RADOME_SEED`.
+//! `tests/long faults` runs the long campaign, with `RADOME_FAULTS` and `RADOME_SEED`.
 
 mod draw;
 mod play;
@@ -50,7 +50,7 @@ fn setting(name: &str, default: u64) -> u64 {
 #[allow(clippy::print_stdout)]
 fn the_campaign() {
     let (seed, faults) = (setting("RADOME_SEED", 1), setting("RADOME_FAULTS", 12_000));
-    // They sleep more than they work.
+    // Sixteen threads, since jobs sleep more than they compute.
     let report = campaign(seed, faults, 16);
     println!("{}", report.table());
     if let Some(path) = std::env::var_os("RADOME_REPORT") {

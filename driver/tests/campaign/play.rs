@@ -1,4 +1,4 @@
-//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be
+//! Runs one board of the campaign. Its frames are a function of seed and number, so that every received sample can be
 //! checked.
 
 use std::time::{Duration, Instant};
@@ -11,14 +11,14 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 
 use crate::draw::{Job, Kind, Protocol, Random};
 
-/// Patient enough for any machine.
+/// Reconnection policy with a patience for slow machines.
 const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
     longest_wait: Duration::from_millis(50),
     give_up_after: Duration::from_secs(60),
 };
 
-/// Frames without end. The first two codes are the number, the others look like noise.
+/// Endless source of frames. The first two codes of a frame are its number, the others resemble noise.
 struct Source {
     seed: u64,
     waveform: Waveform,
@@ -58,13 +58,13 @@ pub struct Outcome {
     pub injected: u64,
     pub delivered: u64,
     pub lost: u64,
-    /// Samples that are not the source's.
+    /// Samples that differ from the source's.
     pub wrong: u64,
-    /// Faults among them that no client could notice.
+    /// Wrong samples that no client could detect.
     pub undetectable: u64,
-    /// Faults after which nothing came any more.
+    /// Faults after which the stream did not continue.
     pub not_resumed: u64,
-    /// Violations.
+    /// Descriptions of violated requirements.
     pub failures: Vec<String>,
 }
 
@@ -107,13 +107,13 @@ pub fn play(job: &Job) -> Outcome {
         pace: if job.kind == Kind::SlowHost { Pace::RealTime(1.0) } else { Pace::AsFastAsRead },
         kind: job.protocol.board(),
         faults: job.faults.clone(),
-        // The number of a terminal that has gone is soon that of another board.
+        // A unique link, since the terminal number of a closed board is soon reused by another board.
         link: Some(folder.path().join("board")),
         ..EmulatorOptions::default()
     };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
     let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
-    // On a busy machine even a board that is well may be late with an answer, or gone before its answer is read.
+    // On a busy machine even a healthy board may answer late, or close before its answer is read.
     let attempt = || {
         std::thread::sleep(Duration::from_millis(5));
         Client::open(job, &board)
@@ -127,14 +127,14 @@ pub fn play(job: &Job) -> Outcome {
     match (job.kind, client) {
         (Kind::Version, Err(BoardError::Protocol { .. })) => {}
         (Kind::Version | Kind::Chip, Err(BoardError::Deepcraft { .. })) => {}
-        // All ones and all zeros are what a chip reads that is not there.
+        // Reads of an absent chip give all ones or all zeros.
         (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
             if job.protocol != Protocol::Esp32 => {}
         (Kind::Version | Kind::Chip, Ok(_)) if job.protocol != Protocol::Esp32 => {
             outcome.failures.push("a board that is not ours was driven".into());
         }
         (_, Ok(client)) => {
-            // Every fault has its turn.
+            // Reads until every fault has been injected.
             let last = job.faults.iter().map(packet).max().unwrap_or(0);
             Check::new(job, client, &mut outcome).run(|| board.counts().packets > last);
         }
@@ -159,28 +159,30 @@ fn packet(fault: &Fault) -> u64 {
     }
 }
 
-/// Events that a client hands out, frame by frame.
+/// Checks the events of a client, frame by frame.
 struct Check<'a> {
     job: &'a Job,
     client: Client,
     outcome: &'a mut Outcome,
     /// Number that the next frame or gap must have.
     next_sequence: u64,
-    /// The source's number that the next frame has at least.
+    /// Smallest source number that the next frame may have.
     next_of_source: u64,
-    /// Number less the source's own, once known. Changes where only the host's clock could count.
+    /// Sequence number less the source's number, once known. It may change after a gap that only the host's clock could
+    /// count.
     offset: Option<i128>,
-    /// Numbers that faults have the firmware leave out, not met yet.
+    /// Numbers that faults make the firmware skip, not yet seen.
     skips: u64,
     last_event: Instant,
-    /// Whether the board was opened again, and restarts.
+    /// Whether the board was opened again, so that a restart is still expected.
     restarts: bool,
     expected: Vec<u16>,
 }
 
 impl<'a> Check<'a> {
     fn new(job: &'a Job, client: Client, outcome: &'a mut Outcome) -> Self {
-        // A printing board numbers its frames itself; packets' counters do not.
+        // A printing board (ESP32) numbers its frames itself, so that a skipped counter skips frames. Packet counters
+        // do not.
         let skips = job.faults.iter().map(|fault| match fault {
             Fault::SkipCounter { by, .. } if job.protocol == Protocol::Esp32 => u64::from(*by),
             _ => 0,
@@ -200,7 +202,7 @@ impl<'a> Check<'a> {
     }
 
     fn fail(&mut self, what: String) {
-        // The first few say it all.
+        // The first few failures suffice.
         if self.outcome.failures.len() < 3 {
             self.outcome.failures.push(what);
         }
@@ -216,14 +218,14 @@ impl<'a> Check<'a> {
                     if gap.first_sequence != self.next_sequence {
                         self.fail(format!("{gap:?} where {} should follow", self.next_sequence));
                     }
-                    // Nobody can count what was lost before the first frame.
+                    // Losses before the first frame cannot be counted.
                     if gap.frames == 0 && self.offset.is_some() {
                         self.fail(format!("{gap:?} is empty"));
                     }
                     if gap.reason == GapReason::Disconnected {
-                        // A machine that is busy for a second makes a board that is well look stalled.
+                        // On a machine that is busy for a second, a healthy board looks stalled.
                         let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
-                        // One flag makes of a bulk packet the report that the board has given up.
+                        // One flipped flag turns a bulk packet into a report of the board's failure.
                         let may_report = self.job.protocol == Protocol::Mcu7Bulk && self.job.kind == Kind::Flip;
                         let is_known = self.job.protocol == Protocol::Deepcraft
                             || may_report
@@ -233,11 +235,12 @@ impl<'a> Check<'a> {
                         if !is_known && !std::mem::take(&mut self.restarts) {
                             self.fail(format!("{gap:?}, but the board was never away"));
                         }
-                        // A printing board restarts when its port is opened, behind what it had printed before.
+                        // A printing board restarts when its port is opened, after the lines that it had printed
+                        // before.
                         self.restarts |= was_silent && self.job.protocol == Protocol::Esp32;
                         self.offset = None;
                     }
-                    // What damage has cost such a board, which is started anew, only the host's clock knows.
+                    // After damage a DEEPCRAFT board is restarted, and only the host's clock can count the lost frames.
                     if self.job.protocol == Protocol::Deepcraft {
                         self.offset = None;
                     }
@@ -255,7 +258,7 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// A flipped digit of a line's number may look as if the firmware had started anew.
+    /// Whether a flipped digit of a line's number may look like a restart of the firmware.
     fn may_be_renumbered(&self) -> bool {
         self.job.protocol == Protocol::Esp32 && matches!(self.job.kind, Kind::Flip | Kind::Skip)
     }
@@ -270,7 +273,7 @@ impl<'a> Check<'a> {
         let (of_source, wrong) = self.identify(frame);
         if wrong > 0 {
             self.outcome.wrong += wrong;
-            // One digit of one code.
+            // Without a check sum, one changed digit of one code cannot be detected.
             let may_be = !self.job.protocol.has_checksum() && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
             if may_be && wrong == 1 {
                 self.outcome.undetectable += 1;
@@ -287,7 +290,7 @@ impl<'a> Check<'a> {
         let before = *self.offset.get_or_insert(offset);
         let skipped = offset - before;
         if skipped != 0 {
-            // What the firmware has left out, and nothing else.
+            // Only numbers that the firmware skipped may be missing.
             if skipped > 0 && skipped <= i128::from(self.skips) {
                 self.skips -= skipped as u64;
             } else {
@@ -297,7 +300,7 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// The source's number of a frame, and how many of its samples are not the source's.
+    /// Source number of a frame, and the number of its samples that differ from the source's.
     fn identify(&mut self, frame: &Frame) -> (u64, u64) {
         let mut wrong = |sequence: u64| {
             fill(self.job.seed, sequence, &mut self.expected);
@@ -309,7 +312,7 @@ impl<'a> Check<'a> {
         };
         match wrong(told) {
             0 => (told, 0),
-            // The number itself may be what is wrong.
+            // The number itself may be wrong.
             so_many => {
                 let near = (self.next_of_source..self.next_of_source + 200).map(|n| (n, wrong(n)));
                 near.chain([(told, so_many)]).min_by_key(|(_, wrong)| *wrong).unwrap_or((told, so_many))

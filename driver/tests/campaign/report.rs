@@ -1,4 +1,4 @@
-//! Report of all faults: a table, and the same as JSON.
+//! Report of all faults, as a table and as JSON.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Helpers of tests of boards and recordings. Each test binary uses a part.
+//! Helpers for tests of boards and recordings. Each test binary uses a part of this module.
 
 #![allow(dead_code, unused_imports)]
 
@@ -16,20 +16,20 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 pub use self::pattern::*;
 
-/// Patient enough for any machine.
+/// Reconnection policy with a patience for slow machines.
 pub const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
     longest_wait: Duration::from_millis(50),
     give_up_after: Duration::from_secs(60),
 };
 
-/// Bytes written as hexadecimal digits.
+/// Parses hexadecimal digits.
 pub fn unhex(digits: &str) -> Vec<u8> {
     (0..digits.len()).step_by(2).map(|i| u8::from_str_radix(&digits[i..i + 2], 16).expect("hex")).collect()
 }
 
-/// Messages of the transcript of a vendor's client: whether the host sent it, and its bytes. `None` where the shared
-/// data are absent.
+/// Messages of a vendor client's transcript: whether the host sent each, and its bytes. `None` where the shared data
+/// are absent.
 pub fn transcript(protocol: Protocol) -> Option<Vec<(bool, Vec<u8>)>> {
     let path = radome_skip::shared(&format!("data/wire/protocol{}.txt", protocol.major()))?;
     let text = std::fs::read_to_string(path).expect("transcript is text");
@@ -40,23 +40,23 @@ pub fn transcript(protocol: Protocol) -> Option<Vec<(bool, Vec<u8>)>> {
     Some(text.lines().map(line).collect())
 }
 
-/// Cases of a property: fifty times as many where `RADOME_LONG` is set.
+/// Configuration with this number of cases; fifty times as many where `RADOME_LONG` is set.
 pub fn cases(count: u32) -> ProptestConfig {
     ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
 }
 
-/// Options of a board with these faults that sends as fast as it is read.
+/// Options of an emulated board with these faults that sends as fast as it is read.
 pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() }
 }
 
-/// Such a board that measures so many frames of a [`Pattern`].
+/// Emulated board with these faults that measures this number of frames of a [`Pattern`].
 pub fn board(waveform: &Waveform, frames: u64, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
     let source = Pattern::new(waveform.clone(), frames);
     EmulatedBoard::spawn(Box::new(source), options(kind, faults)).expect("spawns")
 }
 
-/// Records a source, with one label.
+/// Records a source with one label.
 pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(source.waveform.shape());

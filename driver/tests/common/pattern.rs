@@ -1,15 +1,15 @@
-//! A source of known frames. Each test binary uses a part.
+//! Source of known frames. Each test binary uses a part of this module.
 
 #![allow(dead_code)]
 
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 
-/// Frames in which every code follows from frame, receiver, chirp and sample.
+/// Source of frames whose codes are a function of frame, receiver, chirp and sample.
 pub struct Pattern {
     pub waveform: Waveform,
     pub frames: u64,
     pub next: u64,
-    /// A gap to report before the frame that follows it.
+    /// Gap to report before the frame that follows it.
     pub gap: Option<Gap>,
     pub truth: Option<Truth>,
 }
@@ -59,7 +59,7 @@ impl FrameSource for Pattern {
     }
 }
 
-/// A waveform with this shape; a frame every `frame_interval_s`.
+/// Waveform with this shape and a frame every `frame_interval_s`.
 pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s: f64) -> Waveform {
     Waveform::realise(WaveformRequest {
         rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
@@ -88,8 +88,8 @@ pub fn captured_waveform() -> Waveform {
     .expect("valid")
 }
 
-/// Reads so many frames of a board that measures a [`Pattern`]. Each must be a whole frame of the pattern, later than the one
-/// before, and sequence numbers must leave no hole but the gaps. Returns the gaps.
+/// Reads this number of frames of a board that measures a [`Pattern`]. Asserts that each is a whole frame of the
+/// pattern, later than the one before, and that sequence numbers have no hole except the gaps. Returns the gaps.
 pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&Frame)) -> Vec<Gap> {
     let pattern = Pattern::new(stream.waveform().clone(), 0);
     let mut frame = Frame::zeroed(pattern.waveform.shape());

@@ -1,5 +1,6 @@
-//! Golden files of every format that the crate writes, in `fixtures/formats`: today's reader finds in them what was
-//! written, today's writer makes the same bytes, and copies that are cut, damaged or newer are told from good ones.
+//! Golden files of every format that the crate writes, in `fixtures/formats`. The present reader finds the written
+//! content, and the present writer makes the same bytes. Copies that are cut, damaged or newer are distinguished from
+//! valid ones.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -15,7 +16,7 @@ use radome_driver::recording::mcap::{repair, set_labels};
 use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
-/// The judged recording as a version wrote it whose channel of frames had no description of their layout.
+/// Judged recording by an earlier version, whose channel of frames had no description of their layout.
 const EARLIER: &str = "judged-without-layout.mcap";
 
 fn golden(name: &str) -> PathBuf {
@@ -26,7 +27,7 @@ fn golden_bytes(name: &str) -> Vec<u8> {
     std::fs::read(golden(name)).expect("a golden file")
 }
 
-/// All files below a folder, by their names from there.
+/// All files below a folder, by their relative paths.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -43,7 +44,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Frames that can be read, where the gap stood if there was one, and the error that ended it.
+/// Frames that can be read, the position of the gap if there was one, and the error at the end.
 fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Option<usize>, Option<String>) {
     let mut frame = Frame::zeroed(source.waveform().shape());
     let (mut all, mut gap) = (Vec::new(), None);
@@ -57,12 +58,12 @@ fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Option<usize>, Option<Stri
     }
 }
 
-/// For when a format has changed on purpose.
+/// Writes the golden files again after an intended change of a format.
 #[test]
 #[ignore = "overwrites the golden files: cargo test -p radome-driver --test golden -- --ignored remake"]
 fn remake() {
     let folder = golden("");
-    // A folder is written only where there is none.
+    // The writer refuses an existing folder.
     let _ = std::fs::remove_dir_all(folder.join("infineon"));
     make::make(&folder);
 }
@@ -111,7 +112,7 @@ fn the_native_recording_holds_what_it_held() {
 #[test]
 fn the_judged_recording_holds_what_it_held() {
     check_judged("judged.mcap");
-    // A recording without a judge has none, the vendor's cannot have any.
+    // A recording that was not judged has no results; the vendor's formats cannot hold any.
     let mut without =
         Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
     assert!(without.next().is_none());
@@ -123,7 +124,7 @@ fn a_recording_of_an_earlier_version_holds_what_it_held() {
     check_judged(EARLIER);
 }
 
-/// The layout that the schema of frames states, read as text, gives the codes and times of every frame.
+/// Asserts that the layout in the frames' schema, read as text, gives the codes and times of every frame.
 #[test]
 fn frames_can_be_read_by_the_schema_alone() {
     let bytes = golden_bytes("recording.mcap");
@@ -142,7 +143,7 @@ fn frames_can_be_read_by_the_schema_alone() {
     assert_eq!(found, expected);
 }
 
-/// Reads a message by the lines of a layout: sequence, time, host time and codes.
+/// Decodes a message by the lines of a layout: sequence, time, host time and codes.
 fn by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
     let mut fields: Vec<(&str, u64)> = Vec::new();
     let mut codes = Vec::new();
@@ -178,13 +179,13 @@ fn check_judged(name: &str) {
         (found[3].occupied, found[3].people, found[3].latency_ns, found[3].time_ns),
         (true, 1, 1_000_003, 1_200_000_000)
     );
-    // Frames and labels are those of a recording without results.
+    // Frames and labels equal those of a recording without results.
     assert_eq!(reader.labels().expect("labels"), labels());
     let (all, gap, error) = read(&mut reader);
     assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
 }
 
-/// Readers of an unfinished recording find the results of every complete chunk; so does a repair.
+/// Asserts that the reader and the repair of an unfinished recording find the results of every complete chunk.
 #[test]
 fn results_of_an_unfinished_recording_are_found() {
     let folder = tempfile::tempdir().expect("folder");
@@ -198,13 +199,12 @@ fn results_of_an_unfinished_recording_are_found() {
     let report = repair(&cut, &fixed).expect("repairs");
     assert_eq!((report.results, results_of(&fixed)), (7, results()));
     assert_eq!(McapReader::open(&fixed).expect("opens").header().judge, Some(judge()));
-    // Labels of a judged recording change without loss.
+    // Labels of a judged recording can change without loss of results.
     set_labels(&fixed, &labels()[..1]).expect("sets");
     assert_eq!(results_of(&fixed), results());
 }
 
-/// Part of a frame that the vendor's formats hold: samples and, the folder, times and temperature; frames are counted
-/// anew.
+/// Part of a frame that the vendor's formats hold: samples, a new number, and in the folder also time and temperature.
 fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
     frame.sequence = index as u64;
     frame.truth = None;
@@ -224,7 +224,7 @@ fn the_vendors_formats_hold_what_they_held() {
         let (all, gap, error) = read(&mut reader);
         let expected: Vec<_> = frames().into_iter().enumerate().map(|(i, f)| without(f, i, keeps_times)).collect();
         assert_eq!((all.as_slice(), gap, error), (expected.as_slice(), None, None), "{name}");
-        // The sixth is number 7, RX3's second chirp, its last sample.
+        // The sixth frame has number 7; checks the last sample of RX3's second chirp.
         assert_eq!(all[5].codes[31], 7 * 37 + 1000 + 100 + 7);
         assert_eq!(code(7, 1, 1, 7), 1366);
         if keeps_times {
@@ -252,8 +252,8 @@ fn label_files_hold_what_they_held() {
 mod hard_cases {
     use super::*;
 
-    /// A copy of the golden recordings, to be damaged: in memory where the system has such, for each is written to the
-    /// disk.
+    /// Copies the golden recordings into a folder to damage. The folder is in memory where the system supports it,
+    /// since many copies are written.
     fn copy() -> tempfile::TempDir {
         let memory = Path::new("/dev/shm");
         let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
@@ -266,7 +266,7 @@ mod hard_cases {
         folder
     }
 
-    /// Recordings with the files that hold them.
+    /// Recordings, each with its files.
     const RECORDINGS: [(&str, &[&str]); 4] = [
         ("recording.mcap", &["recording.mcap"]),
         ("judged.mcap", &["judged.mcap"]),
@@ -284,8 +284,8 @@ mod hard_cases {
         ("sdk.txt", &["sdk.txt", "sdk.txt_config.json"]),
     ];
 
-    /// Result of reading a recording: its frames, and the error if there is one. An error names a file of the
-    /// recording and a place in it: a byte, a field, or the two files that disagree.
+    /// Result of reading a recording: its frames, and the error if there is one. Asserts that an error names a file of
+    /// the recording and a position in it: a byte, a field, or the two files that disagree.
     fn said(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
         let path = folder.join(recording);
         let (frames, error) = match Recording::open(&path) {
@@ -318,8 +318,8 @@ mod hard_cases {
                     std::fs::write(folder.path().join(file), &bytes[..cut]).expect("writes");
                     let (frames, error) = said(folder.path(), recording);
                     assert!(whole.starts_with(&frames), "{file} cut at {cut}");
-                    // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole
-                    // frames, nothing says. An MCAP file says that it was never finished.
+                    // Missing spaces at the end of a text are no loss. Missing decimals of the last time, or missing
+                    // whole frames of a text, cannot be detected. An MCAP file states that it was not finished.
                     let is_complete = match recording {
                         "recording.mcap" | "judged.mcap" => {
                             McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete())
@@ -359,7 +359,7 @@ mod hard_cases {
         assert_eq!(most, 8);
     }
 
-    /// Draws bits to flip: the same in each run.
+    /// Selects bits to flip, identically in each run.
     fn sample(count: u64, bits: usize) -> impl Iterator<Item = usize> {
         (0..count).map(move |n| {
             let mixed = (n + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -367,7 +367,8 @@ mod hard_cases {
         })
     }
 
-    /// The native file has check sums: no flipped bit gives another sample. The vendor's have none.
+    /// Asserts that no flipped bit changes a sample of the native file, which has check sums. The vendor's formats have
+    /// none.
     #[test]
     fn a_flipped_bit_is_an_error_or_does_no_harm() {
         let folder = copy();
@@ -417,7 +418,7 @@ mod hard_cases {
             saved.push(frames.len());
         }
         saved.sort_unstable();
-        // A chunk of channels, and one for each second: 3, 3 and 2 frames, the last with the labels.
+        // One chunk has the channels. Each second has a chunk: 3, 3 and 2 frames, the last with the labels.
         assert_eq!(saved, [5, 5, 6, 8]);
     }
 
@@ -440,7 +441,7 @@ mod hard_cases {
         assert!(!folder.path().join("fixed.mcap").exists());
     }
 
-    /// Label files are small: every cut and every bit.
+    /// Asserts the result of every cut and every flipped bit of the label files, which are small.
     #[test]
     fn damaged_label_files_are_refused_with_the_line_or_read() {
         for name in ["labels-audacity.txt", "labels-deepcraft.label"] {

@@ -1,4 +1,4 @@
-//! Content of the golden files, and how they are made.
+//! Content of the golden files, and functions that make them.
 
 use std::path::Path;
 
@@ -17,15 +17,15 @@ use radome_dsp::{Frame, Gap, GapReason, Occupancy, Truth, Waveform};
 
 use crate::common;
 
-/// 6 January 2026, 07:16:15 UTC.
+/// Host time of the first frame: 6 January 2026, 07:16:15 UTC.
 pub const HOST_NS: u64 = 1_767_683_775_000_000_000;
 
-/// RX1 and RX3, 2 chirps of 8 samples, 2.5 frames a second.
+/// Waveform: RX1 and RX3, 2 chirps of 8 samples, 2.5 frames a second.
 pub fn waveform() -> Waveform {
     common::waveform(&[1, 3], 2, 8, 0.4)
 }
 
-/// The third frame's second chirp of RX3 begins with 3 * 37 + 1000 + 100.
+/// Code of a sample: the third frame's second chirp of RX3 begins with 3 * 37 + 1000 + 100.
 pub fn code(number: u64, rx: usize, chirp: usize, sample: usize) -> u16 {
     (number * 37 + 1000 * rx as u64 + 100 * chirp as u64 + sample as u64) as u16
 }
@@ -80,7 +80,7 @@ pub fn judge() -> Judge {
     Judge { version: RESULTS_VERSION, model: "paper.safetensors".into(), model_hash, on_delay_s: 0.5, off_delay_s: 3.0 }
 }
 
-/// Results of the frames: the first warmed up, the seventh came too late.
+/// Results of the frames: the first is within the warm-up, and the seventh was too late.
 pub fn results() -> Vec<FrameResult> {
     let judged = frames().into_iter().filter(|frame| frame.sequence != 7);
     let result = |frame: Frame| {
@@ -145,7 +145,7 @@ fn hex(who: char, bytes: &[u8]) -> String {
     format!("{who} {digits}\n")
 }
 
-/// Requests (`H`), answers and packets (`D`) as hexadecimal digits.
+/// Requests (`H`), and answers and packets (`D`), as hexadecimal digits.
 fn mcu7(protocol: Protocol) -> String {
     let mut text: String = commands().iter().map(|c| hex('H', &c.to_request(protocol).encode())).collect();
     let mut device = |encode: &dyn Fn(&mut Vec<u8>)| {

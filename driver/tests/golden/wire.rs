@@ -1,4 +1,4 @@
-//! The bytes of each protocol: what they mean is written here, not computed.
+//! Compares the bytes of each protocol with meanings that were written by hand, not computed.
 
 use radome_driver::protocol::ascii::{Line, LineParser, decode_waveform};
 use radome_driver::protocol::mcu7::{
@@ -36,7 +36,7 @@ fn requests_mean_what_they_meant() {
             }
         }
     }
-    // As the vendor's client sends them.
+    // Bytes of the vendor's client.
     let requests = messages("wire-mcu7-4.txt", "H");
     assert_eq!(requests[0], [0x43, 0x80, 0, 0, 0, 0, 0, 0, 0xA4, 0x62]);
     assert_eq!(requests[2], [0xC0, 0x80, 1, 0, 0, 0, 0x10, 0, 0xD7, 0x45]);
@@ -76,7 +76,7 @@ fn lines_mean_what_they_meant() {
     let bytes = golden_bytes("wire-esp32.txt");
     let mut parser = LineParser::new(3);
     let mut frames = Vec::new();
-    // A line that is no frame may be longer than one.
+    // A line that is not a frame may be longer than a frame.
     for line in bytes.split_inclusive(|b| *b == b'\n') {
         if let Some(told) = decode_waveform(line.trim_ascii_end()) {
             assert_eq!(told.expect("JSON"), waveform().request);

@@ -1,4 +1,4 @@
-//! Allocator that counts by thread, for tests that nothing is allocated, here and in the driver.
+//! Allocator that counts allocations by thread, for tests in this crate and in the driver.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -11,7 +11,7 @@ thread_local! {
 }
 
 fn count() {
-    // A thread that is ending has no counter any more.
+    // A thread that is ending has no counter.
     let _ = ALLOCATIONS.try_with(|counter| counter.set(counter.get() + 1));
 }
 

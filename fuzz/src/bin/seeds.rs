@@ -1,4 +1,4 @@
-//! Writes what each fuzzer starts from, made by the program's own encoders: `seeds FOLDER`.
+//! Writes the seed inputs of each fuzzer, made by the program's own encoders: `seeds FOLDER`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ use radome_models::{Model, ModelCard};
 #[path = "../../../sim/tests/actors/biped.rs"]
 mod biped;
 
-// All that is built here is built for coverage and needs the fuzzer to link; this one it has nothing to do with.
+// All binaries of this crate are built with coverage and link only with a fuzz target. This one does nothing.
 libfuzzer_sys::fuzz_target!(|_input: &[u8]| {});
 
 type Seeds = Vec<Vec<u8>>;
@@ -231,7 +231,7 @@ fn fixture(name: &str) -> String {
     std::fs::read_to_string(path).expect("a fixture")
 }
 
-/// A scene and the files that it names, in the order of [`radome_fuzz::SCENE_FILES`].
+/// Input with a scene and its files, in the order of [`radome_fuzz::SCENE_FILES`].
 fn scene_seed(scene: &str, others: &[(&str, &str)]) -> Vec<u8> {
     let others: BTreeMap<&str, &str> = others.iter().copied().collect();
     let names = radome_fuzz::SCENE_FILES.iter().skip(1);
@@ -269,7 +269,7 @@ fn scene() -> Seeds {
     seeds
 }
 
-/// A tetrahedron as text and as a binary file.
+/// Tetrahedron as text and as a binary file.
 fn stl() -> Seeds {
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let mut text = "solid a thing\n".to_owned();
@@ -295,7 +295,7 @@ fn obj() -> Seeds {
     vec![fixture("scenes/room-mesh.obj").into_bytes(), small.into()]
 }
 
-/// With the buffer inside, beside and behind the document.
+/// glTF files with the buffer inside, beside and after the document.
 fn gltf() -> Seeds {
     let person = biped::gltf(1.0);
     let mut beside = person.json.clone();
@@ -332,7 +332,7 @@ fn dataset() -> Seeds {
     vec![names.map(|name| bytes(&path.join(name))).join(SEPARATOR)]
 }
 
-/// A card that wants a network as small as there is.
+/// Card of a network of minimum size.
 fn card() -> ModelCard {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
     let card = ModelCard::load(&path).expect("a fixture");

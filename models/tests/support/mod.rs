@@ -1,4 +1,4 @@
-//! Made-up maps of none, one or two moving targets: seeded, and hard enough that a network has something to learn.
+//! Made-up maps of none, one or two moving targets: seeded, and difficult enough to need training.
 #![allow(dead_code)]
 
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
@@ -11,13 +11,13 @@ use rand_distr::{Distribution, Exp1, Normal};
 #[derive(Clone, Copy)]
 pub struct Maps {
     pub seed: u64,
-    /// Range and Doppler bins.
+    /// Number of range bins, and of Doppler bins.
     pub size: usize,
-    /// Sequences of each class for training, validation and test.
+    /// Numbers of sequences of each class for training, validation and test.
     pub sequences: [usize; 3],
-    /// Maps of a sequence.
+    /// Number of maps in a sequence.
     pub length: usize,
-    /// Interval of the targets' peak above the noise, dB.
+    /// Range of the targets' peak levels above the noise, dB.
     pub snr_db: (f64, f64),
 }
 
@@ -42,8 +42,8 @@ struct Target {
     snr_db: f64,
 }
 
-/// Complex noise with a ridge of static clutter, and targets that walk in range, swing in Doppler and speckle from
-/// cell to cell and from map to map.
+/// Map of complex noise with a ridge of static clutter. Its targets move in range, oscillate in Doppler, and speckle
+/// between cells and maps.
 fn map(header: &DatasetHeader, targets: &[Target], clutter: &[f64], frame: usize, rng: &mut impl Rng) -> Rdm {
     let shape = header.shape;
     let normal = Normal::new(0.0, 1.0).expect("normal");

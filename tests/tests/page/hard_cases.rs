@@ -1,4 +1,4 @@
-//! Hostile clients of the page: names, tokens, crowds, upgrades and messages.
+//! Hostile clients of the page: host names, tokens, many connections, upgrades and messages.
 
 use super::*;
 use std::io::{Read, Write};
@@ -14,7 +14,7 @@ use radome_tests::running::{PATIENCE, Running, wait_for};
 use tungstenite::Message;
 use tungstenite::client::IntoClientRequest;
 
-/// Status of what is answered to these bytes; 0 if nothing is.
+/// HTTP status of the answer to these bytes; 0 without an answer.
 fn status(address: &str, request: &str) -> u16 {
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
@@ -30,7 +30,7 @@ fn get(address: &str, path: &str, headers: &str) -> u16 {
     status(address, &format!("GET {path} HTTP/1.1\r\nConnection: close\r\n{headers}\r\n"))
 }
 
-/// Reads until the server has had enough, or says something that holds.
+/// Reads until a message satisfies `holds` (returns `true`) or the server closes the connection (returns `false`).
 fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
     let end = Instant::now() + PATIENCE;
     while Instant::now() < end {
@@ -43,7 +43,7 @@ fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
     panic!("neither said nor closed");
 }
 
-/// Health that the page's program reports, asked with further headers.
+/// Health report of the program, requested with additional headers.
 fn health(address: &str, headers: &str) -> Value {
     let request = format!("GET /health.json HTTP/1.1\r\nHost: {address}\r\n{headers}\r\n");
     let text = answer(address, &request);
@@ -55,7 +55,7 @@ fn refused(address: &str) -> Value {
     health(address, "")["refused"].clone()
 }
 
-/// All that is answered to these bytes, until the server closes the connection.
+/// Complete answer to these bytes, read until the server closes the connection.
 fn answer(address: &str, request: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
@@ -65,7 +65,7 @@ fn answer(address: &str, request: &str) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// A header of an answer.
+/// Value of a header of an answer.
 fn header<'a>(answer: &'a str, name: &str) -> Option<&'a str> {
     let head = answer.split("\r\n\r\n").next()?;
     head.lines().find_map(|line| {
@@ -74,14 +74,14 @@ fn header<'a>(answer: &'a str, name: &str) -> Option<&'a str> {
     })
 }
 
-/// Opens a page with a header more, such as a cookie.
+/// Opens a page with one additional header, such as a cookie.
 fn page_with(address: &str, name: &'static str, value: &str) -> Result<Socket, String> {
     let mut request = format!("ws://{address}/stream").into_client_request().expect("a request");
     request.headers_mut().insert(name, value.parse().expect("a header"));
     tungstenite::connect(request).map(|(socket, _)| socket).map_err(|error| error.to_string())
 }
 
-/// Everything that the page's port serves.
+/// All paths that the page's port serves.
 const ROUTES: [&str; 18] = [
     "/",
     "/style.css",
@@ -103,7 +103,7 @@ const ROUTES: [&str; 18] = [
     "/nothing",
 ];
 
-/// Headers that ask for a stream, where the path is that of one.
+/// Headers of a WebSocket upgrade where the path is a stream.
 fn upgrade(path: &str) -> &'static str {
     match path {
         "/stream" => {
@@ -130,7 +130,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
 
     let wrong_bearer = "Authorization: Bearer 00000000000000000000000000000000\r\n";
     let wrong_cookie = format!("Cookie: radome_{port}={token}\r\n");
-    // Answers to wrong tokens take a second: many at once, but fewer than there may be connections.
+    // The server delays answers to wrong tokens by a second. Requests run in parallel, but below the connection limit.
     for paths in ROUTES.chunks(4) {
         std::thread::scope(|scope| {
             for &path in paths {
@@ -158,7 +158,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
     assert!(wrong.starts_with("HTTP/1.1 401 ") && header(&wrong, "set-cookie").is_none(), "{wrong}");
     assert!(wrong.contains("?token="), "says what to do: {wrong}");
 
-    // Programs bring the token itself.
+    // Programs send the token in a header.
     let bearer = format!("Authorization: Bearer {token}\r\n");
     for path in ROUTES.into_iter().filter(|path| *path != "/stream") {
         let status = if path == "/nothing" { "HTTP/1.1 404 " } else { "HTTP/1.1 200 " };
@@ -169,7 +169,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
     let mut socket = page_with(&address, "Authorization", &format!("Bearer {token}")).expect("a page");
     assert!(until(&mut socket, |said| said.contains("\"hello\"")));
 
-    // Browsers get a cookie for the link, and lose the token on the way.
+    // Browsers exchange the link's token for a cookie, and a redirect removes the token from the address.
     let answer = asked("GET", &format!("/?token={token}"), "");
     assert!(answer.starts_with("HTTP/1.1 303 "), "{answer}");
     assert_eq!(header(&answer, "location"), Some("./"));
@@ -186,7 +186,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
     }
     let mut socket = page_with(&address, "Cookie", cookie).expect("a page");
     assert!(until(&mut socket, |said| said.contains("\"hello\"")));
-    // The token does not excuse another host or site.
+    // A valid token does not permit another host or site.
     assert_eq!(get(&address, "/", &format!("Host: evil.example:{port}\r\n{bearer}")), 403);
     assert_eq!(get(&address, "/", &format!("Host: {address}\r\nOrigin: http://evil.example\r\n{bearer}")), 403);
 
@@ -223,12 +223,12 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     running.signal("INT");
     let mut running = running;
     running.wait();
-    // What is no terminal may be a journal: neither a right nor a wrong token is in it.
+    // stderr is no terminal here and may be a journal. Neither the right nor a wrong token may appear in it.
     let said = running.stderr.all().join("\n");
     assert!(!said.contains(&token) && !said.contains("wrong-secret"), "{said}");
     assert!(said.contains(&file.display().to_string()), "{said}");
 
-    // The next start takes the same.
+    // The next start uses the same token.
     let (running, address) = start();
     assert_eq!(get(&address, "/", &format!("Host: {address}\r\nAuthorization: Bearer {token}\r\n")), 200);
     drop(running);
@@ -273,7 +273,7 @@ fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
         socket.send(Message::text(edit)).expect("sent");
         assert!(until(&mut socket, |said| said.contains("read-only")), "{edit}");
     }
-    // Watching goes on.
+    // Viewing still works.
     socket.send(Message::text("{\"do\":\"seek_frame\",\"sequence\":3}")).expect("sent");
     let text = answer(&served.address, &format!("GET /labels.txt HTTP/1.1\r\nHost: {}\r\n\r\n", served.address));
     assert!(text.ends_with("\tempty\n"), "{text}");
@@ -288,7 +288,7 @@ fn a_crowd_that_sends_a_byte_now_and_then_does_not_close_the_page_to_others() {
     let folder = tempfile::tempdir().expect("a folder");
     let served = replay(&walk(folder.path(), 2.0, 4.0, 20), "0");
     let address = served.address.clone();
-    // A page that was there before, and stays until the end of the run.
+    // This page was open before and stays open until the end of the run.
     let mut socket = page(&address);
     let before = std::thread::spawn(move || until(&mut socket, |said| said.contains("\"over\"")));
     let is_over = Arc::new(AtomicBool::new(false));
@@ -298,7 +298,8 @@ fn a_crowd_that_sends_a_byte_now_and_then_does_not_close_the_page_to_others() {
         std::thread::spawn(move || {
             let mut crowd: Vec<TcpStream> = Vec::new();
             while !is_over.load(Ordering::Relaxed) {
-                // A byte each, sooner than silence would be noticed. Whoever was shut out comes again.
+                // Each connection sends a byte before its silence would time out. Connections that were closed are
+                // opened again.
                 crowd.retain_mut(|stream| stream.write_all(b"G").is_ok());
                 while crowd.len() < CROWD {
                     crowd.push(TcpStream::connect(&address).expect("a connection"));
@@ -346,7 +347,7 @@ fn two_hundred_upgrades_at_once_are_sixteen_pages() {
         let said = one_more.err().map(|error| error.to_string()).unwrap_or_default();
         assert!(said.contains("503"), "{said}");
         assert!(health(&address, "")["pages"].as_u64().is_some_and(|pages| pages <= 16));
-        // Those that go give their places back.
+        // Closed connections free their slots.
         drop(tries);
         wait_for("a later page", || tungstenite::connect(format!("ws://{address}/stream")).ok());
         wait_for("the end of all pages", || (health(&address, "")["pages"] == 0).then_some(()));
@@ -361,7 +362,7 @@ fn a_page_that_asks_for_pictures_and_reads_none_is_given_up() {
     let mut socket = page(&served.address);
     assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
     let start = Instant::now();
-    // Says that it has seen them, and reads nothing: what the kernel keeps for it fills up.
+    // The client acknowledges pictures but reads nothing, so that the kernel's socket buffer fills up.
     for turn in 0.. {
         let look = format!("{{\"do\":\"look\",\"chirp\":{}}}", turn % 2);
         let is_gone =
@@ -384,7 +385,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     let folder = tempfile::tempdir().expect("a folder");
     let answers = folder.path().join("answers.jsonl");
     let out = std::fs::File::create(&answers).expect("a file");
-    // A source that waits: what the machine has no time for is not the page's doing.
+    // The source is a file and waits for a slow machine. Lost frames would therefore be the page's fault.
     let frames = 60;
     let recording = walk(folder.path(), 2.0, 8.0, frames);
     let served = Served::start(live_command(recording, "--speed 4 --json").stdout(out));
@@ -393,7 +394,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     let port = address.rsplit(':').next().expect("a port").to_owned();
     assert_eq!(get(&address, "/", &ours), 200);
 
-    // Names that lead here but are not ours; sites that are not ours.
+    // Host names that resolve to this machine but are not the page's, and origins of other sites.
     for host in ["evil.example", &format!("evil.example:{port}"), "127.0.0.1:1", &format!("127.0.0.1.nip.io:{port}")] {
         assert_eq!(get(&address, "/", &format!("Host: {host}\r\n")), 403, "{host}");
     }
@@ -411,7 +412,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     }
     assert_eq!(get(&address, "/labels.json", &format!("{ours}Origin: http://{address}\r\n")), 200);
 
-    // Paths and methods.
+    // Invalid paths and methods.
     for path in [
         "/../../etc/passwd",
         "/%2e%2e/%2e%2e/etc/passwd",
@@ -436,7 +437,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         assert!(matches!(status(&address, garbage), 0 | 400 | 403 | 505), "{garbage:?}");
     }
 
-    // Messages that are none.
+    // Invalid messages.
     let mut socket = page(&address);
     for text in [
         "",
@@ -458,7 +459,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         socket.send(Message::text(text)).expect("sent");
         assert!(until(&mut socket, |said| said.contains("\"refused\":\"")), "{text}");
     }
-    // The page works on.
+    // The page still works.
     socket.send(Message::text("{\"do\":\"label\",\"occupancy\":\"one\",\"who\":null}")).expect("sent");
     assert!(until(&mut socket, |said| said.contains("\"label\":\"one\"")));
     for _ in 0..30 {
@@ -473,7 +474,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         let _ = socket.send(Message::text("{\"do\":\"seen\"}"));
     }
     assert!(!until(&mut socket, |_| false), "thrown out");
-    // Frames that break the protocol: not masked, unknown kind, a length beyond all memory.
+    // Frames that break the WebSocket protocol: unmasked, of an unknown kind, or longer than memory.
     for bytes in [
         &[0x81u8, 0x02, b'h', b'i'][..],
         &[0x8f, 0x80, 0, 0, 0, 0],
@@ -486,19 +487,19 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         assert!(!until(&mut socket, |_| false), "thrown out: {bytes:x?}");
     }
 
-    // More pages than there may be.
+    // More pages than the limit.
     let pages: Vec<_> = (0..30).map(|_| tungstenite::connect(format!("ws://{address}/stream"))).collect();
     let open = pages.iter().filter(|page| page.is_ok()).count();
     assert!((1..=16).contains(&open), "{open}");
     drop(pages);
-    // Thousands of connections, some of which say half a request.
+    // Thousands of connections, some of which send half a request.
     for round in 0..6 {
         let crowd: Vec<TcpStream> = (0..500).filter_map(|_| TcpStream::connect(&address).ok()).collect();
         for mut stream in crowd.iter().skip(round) {
             let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: ");
         }
     }
-    // When they have gone, the page is there.
+    // After they have closed, the page is served again.
     let end = Instant::now() + PATIENCE;
     while get(&address, "/", &ours) != 200 {
         assert!(Instant::now() < end, "the page does not come back");

@@ -1,4 +1,4 @@
-//! The live page in a browser, and what it does to those who mean it ill.
+//! Tests of the live page in a browser, and of its defence against hostile clients.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -7,7 +7,7 @@ use radome_tests::browser::{Browser, Served};
 use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
 use serde_json::{Value, json};
 
-/// A corridor in which one person walks between two ranges, as a recording.
+/// Simulates a recording of a corridor in which one person walks between two ranges.
 fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
     let scene = radome_tests::walk(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
@@ -15,7 +15,7 @@ fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
     recording
 }
 
-/// The command that watches a recording.
+/// Command that replays a recording.
 fn watch(recording: &Path, speed: &str) -> Command {
     let mut command = live_command(recording, &format!("--speed {speed}"));
     command.stdout(Stdio::null());
@@ -83,7 +83,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     browser.key(" ");
     browser.wait_until("radome.playback && !radome.playback.playing");
 
-    // To the first frame, ten on, one back; the frame shown is the frame meant.
+    // Goes to the first frame, ten frames forward and one back; the page shows the requested frame.
     browser.key("Home");
     browser.wait_until("radome.header.answer.sequence === 0");
     for _ in 0..10 {
@@ -98,13 +98,13 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     browser.evaluate("radome.send({do: 'seek', time_s: 0.85})");
     browser.wait_until("radome.header.answer.sequence === 9");
     assert_eq!(browser.evaluate("Array.from(radome.map.db)"), at_9, "the same frame is the same map");
-    // A seek brings what came before along: the filter is not at its start.
+    // A seek also processes the frames before its target, so that the filter is not in its initial state.
     browser.evaluate("radome.send({do: 'seek_frame', sequence: 50})");
     browser.wait_until("radome.header.answer.sequence === 50");
     let sure = browser.evaluate("Math.max(...Object.values(radome.header.answer.probabilities))");
     assert!(sure.as_f64().expect("a probability") > 0.8, "{sure}");
 
-    // One from frame 10, two from 20, nothing from 30.
+    // Labels "one" from frame 10, "two" from frame 20, and no label from frame 30.
     browser.evaluate("radome.send({do: 'seek_frame', sequence: 10})");
     browser.wait_until("radome.header.answer.sequence === 10");
     browser.key("1");
@@ -124,7 +124,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     assert!(near(kept[0].0, 1.0) && near(kept[0].1, 2.0) && kept[0].2 == "one", "{kept:?}");
     assert!(near(kept[1].0, 2.0) && near(kept[1].1, 3.0) && kept[1].2 == "two", "{kept:?}");
 
-    // An edge is drawn to another frame, and taken back.
+    // Drags the edge of a label to another frame, then undoes it.
     let place = |browser: &mut Browser, time_s: f64| {
         let at = browser.evaluate(&format!(
             "(() => {{ const g = radome.timeline.geometry(), b = radome.timeline.canvas.getBoundingClientRect(); \
@@ -141,7 +141,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     browser.wait_until("radome.labels.saved && Math.abs(radome.labels.spans[1].end_s - 3) < 1e-6");
     assert!(near(labels(&recording)[1].1, 3.0));
 
-    // Exports, and a label that goes on at the end of the run.
+    // Tests exports, and a label that is still open at the end of the run.
     let text = browser.evaluate("fetch('labels.txt').then(r => r.text())");
     assert_eq!(text.as_str().expect("text").lines().count(), 2, "{text}");
     browser.key("0");
@@ -176,7 +176,7 @@ fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_to
          e.getAttribute('aria-label') || e.textContent.trim())).map(e => e.id)",
     );
     assert_eq!(nameless, json!([]));
-    // By keys: channel, what stands still, raw chirps; the answer is of what was asked.
+    // The keys change channel, static removal and raw chirps, and the answer follows each request.
     for (key, holds) in [
         ("c", "radome.header.look.channel.rx === 0"),
         ("s", "radome.header.look.removal === 'mti'"),
@@ -189,14 +189,14 @@ fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_to
     }
     let same = "radome.map.held.every((v, i) => v >= radome.map.db[i])";
     assert_eq!(browser.evaluate(same), json!(true));
-    // Through all controls by Tab alone.
+    // The Tab key reaches all controls.
     let mut seen = std::collections::BTreeSet::new();
     for _ in 0..60 {
         browser.key("Tab");
         seen.insert(browser.evaluate("document.activeElement.id || document.activeElement.textContent").to_string());
     }
     for id in ["channel", "removal", "hold", "map", "play", "seek", "at", "undo", "help-open"] {
-        // Those that cannot be used now are passed over.
+        // Tab skips disabled controls.
         let usable = browser.evaluate(&format!("!document.getElementById('{id}').disabled")) == json!(true);
         assert!(!usable || seen.contains(&format!("\"{id}\"")), "{id} in {seen:?}");
     }
@@ -234,7 +234,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     let says = |text: &str| format!("document.getElementById('status').textContent.startsWith('{text}')");
     browser.wait_until("window.radome?.header");
     browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
-    // The connection stays, and nothing comes.
+    // The connection stays open, but no messages arrive.
     let signal = |name: &str| {
         let status = Command::new("kill").args(["-s", name, &served.id().to_string()]).status();
         assert!(status.is_ok_and(|status| status.success()), "kill -s {name}");
@@ -248,7 +248,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     browser.wait_until(&format!("{is_blank} && {}", says("the run is over")));
 }
 
-/// Pictures for the README and `docs/page.md`.
+/// Makes the pictures of the README and of `docs/page.md`.
 #[test]
 #[ignore = "makes files: RADOME_PICTURES=docs cargo test --release --workspace --test page -- --ignored pictures"]
 fn pictures() {
@@ -298,7 +298,7 @@ fn pictures() {
 
 mod hard_cases;
 
-/// Resident memory of a process and of all that it started, bytes.
+/// Resident memory of a process and of all its descendants, bytes.
 fn memory_bytes(id: u32) -> f64 {
     let mut parents = std::collections::BTreeMap::new();
     for entry in std::fs::read_dir("/proc").expect("a list").flatten() {
@@ -308,7 +308,7 @@ fn memory_bytes(id: u32) -> f64 {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
             line.and_then(|l| l.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap_or(0.0)
         };
-        // Pages that processes share with files on the disk are not theirs alone.
+        // Counts anonymous pages only: pages that map files are shared between processes.
         parents.insert(process, (field("PPid:") as u32, 1024.0 * field("RssAnon:")));
     }
     let is_of = |mut process: u32| {
@@ -320,13 +320,13 @@ fn memory_bytes(id: u32) -> f64 {
     parents.iter().filter(|(process, _)| is_of(**process)).map(|(_, (_, bytes))| bytes).sum()
 }
 
-/// `tests/long page`: a page that stays open at ten times real time, `RADOME_PAGE_S` seconds of it.
+/// Checks memory of a page that stays open at ten times real time for `RADOME_PAGE_S` seconds (`tests/long page`).
 #[test]
 #[ignore = "takes half an hour: tests/long page"]
 #[allow(clippy::print_stderr)]
 fn hours_of_frames_leave_no_trace_in_memory() {
     let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
-    // The desk's frames come twenty times a second, and are simulated fast enough.
+    // The desk scene has twenty frames a second and is simulated fast enough.
     let frames = (200.0 * (length_s + 120.0)) as u64;
     let served = Served::start(
         radome()
@@ -340,7 +340,8 @@ fn hours_of_frames_leave_no_trace_in_memory() {
     browser.wait_until("window.radome?.header");
     browser.key("r");
     browser.key("h");
-    // Until what has a fixed size is full: the server's history is after a minute at this pace, the page's is made at once.
+    // Waits until all buffers of fixed size are full. The server's history fills within a minute at this pace; the page
+    // allocates its own at the start.
     let settle_s = (0.2 * length_s).clamp(20.0, 400.0);
     let begun = std::time::Instant::now();
     let mut heard = Vec::new();
@@ -363,7 +364,7 @@ fn hours_of_frames_leave_no_trace_in_memory() {
         }
     }
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
-    // Medians of the first and the last three: single readings differ by what has just been asked for.
+    // Compares medians of the first and last three readings, since a single reading depends on the latest request.
     let median = |of: &[(f64, f64, f64)], which: fn(&(f64, f64, f64)) -> f64| {
         let mut values: Vec<f64> = of.iter().map(which).collect();
         values.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! Tables and plots on pages, made of the JSON files of studies.
+//! Tables and plots for pages, made from the JSON files of studies.
 //!
 //! A mark names the study and the kind of table. Kinds with a group of conditions end with its heading in the report:
 //! `conditions: GROUP` has a row for each network, `rungs: GROUP` a row for each condition with their mean, and `pairs: GROUP` the
@@ -18,7 +18,8 @@ use radome_tests::root;
 
 use super::{figure, file, report};
 
-/// Networks under one recipe: with a circuit, or with what it does to its inputs, and with a linear layer in its place.
+/// Pairs of networks with one recipe: with a circuit (or its effect on the inputs), and with a linear layer in its
+/// place.
 const PAIRS: [(&str, &str); 5] = [
     ("hqnn", "estimator_matched"),
     ("descriptor_hqnn", "descriptor_linear"),
@@ -37,7 +38,7 @@ const PAPER_CELLS: [(&str, Occupancy, [f64; 2], [f64; 2]); 6] = [
     ("room", Occupancy::Two, [-194.89, 2.72], [-24.19, 5.67]),
 ];
 
-/// A mean with its interval, times a factor.
+/// Mean with its half-width, both multiplied by a factor.
 fn told(of: Option<Interval>, factor: f64, digits: usize) -> String {
     let Some(Interval { mean, half_width, .. }) = of else { return "-".to_owned() };
     mean_with_half(factor * mean, half_width.map(|half| factor * half), digits)
@@ -48,7 +49,7 @@ fn mean_with_half(mean: f64, half_width: Option<f64>, digits: usize) -> String {
     format!("{mean:.digits$}{half}")
 }
 
-/// Our figure, and the paper's beside it: whether the paper's is in our interval, or how much more ours is.
+/// Our figure and the paper's. Adds "agrees" if the paper's lies in our interval, otherwise the difference.
 fn compared(ours: Option<Interval>, paper: Option<f64>, factor: f64, digits: usize) -> String {
     let Some(paper) = paper else { return told(ours, factor, digits) };
     let verdict = ours.map_or(String::new(), |of| {
@@ -59,7 +60,7 @@ fn compared(ours: Option<Interval>, paper: Option<f64>, factor: f64, digits: usi
     format!("{} / {paper:.digits$}{verdict}", told(ours, factor, digits))
 }
 
-/// A table of these heads and rows.
+/// Markdown table with these column heads and rows.
 fn table(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut table = format!("| {} |\n|{}", heads.join(" | "), "---|".repeat(heads.len()));
     for row in rows {
@@ -72,7 +73,7 @@ fn not_run(study: &str) -> String {
     format!("Not run yet on this simulator: `fixtures/studies/remake {study}`.")
 }
 
-/// The table or plot that a mark names.
+/// Markdown table or plot that a mark names.
 pub fn block(study: &str, kind: &str, way: &str) -> String {
     match kind {
         "studies" => return studies(way),
@@ -108,7 +109,7 @@ fn whole(of: &Report) -> impl Iterator<Item = &Cell> {
     of.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0)
 }
 
-/// A table of the scores on the test split, under noise on decibels and by share of the labels, with the paper's.
+/// Table of the scores on the test split, under noise on decibels and by share of the labels, with the paper's scores.
 fn clean(of: &Report, kind: &str) -> String {
     let heads: &[&str] = match kind {
         "clean" => &["failed", "test", "training"],
@@ -126,12 +127,12 @@ fn clean(of: &Report, kind: &str) -> String {
     table(&[&["network", "seeds"][..], heads].concat(), whole(of).map(row))
 }
 
-/// Cells of a network in that table. `free` is the study without the leak.
+/// Cells of a network in the table of [`clean`]. `free` is the study without the leak.
 fn clean_row(of: &Report, free: Option<&Report>, cell: &Cell, kind: &str) -> Vec<String> {
     let same = |of: &Report, share: f64| -> Option<Cell> {
         of.cells.iter().find(|other| other.variant == cell.variant && other.label_fraction == share).cloned()
     };
-    // Our figures with the paper's beside them.
+    // Joins our figures with the paper's.
     let beside = |ours: &[Option<Interval>], paper: Option<&[f64]>, factor: f64, digits: usize| -> Vec<String> {
         let paper = |index: usize| paper.and_then(|values| values.get(index).copied());
         ours.iter().enumerate().map(|(index, of)| compared(*of, paper(index), factor, digits)).collect()
@@ -172,7 +173,7 @@ fn mean_over(found: &[&ConditionReport], variant: &str) -> Vec<Score> {
     sets.map_or_else(Vec::new, |sets| mean_scores(&sets))
 }
 
-/// Networks by condition, with the clean test split beside them.
+/// Table of networks by condition, beside the clean test split.
 fn conditions(of: &Report, found: &[&ConditionReport]) -> String {
     let names = found.iter().map(|condition| condition.name.as_str());
     let heads: Vec<&str> = ["network", "seeds", "clean"].into_iter().chain(names).collect();
@@ -186,7 +187,8 @@ fn conditions(of: &Report, found: &[&ConditionReport]) -> String {
     table(&heads, whole(of).map(row))
 }
 
-/// Conditions by network, with the study's own maps above them and their mean below. The highest of each row is bold.
+/// Table of conditions by network, with the study's own maps in the first row and the mean in the last. The highest of
+/// each row is bold.
 fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
     let cells: Vec<&Cell> = whole(of).collect();
     let row = |name: &str, score: &dyn Fn(&Cell) -> Option<Interval>| -> Vec<String> {
@@ -211,8 +213,8 @@ fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
     table(&["set"].into_iter().chain(names).collect::<Vec<_>>(), rows)
 }
 
-/// Differences within those of [`PAIRS`] that a study has, under the same seed: on the test split, under each condition, of the mean
-/// over conditions, and of how much that mean is above the test split.
+/// Table of paired differences between the networks of [`PAIRS`] that a study has, under the same seed. Columns are the
+/// test split, each condition, the mean over conditions, and its excess over the test split.
 fn pairs(of: &Report, found: &[&ConditionReport]) -> String {
     let has = |variant: &str| whole(of).any(|cell| cell.variant == variant);
     let pairs: Vec<(&str, &str)> = PAIRS.into_iter().filter(|&(circuit, linear)| has(circuit) && has(linear)).collect();
@@ -240,7 +242,7 @@ fn pairs(of: &Report, found: &[&ConditionReport]) -> String {
     table(&["set"].into_iter().chain(names.iter().map(String::as_str)).collect::<Vec<_>>(), rows)
 }
 
-/// A difference with its interval, its sign if the interval leaves no doubt of it, and the number of pairs.
+/// Difference with its interval, its sign if the interval excludes zero, and the number of pairs.
 fn difference(a: &[Score], b: &[Score]) -> String {
     let Some(Interval { count, mean, half_width, .. }) = paired_difference(a, b) else { return "-".to_owned() };
     let Some(half) = half_width else { return format!("{mean:+.3} (one pair)") };
@@ -254,7 +256,7 @@ fn difference(a: &[Score], b: &[Score]) -> String {
     format!("{mean:+.3} ± {half:.3} ({verdict}, {count} pairs)")
 }
 
-/// All studies that there are files of, how far each is run, and what its trainings cost.
+/// Table of all studies in the fixtures, their progress, and the cost of their trainings.
 fn studies(way: &str) -> String {
     let entries = fs::read_dir(root().join("fixtures/studies")).expect("a folder").flatten();
     let mut names: Vec<String> =
@@ -281,7 +283,7 @@ fn studies(way: &str) -> String {
     table(&["study", "title", "trainings", "failed", "hours", "CPU-hours", "report"], names.iter().map(row))
 }
 
-/// Results of `radome bench trainability`, by qubits and depth.
+/// Table of the results of `radome bench trainability`, by qubits and depth.
 fn gradients(study: &str) -> String {
     let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else { return not_run(study) };
     let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
@@ -293,7 +295,7 @@ fn gradients(study: &str) -> String {
     table(&["depth", "qubits", "by angles", "by inputs"], rows.iter().map(row))
 }
 
-/// Mean and sigma of maps by source, scene and class, with the paper's beside those of simulated maps.
+/// Table of mean and sigma of maps by source, scene and class, with the paper's beside those of simulated maps.
 fn domains(study: &str) -> String {
     let Ok(text) = fs::read_to_string(file(study, "domains.json")) else { return not_run(study) };
     let sources: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
@@ -352,7 +354,7 @@ mod tests {
         (1..).zip(values).map(score).collect()
     }
 
-    /// A study of two networks: their scores at home, and those on two other sets.
+    /// Report of a study of two networks, with scores on its own test split and on two other sets.
     fn study() -> Report {
         let networks =
             [("hqnn", [0.90, 0.80, 0.85], [0.5, 0.4, 0.6]), ("estimator_matched", [0.88, 0.78, 0.83], [0.5, 0.6, 0.4])];
@@ -381,7 +383,8 @@ mod tests {
         serde_json::from_value(report).expect("a report")
     }
 
-    /// Seeds differ by 0.05 at home and networks by 0.02: only pairs show it. On the other sets their seeds have nothing in common.
+    /// Asserts that paired seeds show a difference that means hide. On the study's own split, seeds differ by 0.05 and
+    /// networks by 0.02; on the other sets the seeds are independent.
     #[test]
     fn pairs_of_seeds_tell_what_means_do_not() {
         let of = study();
