@@ -1,5 +1,5 @@
-//! Presence of people over time: written scripts, endless visits, people who wander, or people at a desk. All drawn from (seed,
-//! slot, visit).
+//! Presence of people over time: written scripts, endless visits, wandering people, or people at a desk. All random
+//! values depend on (seed, slot, visit).
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -25,13 +25,13 @@ pub struct Scenario {
     visits: Option<Visits>,
 }
 
-/// Each slot's visits so far, in order of time; later ones are drawn when they are first asked for.
+/// Visits of each slot so far, in order of time. Later ones are drawn when they are first requested.
 #[derive(Debug)]
 struct Visits {
     seed: u64,
     file: VisitsFile,
     size_m: [f64; 2],
-    /// Place on the ground plan and azimuth, rad.
+    /// Position of the radar on the ground plan, m, and azimuth of its boresight, rad.
     radar: ([f64; 2], f64),
     people: PeopleFile,
     ground: Option<Ground>,
@@ -41,7 +41,7 @@ struct Visits {
 }
 
 impl Scenario {
-    /// The people of a scene; `people` overrides how many there are at most.
+    /// Makes the people of a scene. `people` replaces the greatest number of people.
     pub fn new(scene: &Scene, seed: u64, people: Option<usize>) -> Self {
         let file = scene.file();
         let mut scenario = Scenario { fixed: Vec::new(), visits: None };
@@ -75,12 +75,12 @@ impl Scenario {
         scenario
     }
 
-    /// Everybody who exists at some time of an interval, with a slot number.
+    /// Returns all people that are present at some time of an interval, each with a slot number.
     pub fn between(&self, start_s: f64, end_s: f64) -> Vec<(usize, Arc<Motion>)> {
         let overlaps = |m: &Motion| m.start_s <= end_s && m.end_s >= start_s;
         let mut all: Vec<_> =
             self.fixed.iter().enumerate().filter(|(_, m)| overlaps(m)).map(|(slot, m)| (slot, Arc::clone(m))).collect();
-        // Those beside visits have slots after theirs.
+        // People besides visitors have slots after those of the visitors.
         let visitors = self.visits.as_ref().map_or(0, |visits| visits.slots.len());
         all.iter_mut().for_each(|(slot, _)| *slot += visitors);
         if let Some(visits) = &self.visits {
@@ -92,10 +92,10 @@ impl Scenario {
     }
 }
 
-/// Where people may walk; `None` where they walk straight. Walls are in everybody's way, furniture where the scene says how far
-/// people keep off it.
+/// Returns the ground on which people may walk; `None` if they walk straight. Walls are always obstacles. Furniture is
+/// one if the scene states the distance that people keep from it.
 fn ground(scene: &Scene) -> Option<Ground> {
-    /// Hips keep so far from walls where the scene says nothing else, m.
+    /// Distance that hips keep from walls if the scene states none, m.
     const OFF_WALLS_M: f64 = 0.3;
     let [width, depth, _] = scene.file().room.size_m;
     let walls = walls(scene);
@@ -107,7 +107,7 @@ fn ground(scene: &Scene) -> Option<Ground> {
     ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
 }
 
-/// Walks to a place, around what stands in the way.
+/// Walks to a place, around obstacles.
 fn go(mut path: MotionBuilder, ground: Option<&Ground>, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
     let way = ground.map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
     for corner in way {
@@ -116,25 +116,25 @@ fn go(mut path: MotionBuilder, ground: Option<&Ground>, to: [f64; 2], speed_m_pe
     path
 }
 
-/// A point so far ahead of another, m.
+/// Point at a distance ahead of another one, m.
 fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
     [x + by_m * heading_rad.cos(), y + by_m * heading_rad.sin()]
 }
 
-/// Depth behind a door at which one is out, and in, m.
+/// Depths behind a door at which a person is outside and inside, m.
 const OUTSIDE_M: f64 = -0.75;
 const INSIDE_M: f64 = 0.6;
 
-/// A script on its way to a motion.
+/// Context for converting a script to a motion.
 struct Script<'a> {
     file: &'a SceneFile,
     ground: Option<&'a Ground>,
     size_m: [f64; 2],
-    /// Direction in which the person looks at the beginning, rad.
+    /// Direction in which the person looks at first, rad.
     facing_rad: f64,
 }
 
-/// The motion of somebody with a script.
+/// Makes the motion of a person with a script.
 fn scripted(
     file: &SceneFile,
     ground: Option<&Ground>,
@@ -170,7 +170,7 @@ fn scripted(
     let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
     let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
     let mut motion = if is_gone { path.leave() } else { path.stay() };
-    // Who does not come in by a door waits where the script begins.
+    // A person that does not enter by a door waits where the script begins.
     if first.is_none_or(|s| s.enter_door.is_none()) {
         motion.start_s = f64::NEG_INFINITY;
     }
@@ -178,7 +178,7 @@ fn scripted(
 }
 
 impl Script<'_> {
-    /// Goes on by a step, which may be the first.
+    /// Adds a step of the script, which may be the first one.
     fn follow(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         let door = |number: usize| self.file.door.get(number);
@@ -220,7 +220,7 @@ impl Script<'_> {
     }
 }
 
-/// A bed, as one gets into it.
+/// Makes a bed from its table in the scene file.
 fn bed(file: &BedFile) -> Bed {
     Bed {
         position_m: file.position_m,
@@ -230,7 +230,7 @@ fn bed(file: &BedFile) -> Bed {
     }
 }
 
-/// Walks to the place before a seat with a back, and sits there for a while.
+/// Walks to the place before a seat, turns the back to it, and sits there for a duration.
 fn sit_back(
     path: MotionBuilder,
     ground: Option<&Ground>,
@@ -243,7 +243,7 @@ fn sit_back(
     go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
 }
 
-/// Unit vector into a room at a door.
+/// Unit vector from a door into the room.
 fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
     let [x, y] = door.position_m;
     if x < 1e-6 {
@@ -257,21 +257,21 @@ fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
     }
 }
 
-/// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
+/// Point at a depth behind a door (positive: in the room), shifted sideways within the doorway.
 fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
     let [nx, ny] = inward(size_m, door);
     let room = (0.5 * door.width_m - 0.3).max(0.0);
     let shift = lateral.clamp(-room, room);
-    // Sideways is +y for doors in x walls and +x for those in y walls, whichever way one goes.
+    // Sideways is +y for doors in x walls and +x for doors in y walls, for both walking directions.
     let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
     [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
 }
 
-/// Somebody beyond the far wall, where there is one.
+/// Makes a passer-by beyond the far wall, if there is such a wall.
 fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion> {
     /// Distance beyond the wall, m.
     const BEYOND_M: [f64; 2] = [0.6, 3.0];
-    /// Ways there and back: more than a run lasts.
+    /// Number of walks there and back, more than needed for any run.
     const LEGS: usize = 400;
     let mut rng = generator(seed, Purpose::Visit, [u64::MAX, 0]);
     if rng.random::<f64>() >= visits.passer_by_probability {
@@ -296,19 +296,19 @@ fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion>
     Some(motion)
 }
 
-/// Draws that people at a desk share.
+/// Random values that people at a desk share.
 struct DeskDraws<'a> {
     scene: &'a Scene,
     desk: &'a DeskFile,
     seed: u64,
-    /// Boresight on the ground plan, rad.
+    /// Azimuth of the boresight, rad.
     azimuth: f64,
     level_db: f64,
     double_bounce: f64,
     double_bounce_offset_m: f64,
 }
 
-/// People who sit before the radar.
+/// Makes the people that sit before the radar.
 fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
     let mut rng = generator(seed, Purpose::Desk, [0, 0]);
     let drawn = rng.random_range(0..=desk.max_people);
@@ -316,7 +316,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
     let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let [nearest, farthest] = desk.distance_m;
-    // Two people share the stretch in any way that keeps them apart, to either side: bodies do not overlap.
+    // Two people take any two distances with the required separation, on either side, so that bodies do not overlap.
     let apart = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
     let apart = if count > 1 { rng.random_range(apart) } else { 0.0 };
     let first = draw(&mut rng, [nearest, (farthest - apart).max(nearest)]);
@@ -329,7 +329,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
         double_bounce: desk.double_bounce_db.map_or(0.0, |db| 10f64.powf(0.05 * draw(&mut rng, db))),
         double_bounce_offset_m: draw(&mut rng, desk.double_bounce_offset_m),
     };
-    // Far off the boresight where there are two.
+    // Two people sit far off the boresight.
     let least_off = if count > 1 { 0.6 } else { 0.0 };
     let sits = |slot: usize| {
         let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
@@ -339,8 +339,8 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
 }
 
 impl DeskDraws<'_> {
-    /// The person of a slot, whose chest is at a distance from the radar, m, on a side of its boresight, and off that by a part of the
-    /// greatest angle or more.
+    /// Makes the person of a slot. The chest is at a distance from the radar, m, on a side of its boresight. The angle
+    /// is at least a fraction `least_off` of the greatest angle.
     fn person(&self, slot: u64, distance: f64, side: f64, least_off: f64) -> Motion {
         let desk = self.desk;
         let mut rng = generator(self.seed, Purpose::Desk, [1, slot]);
@@ -363,7 +363,7 @@ impl DeskDraws<'_> {
             arms_rad,
             lean_rad: rng.random_range(-0.12..0.15),
         });
-        // The chest's front surface is about this far before the hips.
+        // The front of the chest is about this far before the hips.
         let hips = distance + 0.115 * person.build.girth;
         let radar = self.scene.radar_position();
         let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];
@@ -373,7 +373,7 @@ impl DeskDraws<'_> {
         motion
     }
 
-    /// Scattering points about the body of a slot.
+    /// Draws the scattering points on the body of a slot.
     fn body_points(&self, slot: u64, reflectivity: f64, rng: &mut Xoshiro256PlusPlus) -> Vec<BodyPoint> {
         let mut detours = generator(self.seed, Purpose::Desk, [4, slot]);
         let mut point = || BodyPoint {
@@ -386,7 +386,7 @@ impl DeskDraws<'_> {
     }
 }
 
-/// Draws of a place to pace to.
+/// Number of attempts to draw a place.
 const PLACES: usize = 40;
 
 impl Visits {
@@ -413,7 +413,7 @@ impl Visits {
         let area = self.file.pace_area_m.or(self.file.pace_margin_m.map(by_margin));
         let [low, high] = area.unwrap_or(within(0.25 * w, 0.25 * d));
         let mut at = [0.0; 2];
-        // A place that will not do is drawn again; where the room has none, the last one has to.
+        // An unsuitable place is drawn again. After the last attempt the last place is used.
         for _ in 0..PLACES {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
             if self.is_in_view(at) && self.is_free(at) {
@@ -423,7 +423,7 @@ impl Visits {
         at
     }
 
-    /// Whether the file lets people pace there.
+    /// Whether the file lets people pace at a place.
     fn is_in_view(&self, [x, y]: [f64; 2]) -> bool {
         let ([radar_x, radar_y], azimuth) = self.radar;
         let (east, north) = (x - radar_x, y - radar_y);
@@ -434,17 +434,17 @@ impl Visits {
             && self.file.pace_range_m.is_none_or(|[least, most]| (least..=most).contains(&along.hypot(across)))
     }
 
-    /// Walks to a place, around what stands in the way.
+    /// Walks to a place, around obstacles.
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
         go(path, self.ground.as_ref(), to, speed)
     }
 
-    /// Whether nothing stands at a place.
+    /// Whether a place is free of obstacles.
     fn is_free(&self, at: [f64; 2]) -> bool {
         self.ground.as_ref().is_none_or(|ground| ground.is_free(at))
     }
 
-    /// A visit of a slot: in by a door, to a seat, to and fro, or through the room, and out again.
+    /// Draws a visit of a slot: in by a door, then to a seat, to and fro, or through the room, and out again.
     fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
@@ -484,17 +484,19 @@ impl Visits {
         path.walk_to(at_door(leave_by, OUTSIDE_M), speed).leave()
     }
 
-    /// Draws the doors by which somebody comes and, without turning round, goes: two where there are two.
+    /// Draws the doors by which a person enters and leaves: different ones if there are two. A person that turns round
+    /// leaves by the first.
     fn entry_and_exit(&self, rng: &mut Xoshiro256PlusPlus) -> [DoorFile; 2] {
         let count = self.doors.len();
         let pick = rng.random_range(0..count.max(1));
         let other = if count > 1 { (pick + 1 + rng.random_range(0..count - 1)) % count } else { pick };
-        // `check` refuses visits without a door; a default keeps this total.
+        // `check` refuses visits without a door. The default only makes this function total.
         let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
         [pick, other].map(|number| self.doors.get(number).copied().unwrap_or(fallback))
     }
 
-    /// Goes to the seat of a slot and sits there for a while. Slots have their own seats, so that no two people share one.
+    /// Walks to the seat of a slot and sits there for a duration. Each slot has its own seat, so two people never share
+    /// one.
     fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
         let sit_s = draw(rng, self.file.sit_s);
@@ -518,7 +520,7 @@ impl Visits {
         path
     }
 
-    /// Draws a free place on the way through the room: the last one drawn where none is free.
+    /// Draws a free place on the line through the room. If no attempt finds one, the last place is used.
     fn stop(&self, from: [f64; 2], to: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         let mut stop = from;
         for _ in 0..PLACES {

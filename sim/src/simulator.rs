@@ -1,4 +1,4 @@
-//! Frames of a scene as a stream or one by one, in any order and on any number of threads.
+//! Simulation of a scene's frames, as a stream or one by one, in any order and on any number of threads.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -14,23 +14,23 @@ use ahead::Ahead;
 
 mod ahead;
 
-/// Options that cannot be met.
+/// Error of options that cannot be satisfied.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SimError {
-    /// More people than the scene has actors, slots or places for.
+    /// The scene has fewer actors, slots or places than requested people.
     #[error("simulation: {asked} people asked for, {scene} has room for at most {most}")]
     TooManyPeople {
-        /// Asked for.
+        /// Requested number of people.
         asked: usize,
-        /// The scene.
+        /// Name of the scene.
         scene: String,
-        /// Most possible.
+        /// Greatest possible number of people.
         most: usize,
     },
-    /// The seed makes no scene of the file's random values.
+    /// The seed's random values do not form a valid scene.
     #[error("simulation: {reason}")]
     Scene {
-        /// Reason.
+        /// Reason why the scene is not valid.
         reason: String,
     },
     /// The tolerance is not a number in range.
@@ -41,23 +41,24 @@ pub enum SimError {
     },
 }
 
-/// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, or [its own](Simulator::on_own_threads), from
-/// the first frame asked for until it is dropped or told to [`seek`](Simulator::seek).
+/// Simulator of a scene's frames. A stream is simulated a few frames ahead on rayon's threads, or on [its
+/// own](Simulator::on_own_threads). This begins with the first requested frame and ends when the simulator is dropped
+/// or a [`seek`](Simulator::seek) is made.
 #[derive(Debug)]
 pub struct Simulator {
     inner: Arc<FrameSimulator>,
-    /// The stream's next frame.
+    /// Index of the stream's next frame.
     next: u64,
-    /// Frames from that one on.
+    /// Frames from `next` on that are queued.
     ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
     spare: Vec<Frame>,
     last_report: Option<FrameReport>,
-    /// Threads on which they are made, if not those that all share.
+    /// Threads for the stream, if it does not use the shared ones.
     pool: Option<Arc<ThreadPool>>,
 }
 
 impl Clone for Simulator {
-    /// The same stream at the same place.
+    /// Clones the stream at the same position.
     fn clone(&self) -> Self {
         Simulator {
             inner: Arc::clone(&self.inner),
@@ -71,10 +72,11 @@ impl Clone for Simulator {
 }
 
 impl Simulator {
-    /// Prepares a scene: draws what differs between seeds, traces what is static, draws who comes.
+    /// Prepares a scene: draws the values that differ between seeds, traces static paths, and draws the people.
     ///
     /// # Errors
-    /// [`SimError`] for more people than the scene has room for, for a tolerance out of range, and for a seed that makes no scene.
+    /// [`SimError`] for more people than the scene has room for, for a tolerance out of range, and for a seed whose
+    /// values form no valid scene.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         Self::check_people(scene, options.people)?;
         if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
@@ -86,10 +88,10 @@ impl Simulator {
         Ok(Simulator { inner: Arc::new(inner), next: 0, ahead, spare, last_report: None, pool: None })
     }
 
-    /// Checks that a scene has room for the people that are asked for.
+    /// Checks that a scene has room for the requested number of people.
     ///
     /// # Errors
-    /// [`SimError::TooManyPeople`].
+    /// [`SimError::TooManyPeople`] if it has not.
     pub fn check_people(scene: &Scene, asked: Option<usize>) -> Result<(), SimError> {
         let people = &scene.file().people;
         let most = match &people.visits {
@@ -103,11 +105,11 @@ impl Simulator {
         }
     }
 
-    /// The stream is rendered on threads of its own, as many as rayon has: where it stands in for a board, who judges its frames
-    /// must not queue behind the next ones.
+    /// Simulates the stream on its own threads, as many as rayon has. When the simulator replaces a board, the
+    /// processing of a frame must not wait behind the simulation of the next ones.
     ///
     /// # Errors
-    /// If the system gives no threads.
+    /// An I/O error if the system cannot start the threads.
     pub fn on_own_threads(mut self) -> std::io::Result<Self> {
         let pool = ThreadPoolBuilder::new().num_threads(rayon::current_num_threads());
         let pool = pool.thread_name(|i| format!("simulator-{i}")).build().map_err(std::io::Error::other)?;
@@ -115,50 +117,52 @@ impl Simulator {
         Ok(self)
     }
 
-    /// One frame, whichever came before.
+    /// Simulates one frame, independently of the previous calls.
     pub fn frame(&self, index: u64) -> Frame {
         self.frame_with_report(index).0
     }
 
-    /// One frame whose first chirp is at a time of the scene that need not be a multiple of the frame interval, as boards' are
-    /// not: what is drawn by chance is frame `index`'s.
+    /// Simulates one frame that begins at any time of the scene. As for real boards, the time need not be a multiple of
+    /// the frame interval. Random draws are those of frame `index`.
     pub fn frame_at(&self, index: u64, start_s: f64) -> Frame {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
         self.inner.simulate_from(index, start_s, &mut frame);
         frame
     }
 
-    /// One frame, and what it took.
+    /// Simulates one frame and reports its cost.
     pub fn frame_with_report(&self, index: u64) -> (Frame, FrameReport) {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
         let report = self.inner.simulate_into(index, &mut frame);
         (frame, report)
     }
 
-    /// Echoes of people alone in a frame, without anything static and without a receiver's noise, LSB:
+    /// Simulates only the echoes of people in a frame, without static echoes and receiver noise, LSB:
     /// `[rx][chirp][sample]`.
     pub fn echo_samples(&self, index: u64) -> Vec<f32> {
         self.inner.echo_samples(index, None)
     }
 
-    /// The same with every path, or skin, traced at the ends of so many halvings of the frame, whatever the midpoints say: with
-    /// seven of them, anew in every one of 128 chirps.
+    /// Simulates the same as [`echo_samples`](Simulator::echo_samples), with a fixed number of halvings of the frame.
+    /// Paths and skins are traced at the ends of all parts, without error control at the midpoints. Seven halvings
+    /// trace anew in every one of 128 chirps.
     pub fn echo_samples_halved(&self, index: u64, halvings: u32) -> Vec<f32> {
         self.inner.echo_samples(index, Some(halvings.min(12)))
     }
 
-    /// The same the slow way, on all threads: dense physical optics over the skins, anew in every chirp, in f64, by all pairs
-    /// of images louder than this far below the noise of a cell. Minutes a frame; people who are ellipsoids have none.
+    /// Simulates the echoes of people by the slow reference method, on all threads: dense physical optics over the
+    /// skins, anew in every chirp, in f64. It includes all pairs of images whose level is above the noise of a cell
+    /// less `margin_db`. It takes minutes per frame. People modelled as ellipsoids have no such echoes.
     pub fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
         self.inner.dense_echo_samples(index, margin_db)
     }
 
-    /// One chirp of that, on this thread: `[rx][sample]`.
+    /// Simulates one chirp of [`dense_echo_samples`](Simulator::dense_echo_samples) on this thread: `[rx][sample]`.
     pub fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         self.inner.dense_echo_chirp(index, chirp, margin_db)
     }
 
-    /// Cost of making the stream's last frame.
+    /// Cost of simulating the stream's last frame.
     pub fn last_report(&self) -> Option<&FrameReport> {
         self.last_report.as_ref()
     }
@@ -168,23 +172,23 @@ impl Simulator {
         self.inner.truth(index)
     }
 
-    /// People and their places in the middle of a frame, those on their way outside the room included.
+    /// Returns the people and their places in the middle of a frame, including people outside the room.
     pub fn people(&self, index: u64) -> Vec<PersonState> {
         self.inner.people(index)
     }
 
-    /// The scene, as its seed drew it.
+    /// Scene with the values that its seed drew.
     pub fn scene(&self) -> &Scene {
         &self.inner.scene
     }
 
-    /// The next frame of the stream is this one.
+    /// Sets the index of the stream's next frame.
     pub fn seek(&mut self, index: u64) {
         self.next = index;
         self.ahead.clear();
     }
 
-    /// Has enough frames under way to keep all threads busy while one is looked at.
+    /// Queues enough frames to keep all threads busy while one frame is processed.
     fn look_ahead(&mut self) {
         let pool = self.pool.as_deref();
         let threads = pool.map_or_else(rayon::current_num_threads, ThreadPool::current_num_threads);

@@ -1,16 +1,16 @@
-//! A person's body as thirteen ellipsoids hung on joint angles.
+//! A person's body: thirteen ellipsoids placed by joint angles.
 
 use glam::{DMat3, DVec3};
 
 use crate::em::specular::Ellipsoid;
 
-/// Ellipsoids of a body.
+/// Number of ellipsoids of a body.
 pub const SEGMENTS: usize = 13;
 /// Index of the chest.
 pub const CHEST: usize = 1;
 /// Index of the pelvis.
 pub const PELVIS: usize = 2;
-/// Names of the segments, by index. Left and right of a limb are neighbours.
+/// Names of the segments, by index. The left and right segments of a limb have consecutive indices.
 pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "head",
     "chest",
@@ -27,7 +27,7 @@ pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "foot_right",
 ];
 
-/// Joint angles and place of a body at one time. Flexion moves a limb forward; sides are left, right.
+/// Joint angles and position of a body at one time. Flexion moves a limb forward; arrays of two are `[left, right]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Posture {
     /// Middle of the hips on the ground plan, m.
@@ -36,11 +36,11 @@ pub struct Posture {
     pub heading_rad: f64,
     /// Height of the hip joints above the floor, m.
     pub hip_height_m: f64,
-    /// Trunk forward, rad.
+    /// Forward lean of the trunk, rad.
     pub lean_rad: f64,
-    /// Pelvis forward, rad: upright unless one lies.
+    /// Forward tilt of the pelvis, rad. It is 0 unless the person lies.
     pub pelvis_rad: f64,
-    /// Shoulders turned against hips, rad.
+    /// Rotation of the shoulders relative to the hips, rad.
     pub twist_rad: f64,
     /// Shoulder flexion, rad.
     pub shoulder_rad: [f64; 2],
@@ -52,40 +52,41 @@ pub struct Posture {
     pub knee_rad: [f64; 2],
     /// Foot pitch, toes up, rad.
     pub ankle_rad: [f64; 2],
-    /// Both legs to the left of the hips, rad: 0 but for sway to the side.
+    /// Tilt of both legs to the left of the hips, rad. Only lateral sway makes it differ from 0.
     pub legs_left_rad: f64,
-    /// Chest surface outward of its mean, by breath and heart, m.
+    /// Displacement of the chest surface outward of its mean, by breath and heart, m.
     pub chest_m: f64,
 }
 
-/// Orientations of a body's parts at one time: x forward, y left, z up of each; limbs hang along -z. Sides are left, right.
+/// Orientations of a body's parts at one time: x forward, y left, z up in each part's frame. Limbs point along -z.
+/// Arrays of two are `[left, right]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frames {
     /// Middle of the hips, m.
     pub hips: DVec3,
-    /// Pelvis.
+    /// Orientation of the pelvis.
     pub pelvis: DMat3,
-    /// Trunk, from the hips to the neck.
+    /// Orientation of the trunk, from the hips to the neck.
     pub trunk: DMat3,
-    /// Chest: the trunk, twisted.
+    /// Orientation of the chest: that of the trunk, rotated by the twist.
     pub chest: DMat3,
-    /// Head.
+    /// Orientation of the head.
     pub head: DMat3,
-    /// Upper arms.
+    /// Orientations of the upper arms.
     pub upper_arm: [DMat3; 2],
-    /// Forearms.
+    /// Orientations of the forearms.
     pub forearm: [DMat3; 2],
-    /// Thighs.
+    /// Orientations of the thighs.
     pub thigh: [DMat3; 2],
-    /// Shanks.
+    /// Orientations of the shanks.
     pub shank: [DMat3; 2],
-    /// Feet: x towards the toes.
+    /// Orientations of the feet: x points towards the toes.
     pub foot: [DMat3; 2],
-    /// Chest surface outward of its mean, by breath and heart, m.
+    /// Displacement of the chest surface outward of its mean, by breath and heart, m.
     pub chest_m: f64,
 }
 
-/// Lengths of a body, m. Proportions follow Drillis and Contini's fractions of body height.
+/// Size of a body. Proportions follow Drillis and Contini's fractions of body height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Build {
     /// Body height, m.
@@ -100,7 +101,7 @@ impl Build {
         0.530 * self.height_m
     }
 
-    /// Upright over the origin, facing +x, limbs hanging.
+    /// Posture of a body that stands upright over the origin and faces +x, with hanging limbs.
     pub fn standing(&self) -> Posture {
         Posture {
             position_m: [0.0; 2],
@@ -134,12 +135,12 @@ impl Build {
         self.standing_hip_height_m() - self.thigh_m() - self.shank_m()
     }
 
-    /// The ellipsoids for a posture, in the room.
+    /// Returns the ellipsoids for a posture, in room coordinates.
     pub fn segments(&self, p: &Posture) -> [Ellipsoid; SEGMENTS] {
         self.hang(&p.frames())
     }
 
-    /// The ellipsoids for parts turned so, in the room.
+    /// Returns the ellipsoids for given orientations of the parts, in room coordinates.
     pub fn hang(&self, f: &Frames) -> [Ellipsoid; SEGMENTS] {
         let (h, g) = (self.height_m, self.girth);
         let &Frames { hips, pelvis, trunk, chest, .. } = f;
@@ -176,13 +177,13 @@ impl Build {
 }
 
 impl Posture {
-    /// Orientation of every part.
+    /// Returns the orientation of every part.
     pub fn frames(&self) -> Frames {
         let heading = DMat3::from_rotation_z(self.heading_rad);
-        // Pitching about the body's left axis: positive angles carry what points up forward.
+        // Pitch is about the body's left axis: a positive angle tilts an upward direction forward.
         let trunk = heading * DMat3::from_rotation_y(self.lean_rad);
         let chest = trunk * DMat3::from_rotation_z(self.twist_rad);
-        // Flexion turns a limb about the left axis.
+        // Flexion rotates a limb about the left axis.
         let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
         let upper_arm = self.shoulder_rad.map(|flexion| hang(chest, flexion));
         let legs =

@@ -1,49 +1,49 @@
-//! BVH files: a hierarchy of joints with offsets and channels, and a line of numbers for each frame.
+//! BVH files: a hierarchy of joints with offsets and channels, and one line of numbers for each frame.
 //!
-//! Lengths are in whatever unit the studio had; y is up and angles are in degrees, applied in the order of the channels from the
-//! parent outwards (`R = R_1 R_2 R_3` of the joint's own lines).
+//! The file does not state its length unit. y points up. Angles are in degrees and are applied in the order of the
+//! channels, from the parent outwards (`R = R_1 R_2 R_3` of the joint's own lines).
 
 use glam::{DMat3, DVec3};
 use thiserror::Error;
 
-/// A clip.
+/// Content of a BVH file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Bvh {
     /// Joints, parents first. An end site is a joint without channels and name.
     pub joints: Vec<BvhJoint>,
     /// Time from frame to frame, s.
     pub frame_time_s: f64,
-    /// Numbers of each frame, joint by joint in the order of their channels.
+    /// Numbers of each frame: the channels of the first joint, then those of the next, in the order of `joints`.
     pub frames: Vec<Vec<f64>>,
 }
 
-/// A joint.
+/// A joint of the hierarchy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct BvhJoint {
-    /// Name; empty of an end site.
+    /// Name of the joint; empty for an end site.
     pub name: String,
-    /// Its parent; none of the root.
+    /// Index of the parent joint; `None` for the root.
     pub parent: Option<usize>,
-    /// From the parent when nothing is turned, in the file's unit.
+    /// Offset from the parent in the rest pose, in the file's unit.
     pub offset: DVec3,
-    /// Channels that each frame has of it.
+    /// Channels that each frame contains for this joint.
     pub channels: Vec<Channel>,
 }
 
-/// A number of a frame: along or about x, y or z.
+/// Meaning of one number of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Channel {
-    /// Place along an axis (0, 1, 2), in the file's unit.
+    /// Position along an axis (0, 1, 2), in the file's unit.
     Position(usize),
-    /// Turn about an axis, degrees.
+    /// Rotation about an axis (0, 1, 2), degrees.
     Rotation(usize),
 }
 
-/// Error in a file.
+/// Error in a BVH file.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("line {line}: {problem}, expected {expected}")]
 pub struct BvhError {
-    /// Counted from one.
+    /// Line number, from 1.
     pub line: usize,
     /// Text that was found.
     pub problem: String,
@@ -51,10 +51,11 @@ pub struct BvhError {
     pub expected: String,
 }
 
-/// Joints, and frames times channels, beyond this are refused.
+/// Upper limits: number of joints, and number of frames times number of channels. Larger files are refused.
 const MOST_JOINTS: usize = 4096;
 const MOST_NUMBERS: usize = 100_000_000;
-/// Longer texts are refused, bytes: ten minutes of a hundred channels at 120 Hz have 60 MB, and a word takes 24 bytes of memory.
+/// Upper limit of the text's length, bytes. Ten minutes of a hundred channels at 120 Hz take 60 MB, and a word takes 24
+/// bytes of memory.
 const LARGEST_BYTES: usize = 64 << 20;
 
 const CHANNELS: [(&str, Channel); 6] = [
@@ -66,7 +67,7 @@ const CHANNELS: [(&str, Channel); 6] = [
     ("Zrotation", Channel::Rotation(2)),
 ];
 
-/// Words with the lines they are on.
+/// Words of the text with their line numbers.
 struct Words<'a> {
     all: Vec<(usize, &'a str)>,
     at: usize,
@@ -128,8 +129,8 @@ impl<'a> Words<'a> {
 
 /// Parses a BVH file.
 ///
-/// # Errors
-/// [`BvhError`] at the first line that is not as expected, for frames that are missing, and for a file beyond the limits.
+/// # Errors [`BvhError`] at the first line that is not as expected, for frames that are missing, and for a file beyond
+/// the limits.
 pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
     if text.len() > LARGEST_BYTES {
         let problem = format!("the text has {} bytes", text.len());
@@ -152,12 +153,12 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
     Ok(Bvh { joints, frame_time_s, frames })
 }
 
-/// The joints, parents first.
+/// Parses the joints, parents first.
 fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
     words.expect("HIERARCHY")?;
     words.expect("ROOT")?;
     let mut joints: Vec<BvhJoint> = Vec::new();
-    // Joints whose braces are open.
+    // Joints whose braces are not closed yet.
     let mut open: Vec<usize> = Vec::new();
     let mut name = joint_name(words);
     loop {
@@ -195,7 +196,7 @@ fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
     }
 }
 
-/// So many frames of so many numbers, one a line; the text ends behind them.
+/// Parses `count` frames of `wide` numbers, one frame a line. The text must end after the last frame.
 fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>, BvhError> {
     if count.saturating_mul(wide) > MOST_NUMBERS {
         return Err(words.fault(format!("at most {MOST_NUMBERS} numbers in all")));
@@ -204,14 +205,14 @@ fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>,
         let problem = format!("{count} frames of a skeleton without channels");
         return Err(BvhError { line: words.line(), problem, expected: "a joint with channels".to_owned() });
     }
-    // What is not there is not reserved for.
+    // No memory is reserved for frames that the text may not contain.
     let mut frames = Vec::new();
     for frame in 0..count {
         let begins = words.line();
         let row: Result<Vec<f64>, BvhError> =
             (0..wide).map(|_| words.number(&format!("{wide} finite numbers for frame {frame} of {count}"))).collect();
         let row = row?;
-        // A line that is too short would take its numbers from the next.
+        // A line that is too short would take its numbers from the next line.
         let ends = words.all.get(words.at - 1).map_or(begins, |(line, _)| *line);
         if wide > 0 && ends != begins {
             let problem = format!("frame {frame} has too few numbers");
@@ -225,7 +226,7 @@ fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>,
     Ok(frames)
 }
 
-/// Names may have blanks in them.
+/// Parses a joint's name, which may contain blanks.
 fn joint_name(words: &mut Words) -> String {
     let line = words.line();
     let mut parts = Vec::new();
@@ -254,7 +255,8 @@ fn channels(words: &mut Words) -> Result<Vec<Channel>, BvhError> {
 }
 
 impl Bvh {
-    /// Places of the joints in a frame, in the file's unit and axes; when nothing is turned, without one.
+    /// Returns the positions of the joints in a frame, in the file's unit and axes. Without a frame, returns the rest
+    /// pose.
     pub fn places(&self, frame: Option<usize>) -> Vec<DVec3> {
         let mut numbers = frame.and_then(|f| self.frames.get(f)).into_iter().flatten();
         let mut world: Vec<(DVec3, DMat3)> = Vec::with_capacity(self.joints.len());

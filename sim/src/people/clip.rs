@@ -1,8 +1,10 @@
-//! Captured steps on the parametric body: a BVH clip's joints turn the thirteen segments, whose lengths stay the body's own.
+//! Captured steps on the parametric body: the joints of a BVH clip rotate the thirteen segments. The segments keep the
+//! body's own lengths.
 //!
-//! Only directions are taken from the clip: of thighs from hips to knees, of the trunk from hips to shoulders, and so on; and of
-//! the hips, how they sway about their mean way, in proportion to the legs. So the unit of the clip does not matter, and its
-//! skeleton may have any proportions. One cycle of two steps is cut out of it, joined to itself, and goes with the ground covered.
+//! Only directions are taken from the clip: thighs from hips to knees, the trunk from hips to shoulders, and so on. The
+//! sway of the hips about their mean motion is taken in proportion to the length of the legs. The unit and the
+//! proportions of the clip's skeleton therefore do not matter. One cycle of two steps is cut out of the clip and made
+//! periodic. Its phase advances with the ground covered.
 
 use glam::{DMat3, DVec3};
 
@@ -14,20 +16,20 @@ use crate::em::specular::Ellipsoid;
 use crate::file_error::FileError;
 use crate::geometry::import::UpAxis;
 
-/// Captured frames are taken no closer than this, s.
+/// Time between samples to which clips of a higher frame rate are thinned, s.
 const SAMPLE_S: f64 = 1.0 / 60.0;
-/// Cycles that are looked for, s.
+/// Shortest and longest cycle that is searched for, s.
 const CYCLE_S: [f64; 2] = [0.7, 2.0];
-/// Fewest samples of a cycle.
+/// Least number of samples of a cycle.
 const FEWEST: usize = 16;
-/// Places of joints over all samples at most: the time in which a cycle is found goes with them.
+/// Upper limit of joints times samples. The time of the search for a cycle grows with this product.
 const MOST_PLACES: usize = 1_000_000;
-/// Hips that go over less ground than this part of the legs' length in a cycle do not walk.
+/// Least ground covered in a cycle, as a part of the legs' length. A clip with less does not walk.
 const LEAST_TRAVEL: f64 = 0.3;
-/// Frames of a body, in the order of the cycle's bones.
+/// Number of frames of a body, in the order of the cycle's bones.
 const FRAMES: usize = 14;
 
-/// Joints by what they are, with the names that programs give them, less blanks, marks, and "left" or "right".
+/// Joint names that programs use, for each part of the body, without blanks, punctuation, and "left" or "right".
 const THIGH: &[&str] = &["upleg", "thigh", "upperleg", "femur", "hip"];
 const SHANK: &[&str] = &["leg", "shin", "calf", "lowerleg", "loleg", "tibia", "knee"];
 const FOOT: &[&str] = &["foot", "ankle"];
@@ -39,17 +41,18 @@ const HAND: &[&str] = &["wrist", "hand"];
 /// One cycle of captured steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyClip {
-    /// Orientations of parts; the first's place is that of the hips. Facing +x, in lengths of the legs.
+    /// Orientations of the parts. The position of the first one is that of the hips. The body faces +x; the unit is the
+    /// length of the legs.
     cycle: Cycle,
-    /// Ground covered in a cycle, in lengths of the legs.
+    /// Ground covered in a cycle, in units of the legs' length.
     travel: f64,
-    /// Stance of a body of 1.75 m as it walks.
+    /// Foot contact of a walking body of 1.75 m.
     walked: Stance,
-    /// From when to when in the file, s.
+    /// Begin and end of the cycle in the file, s.
     span_s: [f64; 2],
 }
 
-/// Numbers of the joints of a side.
+/// Indices of the joints on one side of the body.
 struct Side {
     thigh: usize,
     shank: usize,
@@ -61,8 +64,8 @@ struct Side {
 }
 
 impl BodyClip {
-    /// A clip from a BVH file's text. `cycle_s` says which part of it is one cycle of two steps; found if absent.
-    /// `up` is which of its axes points up.
+    /// Makes a clip from the text of a BVH file. `cycle_s` is the part of it that is one cycle of two steps; the cycle
+    /// is searched for if absent. `up` is the axis that points up.
     ///
     /// # Errors
     /// [`FileError`] if the text is no BVH file, its skeleton has no two legs, or it holds no cycle of steps.
@@ -90,7 +93,7 @@ impl BodyClip {
         let count = end - begin;
         let rest_pitch = sides.each_ref().map(|s| pitch(rest[s.toe] - rest[s.foot]));
         let mut poses = closed(&places[begin..=end], &sides, rest_pitch, leg);
-        // On a body of 1.75 m, in lengths of its legs.
+        // Contact is computed on a body of 1.75 m, in units of the length of its legs.
         let build = Build { height_m: 1.75, girth: 1.0 };
         let unit_m = leg_m(&build);
         let points = |cycle: &Cycle, count: usize| -> Vec<Vec<DVec3>> {
@@ -102,7 +105,7 @@ impl BodyClip {
             let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
             return Err(FileError::new("MOTION", problem, hint));
         }
-        // Facing +x, soles on the floor.
+        // The body faces +x, and the soles rest on the floor.
         let ahead = DMat3::from_rotation_z(-stance.travel_m.y.atan2(stance.travel_m.x));
         for (pose, surge_m) in poses.iter_mut().zip(stance.surge_m()) {
             pose.iter_mut().for_each(|m| *m = Map { centre: ahead * m.centre, stretch: ahead * m.stretch });
@@ -123,22 +126,22 @@ impl BodyClip {
         })
     }
 
-    /// Ground covered in a cycle of steps by hips so high, m.
+    /// Ground covered in a cycle of steps, m, by a body with this height of the hips.
     pub fn cycle_m(&self, hip_height_m: f64) -> f64 {
         self.travel * hip_height_m * LEG_OF_HIP_HEIGHT
     }
 
-    /// Sliding of feet over the floor at a speed of walking.
+    /// Returns how much the feet slide over the floor at a walking speed.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
 
-    /// Times in the file between which the cycle lies, s.
+    /// Begin and end of the cycle in the file, s.
     pub fn span_s(&self) -> [f64; 2] {
         self.span_s
     }
 
-    /// The body on its way; `standing` is how it stands there.
+    /// Returns the ellipsoids of a walking body. `standing` is its posture when it stands at the same place.
     pub(super) fn body(&self, build: &Build, standing: &Posture, walk: &Walk) -> [Ellipsoid; SEGMENTS] {
         let standing = standing.frames();
         if walk.vigour <= 0.0 {
@@ -152,25 +155,26 @@ impl BodyClip {
     }
 }
 
-/// Length of the legs over the height of the hip joints: [`Build`]'s thigh and shank over its hips.
+/// Length of the legs over the height of the hip joints: [`Build`]'s thigh plus shank over its hip height.
 const LEG_OF_HIP_HEIGHT: f64 = (0.245 + 0.246) / 0.530;
 
 fn leg_m(build: &Build) -> f64 {
     build.standing_hip_height_m() * LEG_OF_HIP_HEIGHT
 }
 
-/// Places along a foot's underside are so far apart, as angles, and the ball of the foot is the last: toes bend.
+/// Angular step between points on the underside of a foot, and index of the last point, at the ball of the foot. The
+/// toes bend and are left out.
 const SOLE_RAD: f64 = 0.17;
 const BALL: i32 = 3;
 
-/// Places at which soles may touch the floor: along the underside of either foot, from the heel to its ball.
+/// Points of the soles that may touch the floor: along the underside of both feet, from the heel to the ball.
 fn soles(build: &Build, frames: &Frames) -> Vec<DVec3> {
     let body = build.hang(frames);
     let under = (-8..=BALL).map(|i| (SOLE_RAD * f64::from(i)).sin_cos()).map(|(s, c)| DVec3::new(s, 0.0, -c));
     under.flat_map(|u| [body[11].surface(u), body[12].surface(u)]).collect()
 }
 
-/// Turns feet whose toes are below the floor up about the ankle: real ones bend there.
+/// Rotates feet about the ankle until the toes are not below the floor, as real feet bend there.
 fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
     for side in 0..2 {
         let turned = |pose: &[Map], angle: f64| {
@@ -183,7 +187,7 @@ fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
             let under = (-8..=8).map(|i| (SOLE_RAD * f64::from(i)).sin_cos());
             under.map(|(s, c)| foot.surface(DVec3::new(s, 0.0, -c)).z).fold(f64::INFINITY, f64::min)
         };
-        // The least turn that frees the floor, or frees it most.
+        // The smallest rotation that lifts the foot off the floor, or that lifts it most.
         let angles = (0..=MOST_LIFTS).map(|i| LIFT_RAD * f64::from(i));
         let best = angles.max_by(|&a, &b| {
             let (free_a, free_b) = (lowest(a).min(0.0), lowest(b).min(0.0));
@@ -196,16 +200,16 @@ fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
     }
 }
 
-/// Feet are turned up in steps so large, and by no more than so many of them.
+/// Step of that rotation, rad, and the largest number of steps.
 const LIFT_RAD: f64 = 0.02;
 const MOST_LIFTS: u32 = 40;
 
-/// Places of the joints in a frame, z up; when nothing is turned, without one.
+/// Returns the positions of the joints in a frame, z up. Without a frame, returns the rest pose.
 fn upright(bvh: &Bvh, up: UpAxis, frame: Option<usize>) -> Vec<DVec3> {
     bvh.places(frame).into_iter().map(|p| up.to_z_up(p)).collect()
 }
 
-/// Places of the joints over a clip, and the time from one sample to the next, s.
+/// Returns the positions of the joints over a clip, and the time between samples, s.
 fn sampled(bvh: &Bvh, up: UpAxis) -> Result<(Vec<Vec<DVec3>>, f64), FileError> {
     let step = (SAMPLE_S / bvh.frame_time_s).floor().max(1.0) as usize;
     let (samples, joints) = (bvh.frames.len().div_ceil(step), bvh.joints.len());
@@ -217,8 +221,8 @@ fn sampled(bvh: &Bvh, up: UpAxis) -> Result<(Vec<Vec<DVec3>>, f64), FileError> {
     Ok((places, step as f64 * bvh.frame_time_s))
 }
 
-/// Maps of the parts over a cycle, from its first sample to the one before the last. What legs do on the way decides: the hips' own
-/// way is taken out, and what the ends differ by is shared out.
+/// Returns the maps of the parts over a cycle, from its first sample to the last but one. The mean motion of the hips
+/// is removed. The difference between both ends of the cycle is distributed over all samples.
 fn closed(places: &[Vec<DVec3>], sides: &[Side; 2], rest_pitch: [f64; 2], leg: f64) -> Vec<Vec<Map>> {
     let hips = |p: &[DVec3]| 0.5 * (p[sides[0].thigh] + p[sides[1].thigh]);
     let count = places.len() - 1;
@@ -240,7 +244,7 @@ fn closed(places: &[Vec<DVec3>], sides: &[Side; 2], rest_pitch: [f64; 2], leg: f
     poses
 }
 
-/// First and last sample of a cycle.
+/// Returns the first and last sample of a cycle.
 fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[usize; 2], FileError> {
     let lasts_s = places.len().saturating_sub(1) as f64 * step_s;
     let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
@@ -298,14 +302,14 @@ fn pitch(v: DVec3) -> f64 {
     v.normalize_or_zero().z.clamp(-1.0, 1.0).asin()
 }
 
-/// Axes with this z, and y as near as may be to this one.
+/// Returns axes with this z, and with y as close as possible to `left`.
 fn upward(z: DVec3, left: DVec3) -> DMat3 {
     let z = z.normalize_or(DVec3::Z);
     let y = left.reject_from_normalized(z).normalize_or(z.any_orthonormal_vector());
     DMat3::from_cols(y.cross(z), y, z)
 }
 
-/// Orientations of parts in a pose; the hips are left at the origin.
+/// Returns the orientations of the parts in a pose. The hips stay at the origin.
 fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
     let [l, r] = sides;
     let hips = 0.5 * (p[l.thigh] + p[r.thigh]);
@@ -321,7 +325,7 @@ fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
         let s = &sides[side];
         let toes = (p[s.toe] - p[s.foot]).normalize_or(forward);
         let left = pelvis_left.reject_from_normalized(toes).normalize_or(pelvis_left);
-        // As level as the skeleton's foot was at rest.
+        // The foot is as level as the skeleton's foot in the rest pose.
         DMat3::from_cols(toes, left, toes.cross(left)) * DMat3::from_rotation_y(rest_pitch[side])
     };
     let each = |of: &dyn Fn(&Side) -> DMat3| [of(l), of(r)];
@@ -368,7 +372,7 @@ fn from_maps(maps: &[Map], unit_m: f64, chest_m: f64) -> Frames {
     }
 }
 
-/// The rotation that a matrix is but for rounding and blending: its z and y count.
+/// Returns the rotation closest to a matrix that rounding or blending has distorted. Only its z and y axes are used.
 fn rigid(m: DMat3) -> DMat3 {
     upward(m.z_axis, m.y_axis)
 }
@@ -391,12 +395,12 @@ impl Frames {
         }
     }
 
-    /// Turned about the origin.
+    /// Rotates all parts about the origin.
     fn turned(&self, by: DMat3) -> Frames {
         Frames { hips: by * self.hips, ..self.each(self, |a, _| by * a) }
     }
 
-    /// A part of the way to others.
+    /// Interpolates towards other frames by a fraction.
     fn towards(&self, other: &Frames, part: f64) -> Frames {
         let blended = self.each(other, |a, b| rigid(a * (1.0 - part) + b * part));
         Frames { hips: self.hips.lerp(other.hips, part), ..blended }

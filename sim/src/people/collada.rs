@@ -1,7 +1,8 @@
 //! Skinned actors from COLLADA 1.4 and 1.5 files (`.dae`).
 //!
-//! Read: the unit and the up axis, polygons, skins, the tree of nodes with whatever transforms they are made of, and animations
-//! of those. All animations of a file are one clip; curves between keys become straight lines.
+//! The reader takes the unit and the up axis, polygons and skins. It also takes the tree of nodes with all kinds of
+//! transforms, and the animations of these transforms. All animations of a file form one clip. Curves between keyframes
+//! become straight lines.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
@@ -13,17 +14,17 @@ use super::rig::{Between, Clip, Joint, Local, MOST_NODES, Node, Rig, Track, Valu
 use crate::file_error::{FileError, utf8};
 use crate::geometry::import::UpAxis;
 
-/// Deeper trees than this are refused.
+/// Greatest depth of a tree.
 const DEEPEST: usize = 256;
-/// Larger documents are refused, bytes: in memory, an attribute takes ten times as much as in the file.
+/// Upper limit of a document's size, bytes: in memory, an attribute takes ten times as much as in the file.
 const LARGEST_BYTES: usize = 64 << 20;
-/// Elements and texts of a document at most.
+/// Upper limit of elements and texts in a document.
 const MOST_ELEMENTS: u32 = 1_000_000;
-/// Numbers and names that are read of a document at most: a skin may be named any number of times.
+/// Upper limit of numbers and names read from a document: a skin may be referenced any number of times.
 const MOST_NUMBERS: usize = 1 << 25;
-/// Largest offset of an input among the indices of a corner: there are a handful of inputs.
+/// Largest offset of an input among the indices of a corner. Files have only a few inputs.
 const LARGEST_OFFSET: usize = 255;
-/// Curves over one node's transforms, and the keys of all of them together, at most.
+/// Upper limits for one node: number of curves over its transforms, and number of keyframes of all curves together.
 const MOST_CURVES: usize = 64;
 const MOST_KEYS: usize = 100_000;
 
@@ -43,17 +44,17 @@ enum Kind {
     Scale,
 }
 
-/// Name of a node, and its contents.
+/// Identifiers and transforms of a node.
 struct Place {
     id: String,
     sid: String,
     steps: Vec<Step>,
 }
 
-/// A curve over one number, or all, of one of a node's transforms.
+/// A curve that animates one number, or all numbers, of one of a node's transforms.
 struct Curve {
     step: usize,
-    /// The first of the numbers, and how many.
+    /// First of the animated numbers, and their count.
     member: usize,
     width: usize,
     times_s: Vec<f64>,
@@ -63,7 +64,7 @@ struct Curve {
 
 struct Reader<'d, 'a> {
     doc: &'d Document<'a>,
-    /// Elements by their ids; the first of those that share one.
+    /// Elements by id. If several share an id, the first one is kept.
     ids: HashMap<&'d str, Element<'d, 'a>>,
     /// Numbers and names that may still be read.
     left: Cell<usize>,
@@ -114,12 +115,12 @@ pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileError> {
     Ok(rig)
 }
 
-/// The first child of a name.
+/// Returns the first child with a name.
 fn child<'d, 'a>(of: Element<'d, 'a>, name: &str) -> Option<Element<'d, 'a>> {
     of.children().find(|c| c.has_tag_name(name))
 }
 
-/// The first input of some meaning.
+/// Returns the first input with a semantic.
 fn input<'d, 'a>(of: Element<'d, 'a>, semantic: &str) -> Option<Element<'d, 'a>> {
     of.children().find(|c| c.has_tag_name("input") && c.attribute("semantic") == Some(semantic))
 }
@@ -134,7 +135,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         self.doc.descendants().filter(move |d| d.has_tag_name(name))
     }
 
-    /// Counts words that are about to be read; there is an end to them.
+    /// Counts words that are about to be read, and fails beyond the limit.
     fn spend(&self, element: Element, words: usize) -> Result<(), FileError> {
         let left = self.left.get().checked_sub(words);
         let problem = || self.fault(element, format!("the document has more than {MOST_NUMBERS} numbers in all"));
@@ -159,7 +160,7 @@ impl<'d, 'a> Reader<'d, 'a> {
             .ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
     }
 
-    /// Metres in one of a unit.
+    /// Length of one unit in metres.
     fn metres(&self, unit: Element) -> Result<f64, FileError> {
         let given = unit.attribute("meter");
         let metres = given.unwrap_or("1").parse::<f64>().ok().filter(|m| *m > 0.0 && m.is_finite());
@@ -174,7 +175,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         }
     }
 
-    /// The first child of a name; a problem without one.
+    /// Returns the first child with a name, or an error if there is none.
     fn needed<'e, 'x>(
         &self,
         of: Element<'e, 'x>,
@@ -184,7 +185,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         child(of, name).ok_or_else(|| self.fault(of, problem))
     }
 
-    /// The words of an element's text, parsed.
+    /// Parses the words of an element's text.
     fn words<T>(
         &self,
         element: Element,
@@ -208,7 +209,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         self.words(element, "indices", |word| word.parse().ok())
     }
 
-    /// The source that an input of some meaning names.
+    /// Returns the source that the input with a semantic refers to.
     fn source(&self, of: Element, semantic: &str) -> Result<Element<'d, 'a>, FileError> {
         let input = input(of, semantic).ok_or_else(|| {
             self.fault(of, format!("{:?} has no input of the semantic {semantic}", of.tag_name().name()))
@@ -216,7 +217,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         self.target(input, input.attribute("source").unwrap_or_default())
     }
 
-    /// Numbers of a source.
+    /// Reads the numbers of a source.
     fn floats(&self, source: Element) -> Result<Vec<f64>, FileError> {
         self.numbers(self.needed(source, "float_array", "the source has no float_array, expected one")?)
     }
@@ -228,7 +229,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         self.words(array, "names", |word| Some(word.to_owned()))
     }
 
-    /// Adds a node and what is below it.
+    /// Adds a node and its descendants.
     fn add_node(
         &self,
         rig: &mut Rig,
@@ -317,7 +318,8 @@ impl<'d, 'a> Reader<'d, 'a> {
         Ok(())
     }
 
-    /// Adds the weights of vertices whose joints are counted from the first of the skin.
+    /// Adds the weights of vertices. Joint indices in the file are relative to the skin; `first` is the skin's first
+    /// joint.
     fn add_weights(&self, rig: &mut Rig, weights: Element, first: usize) -> Result<(), FileError> {
         let at = |semantic: &str| {
             let offset = input(weights, semantic).map(|input| self.offset(input)).transpose()?.flatten();
@@ -380,7 +382,7 @@ impl<'d, 'a> Reader<'d, 'a> {
                 return Err(self.fault(faces, "faces with vcount have several lists of indices, expected one"));
             }
             for list in lists() {
-                // An index that is too large is refused with the mesh.
+                // An index that is too large is refused later, with the mesh.
                 let index = |&v: &usize| u32::try_from(v).unwrap_or(u32::MAX);
                 let corners: Vec<u32> =
                     self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(index).collect();
@@ -438,7 +440,7 @@ impl<'d, 'a> Reader<'d, 'a> {
         Ok(())
     }
 
-    /// The curve of a channel over one of a node's transforms, which the path names.
+    /// Returns the curve by which a channel animates the transform of a node that `path` names.
     fn curve(&self, channel: Element, target: &str, path: &str, steps: &[Step]) -> Result<Curve, FileError> {
         let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
         let Some(step) = steps.iter().position(|s| s.sid == sid) else {
@@ -468,7 +470,7 @@ impl<'d, 'a> Reader<'d, 'a> {
     }
 }
 
-/// Tracks of a node whose transforms follow curves: keys of all of them together.
+/// Returns the tracks of a node whose transforms follow curves, with the keyframes of all curves.
 fn tracks(node: usize, steps: &[Step], curves: &[Curve]) -> [Track; 3] {
     let mut times_s: Vec<f64> = curves.iter().flat_map(|c| &c.times_s).copied().collect();
     times_s.sort_by(f64::total_cmp);
@@ -503,7 +505,7 @@ impl Curve {
     }
 }
 
-/// The product of a node's transforms, the first outermost.
+/// Product of a node's transforms, the first one outermost.
 fn matrix(steps: &[Step]) -> DMat4 {
     steps.iter().fold(DMat4::IDENTITY, |product, step| {
         let n = &step.numbers;

@@ -1,5 +1,5 @@
-//! A cycle of steps: poses at even phases, joined by a periodic cubic spline, so that velocities are continuous; and what feet
-//! do on the floor in it.
+//! A cycle of steps: poses at evenly spaced phases, joined by a periodic cubic spline so that velocities are
+//! continuous. The module also finds the motion of the feet on the floor.
 
 use std::f64::consts::TAU;
 
@@ -8,25 +8,27 @@ use glam::DVec3;
 use super::skin::Map;
 use crate::math::median;
 
-/// A foot's places within this of the lowest rest on the floor, as a part of the body's height: 5 mm of 1.75 m.
+/// Height above the lowest point within which points of a foot touch the floor, as a part of the body's height: 5 mm
+/// for 1.75 m.
 const CONTACT: f64 = 0.003;
-/// Feet whose lowest place is higher than this above the floor do not touch it: 2 cm.
+/// Height of a foot's lowest point above the floor beyond which it does not touch, as a part of the body's height: 2 cm
+/// for 1.75 m.
 const FLIGHT: f64 = 0.0115;
-/// Harmonics of a cycle in which the body's speed is let follow its feet: up to about 5 Hz.
+/// Number of harmonics of a cycle in which the body's speed may follow its feet: up to about 5 Hz.
 const SURGE_HARMONICS: usize = 6;
-/// Rounds in which the spline's coefficients settle: each takes half of what is left.
+/// Iterations for the spline's coefficients. Each iteration halves the remaining error.
 const ROUNDS: usize = 60;
 
-/// Place on the ground plan, and in the cycle of steps, at a time.
+/// Position on the ground plan and in the cycle of steps, at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Walk {
-    /// Place, m.
+    /// Position, m.
     pub position_m: [f64; 2],
-    /// Facing, from +x towards +y, rad.
+    /// Heading, from +x towards +y, rad.
     pub heading_rad: f64,
-    /// Cycles (two steps) made.
+    /// Number of cycles (two steps each) completed.
     pub phase: f64,
-    /// 0 standing, 1 walking.
+    /// Intensity of walking: 0 standing, 1 walking.
     pub vigour: f64,
 }
 
@@ -38,11 +40,11 @@ pub(super) struct Cycle {
 }
 
 impl Cycle {
-    /// A curve through poses at the phases `k / count`. The last is followed by the first.
+    /// Makes a curve through poses at the phases `k / count`. The curve is periodic.
     pub fn through(poses: &[Vec<Map>]) -> Self {
         let count = poses.len();
         let mut coefficients = poses.to_vec();
-        // c[k-1] + 4 c[k] + c[k+1] = 6 p[k], by Gauss and Seidel.
+        // c[k-1] + 4 c[k] + c[k+1] = 6 p[k], solved by Gauss-Seidel iteration.
         for _ in 0..ROUNDS {
             for k in 0..count {
                 for bone in 0..coefficients[k].len() {
@@ -80,34 +82,37 @@ impl Cycle {
 /// Motion of the feet in a cycle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Stance {
-    /// Over which ground the body goes in a cycle, m, that feet on the floor rest.
+    /// Displacement of the body in a cycle, m, for which feet on the floor do not slide.
     pub travel_m: DVec3,
     /// Height of the floor under the feet, m.
     pub floor_m: f64,
-    /// By phase, how fast what touches the floor even so goes over it, m a cycle; none in flight.
+    /// Residual sliding velocity of the contact points, by phase, m a cycle; `None` in flight.
     slips_m: Vec<Option<DVec3>>,
-    /// By phase, how high over the floor it is, m.
+    /// Height of the lowest point above the floor, by phase, m.
     heights_m: Vec<f64>,
 }
 
 /// Sliding of feet that touch the floor.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FootSliding {
-    /// Speed of all feet that touch the floor, rms over a cycle, m/s: also feet that are just put down or taken up.
+    /// Speed of all feet that touch the floor, rms over a cycle, m/s. It includes feet that are just landing or lifting
+    /// off.
     pub rms_m_per_s: f64,
-    /// Speed of feet that stand, rms, m/s: those that go back under the body, at no more than twice its speed.
+    /// Speed of standing feet, rms, m/s. A standing foot moves backward under the body, at no more than twice the
+    /// body's speed.
     pub standing_rms_m_per_s: f64,
     /// Part of the cycle in which a foot stands.
     pub standing: f64,
 }
 
 impl Stance {
-    /// From points at even phases of a cycle that goes nowhere: `[phase][point]`. z is up; `height_m` is that of the body.
+    /// Finds the motion of the feet from points at even phases of a cycle without displacement: `[phase][point]`. z is
+    /// up; `height_m` is the body's height.
     pub fn of(points: &[Vec<DVec3>], height_m: f64) -> Self {
         let count = points.len();
         let lowest: Vec<f64> = points.iter().map(|p| p.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)).collect();
         let floor_m = median(lowest.clone());
-        // Velocity, m a cycle, of what touches the floor; nothing does in flight.
+        // Velocity of the contact points, m a cycle; `None` in flight.
         let touching = |k: usize| {
             let (before, now, after) = (&points[(k + count - 1) % count], &points[k], &points[(k + 1) % count]);
             let rates = now.iter().enumerate().filter(|(_, p)| p.z < lowest[k] + CONTACT * height_m);
@@ -118,14 +123,14 @@ impl Stance {
         let touching: Vec<Option<DVec3>> = (0..count).map(touching).collect();
         let all: Vec<DVec3> = touching.iter().flatten().copied().collect();
         let middle = middle_of(&all);
-        // A foot that swings low is none that stands.
+        // A foot that swings close to the floor does not stand.
         let standing: Vec<DVec3> = all.into_iter().filter(|&r| stands(r, middle)).collect();
         let mean = standing.iter().sum::<DVec3>() / standing.len().max(1) as f64;
         let slips_m = touching.iter().map(|t| t.map(|rate| rate - mean)).collect();
         Stance { travel_m: -mean, floor_m, slips_m, heights_m: lowest.iter().map(|z| z - floor_m).collect() }
     }
 
-    /// The same for a body that goes over this ground.
+    /// Returns the stance of a body that covers a given displacement in a cycle.
     pub fn over(mut self, travel_m: DVec3) -> Self {
         let more = travel_m - self.travel_m;
         self.slips_m.iter_mut().flatten().for_each(|slip| *slip += more);
@@ -136,12 +141,12 @@ impl Stance {
         stands(slip_m - self.travel_m, -self.travel_m)
     }
 
-    /// By phase, how much farther and higher the body is to be than an even way brings it, m, for feet that stand to rest on the
-    /// floor: smooth, of the first harmonics of the cycle.
+    /// Returns the displacement, by phase, m, that makes standing feet rest on the floor. It is added to uniform
+    /// motion, forward and upward. It is smooth: it contains only the first harmonics of the cycle.
     pub fn surge_m(&self) -> Vec<DVec3> {
         let count = self.slips_m.len();
         let slip = |k: usize| self.slips_m[k].filter(|&s| self.stands(s)).unwrap_or_default();
-        // Heights need no integral.
+        // Heights need no integration.
         let height = |k: usize| if self.slips_m[k].is_some() { self.heights_m[k] } else { 0.0 };
         let mut surge = vec![DVec3::NEG_Z * (0..count).map(height).sum::<f64>() / count.max(1) as f64; count];
         for harmonic in 1..=SURGE_HARMONICS.min(count / 4) {
@@ -152,7 +157,7 @@ impl Stance {
             let up =
                 |of: fn(f64) -> f64| (0..count).map(|k| height(k) * of(angle(k))).sum::<f64>() * (2.0 / count as f64);
             let (up_cosine, up_sine) = (up(f64::cos), up(f64::sin));
-            // Less the integral of `cosine cos + sine sin` over phase.
+            // Subtracts the integral of `cosine cos + sine sin` over phase.
             let over = 1.0 / (TAU * harmonic as f64);
             for (k, surge) in surge.iter_mut().enumerate() {
                 *surge -= (cosine * angle(k).sin() - sine * angle(k).cos()) * over;
@@ -162,7 +167,7 @@ impl Stance {
         surge
     }
 
-    /// Sliding of feet at a speed of walking.
+    /// Returns how much the feet slide at a walking speed.
     pub fn sliding(&self, speed_m_per_s: f64) -> FootSliding {
         let factor = speed_m_per_s / self.travel_m.length().max(1e-9);
         let rms = |slips: &[DVec3]| {
@@ -179,20 +184,21 @@ impl Stance {
     }
 }
 
-/// Whether what touches the floor stands on it, by its velocity under the body and that of most: it goes back, at no more than
-/// twice the speed. What swings goes forward.
+/// Whether a contact point stands on the floor. `rate` is its velocity under the body and `most` the median velocity. A
+/// standing point moves backward, at no more than twice the median speed; a swinging one moves forward.
 fn stands(rate: DVec3, most: DVec3) -> bool {
     rate.dot(most) > 0.0 && rate.length() < 2.0 * most.length()
 }
 
-/// Medians of velocities on the ground plan.
+/// Componentwise median of velocities on the ground plan.
 fn middle_of(rates: &[DVec3]) -> DVec3 {
     let of = |axis: usize| median(rates.iter().map(|rate| rate[axis]).collect());
     DVec3::new(of(0), of(1), 0.0)
 }
 
-/// The part of a sequence of poses that is the best cycle: first and last number. `places` are joints, `[pose][joint]`, at even
-/// times; `shortest` and `longest` count poses. Poses are alike when the joints are, seen from their middle, and move alike.
+/// Finds the best cycle in a sequence of poses: first and last index, and cost. `places` are joints, `[pose][joint]`,
+/// at even times; `shortest` and `longest` count poses. Two poses are similar if their joints, relative to the
+/// centroid, have similar positions and velocities.
 pub(super) fn best_cycle(places: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
     let centred: Vec<Vec<DVec3>> = places
         .iter()
@@ -209,9 +215,9 @@ pub(super) fn best_cycle(places: &[Vec<DVec3>], shortest: usize, longest: usize)
     let mut best: Option<(usize, usize, f64)> = None;
     for a in 1..last {
         for b in a + shortest..=(a + longest).min(last - 1) {
-            // A few times the step either way: velocities count as places do.
+            // The poses before and after are compared too, so that velocities count as positions do.
             let cost = apart(a, b) + apart(a - 1, b - 1) + apart(a + 1, b + 1);
-            // What stands still is alike everywhere.
+            // A motionless stretch is similar at all times, so the cost is relative to the motion within the cycle.
             let moves = (a..b).step_by(2).map(|i| apart(a, i)).fold(0.0, f64::max);
             let cost = cost / moves.max(1e-12);
             if best.is_none_or(|(_, _, least)| cost < least) {
@@ -244,12 +250,12 @@ mod tests {
         }
     }
 
-    /// Two feet, each on the floor for half of the cycle and swung forward over it in the other.
+    /// Two feet, each on the floor for one half of the cycle and swung forward during the other half.
     #[test]
     fn the_ground_covered_is_that_over_which_feet_rest() {
         let foot = |phase: f64| {
             let p = phase.rem_euclid(1.0);
-            // 1.4 m a cycle: 0.7 m back in half of it.
+            // 1.4 m a cycle: the foot moves back by 0.7 m in half a cycle.
             if p < 0.5 {
                 DVec3::new(0.35 - 1.4 * p, 0.0, 0.0)
             } else {
@@ -265,7 +271,8 @@ mod tests {
         assert!(sliding.standing > 0.9 && sliding.standing_rms_m_per_s < 0.1, "{sliding:?}");
     }
 
-    /// A body that is carried forward evenly over feet that go back unevenly makes them slide; surging it does not.
+    /// Uniform forward motion of the body makes feet slide whose backward motion is not uniform. The surge removes the
+    /// sliding.
     #[test]
     fn a_body_that_surges_with_its_feet_does_not_slide() {
         let at = |p: f64| -1.4 * p + 0.03 * (2.0 * TAU * p).sin();

@@ -1,16 +1,16 @@
 //! A walking cycle after Boulic, Magnenat-Thalmann and Thalmann, "A global human walking model with real-time kinematic
-//! personification" (The Visual Computer 6, 1990): cycle length grows with the root of the relative speed, joint angles are
-//! smooth periodic functions of the cycle's phase whose amplitudes grow with speed. The curves are our own fits of
+//! personification" (The Visual Computer 6, 1990): cycle length grows with the root of the relative speed, joint angles
+//! are smooth periodic functions of the cycle's phase whose amplitudes grow with speed. The curves are our own fits of
 //! textbook gait data (hip +-25 deg, knee 15 deg in stance and 60 deg in swing), not the paper's splines.
 
 use std::f64::consts::TAU;
 
 use super::body::Posture;
 
-/// Steps on the spot in a second, two in each cycle.
+/// Frequency of the cycle of steps on the spot, Hz. A cycle has two steps.
 pub(super) const MARCH_HZ: f64 = 0.9;
 
-/// Cycles (two steps) in a second at a speed: `R_c = 1.346 sqrt(v_r)` with lengths in thigh-plus-shank heights.
+/// Cycles (two steps) per second at a speed: `R_c = 1.346 sqrt(v_r)` with lengths in units of `leg_m`.
 pub fn cycles_per_second(speed_m_per_s: f64, leg_m: f64) -> f64 {
     let relative = speed_m_per_s / leg_m;
     relative.sqrt() / 1.346
@@ -21,21 +21,23 @@ fn bump(phase: f64, centre: f64, sharpness: f64) -> f64 {
     (sharpness * ((TAU * (phase - centre)).cos() - 1.0)).exp()
 }
 
-/// Way of walking relative to the average.
+/// Style of walking relative to the average.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
-    /// Stride over the average one of such legs at such a speed: more takes fewer and longer steps.
+    /// Ratio of the stride to the average stride at the same leg length and speed. A larger one means fewer and longer
+    /// steps.
     pub stride: f64,
-    /// Swing of the arms over the average one.
+    /// Ratio of the arm swing to the average one.
     pub arm_swing: f64,
 }
 
 impl Style {
-    /// Way of the average walker.
+    /// Style of the average walker.
     pub const AVERAGE: Style = Style { stride: 1.0, arm_swing: 1.0 };
 }
 
-/// Adds walking to a posture. `phase` in cycles: 0 is left heel strike; `vigour` is 0 standing, 1 at 1.3 m/s.
+/// Adds walking to a posture. `phase` is in cycles, 0 at left heel strike. `vigour` is 0 when standing and 1 at 1.3
+/// m/s.
 pub fn walk(posture: &mut Posture, phase: f64, vigour: f64, height_m: f64, style: &Style) {
     let a = vigour;
     for side in 0..2 {
@@ -52,14 +54,15 @@ pub fn walk(posture: &mut Posture, phase: f64, vigour: f64, height_m: f64, style
     posture.hip_height_m += a * height_m * (-0.012 + 0.011 * (2.0 * TAU * (phase - 0.25)).cos());
 }
 
-/// Knees of steps on the spot bend by this at most, rad.
+/// Largest knee flexion of steps on the spot, rad.
 const MARCH_KNEE_RAD: f64 = 0.55;
 
-/// Adds steps on the spot: feet go straight up, flat, one after the other. `vigour` is 0 standing, 1 while turning.
+/// Adds steps on the spot: the feet move straight up and stay level, in turn. `vigour` is 0 when standing and 1 while
+/// turning.
 pub fn march(posture: &mut Posture, phase: f64, vigour: f64) {
     for side in 0..2 {
         let p = phase + if side == 0 { 0.0 } else { 0.5 };
-        // Thigh and shank are about as long as each other: half the knee's angle keeps the ankle under the hip.
+        // Thigh and shank have about the same length, so half the knee's angle keeps the ankle under the hip.
         let knee = vigour * MARCH_KNEE_RAD * bump(p, 0.75, 2.6);
         posture.knee_rad[side] += knee;
         posture.hip_rad[side] += 0.5 * knee;
@@ -67,7 +70,7 @@ pub fn march(posture: &mut Posture, phase: f64, vigour: f64) {
     }
 }
 
-/// Displacement by walking of the hips: (forward, left), m.
+/// Displacement of the hips by walking: (forward, left), m.
 pub fn sway(phase: f64, vigour: f64) -> (f64, f64) {
     (0.010 * vigour * (2.0 * TAU * (phase - 0.1)).sin(), 0.018 * vigour * (TAU * (phase - 0.25)).cos())
 }

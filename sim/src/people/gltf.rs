@@ -17,11 +17,11 @@ impl From<GltfFault> for FileError {
     }
 }
 
-/// Parses a glTF file; buffers beside it are sought in `folder`.
+/// Parses a glTF file. Buffers in other files are read from `folder`.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Rig, FileError> {
     let file = GltfFile::parse(bytes, folder)?;
     let mut rig = Rig { metres: 1.0, up: UpAxis::Y, ..Rig::default() };
-    // Where each of the file's nodes is among ours.
+    // Index in the rig of each of the file's nodes.
     let mut number = vec![usize::MAX; file.document.nodes().count()];
     for (index, parent) in file.tree()? {
         let Some(node) = file.document.nodes().nth(index) else { continue };
@@ -48,7 +48,7 @@ pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Rig, FileError> 
     Ok(rig)
 }
 
-/// Adds a skinned mesh; `number` tells where each of the file's nodes is among the rig's.
+/// Adds a skinned mesh. `number` maps the file's nodes to the rig's nodes.
 fn add_skin(
     rig: &mut Rig,
     file: &GltfFile,
@@ -83,7 +83,7 @@ fn add_skin(
     Ok(())
 }
 
-/// The clip of an animation; `number` tells where each of the file's nodes is among the rig's.
+/// Reads the clip of an animation. `number` maps the file's nodes to the rig's nodes.
 fn clip(file: &GltfFile, animation: &gltf::Animation, number: &[usize]) -> Result<Clip, FileError> {
     let name = animation.name().map_or_else(|| format!("animation {}", animation.index()), str::to_owned);
     let mut clip = Clip { name, tracks: Vec::new() };
@@ -124,7 +124,7 @@ fn add_primitive(
     first_joint: usize,
 ) -> Result<(), FileError> {
     let count = part.vertices.len();
-    // Seams have a vertex for each side. Before weights are read, which take the most memory.
+    // Seams have a vertex for each side. The check comes before weights are read, since weights take the most memory.
     if rig.vertices.len().saturating_add(count) > 3 * MOST_TRIANGLES {
         let problem =
             format!("with it the skin has more vertices than expected, {} vertices at most", 3 * MOST_TRIANGLES);

@@ -1,13 +1,13 @@
-//! Actors from files: a skinned mesh and a clip of it walking become a cycle of steps over a person's trajectory.
+//! Actors from files: a skinned mesh and a walking clip become a cycle of steps along a person's trajectory.
 //!
-//! What is done to a file, in order: the clip that is asked for is sampled, its own way over the ground taken out and its ends
-//! joined; the body is stood on the floor, scaled to its height and turned to face where its feet push it; over how much ground
-//! a cycle goes follows from what the feet on the floor do, so that they rest; the mesh is welded and refined
-//! ([`super::refine`]). Then everything is a table of the bones' maps over phase ([`super::cycle`]), and phase goes with the
-//! ground covered. Standing, the actor takes the mean of the cycle.
+//! A file is processed in this order. The requested clip is sampled, its displacement over the ground is removed, and
+//! its ends are joined. The body is placed on the floor, scaled to its height and rotated to face the direction of
+//! walking. The displacement in a cycle is computed from the feet on the floor, so that they do not slide. The mesh is
+//! welded and refined ([`super::refine`]). The result is a table of the bones' maps over phase ([`super::cycle`]), and
+//! phase advances with the ground covered. A standing actor takes the mean pose of the cycle.
 //!
-//! Not done: an actor does not sit, breathe or fidget; only faces that look outwards reflect; clothes that are shells of their
-//! own within 2 cm of the skin do not hide it.
+//! Limitations: an actor does not sit, breathe or fidget. Only faces that point outward reflect. Clothes that are
+//! separate shells within 2 cm of the skin do not hide it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -25,48 +25,48 @@ use crate::file_error::FileError;
 use crate::geometry::Mesh;
 use crate::geometry::import::{LengthUnit, UpAxis};
 
-/// Clips are sampled no closer than this, s, and no farther apart than a cycle needs.
+/// Least time between samples of a clip, s, and least and greatest number of samples of a cycle.
 const SAMPLE_S: f64 = 1.0 / 60.0;
 const CYCLE_SAMPLES: [f64; 2] = [24.0, 240.0];
-/// Cycles that are looked for in a clip that is none, s.
+/// Shortest and longest cycle that is searched for in a clip that is not one cycle, s.
 const CYCLE_S: [f64; 2] = [0.6, 2.5];
-/// Longest clip that is looked through, s.
+/// Longest clip that is searched, s.
 const LONGEST_S: f64 = 120.0;
-/// Places of joints that are compared to find a cycle at most: the time goes with them.
+/// Upper limit of joint positions that are compared to find a cycle. The time of the search grows with their number.
 const MOST_PLACES: usize = 1_000_000;
-/// Vertices that are followed over the floor at most; of more, evenly spaced ones.
+/// Upper limit of vertices that are tracked over the floor. If there are more, evenly spaced ones are taken.
 const MOST_FEET: usize = 20_000;
-/// A clip whose ends differ by more than this part of the height is no cycle.
+/// Largest difference between the ends of a cycle, as a part of the body's height.
 const CLOSED: f64 = 0.03;
-/// A body that goes less than this part of its height in a cycle does not walk.
+/// Least displacement in a cycle of a walking body, as a part of its height.
 const LEAST_TRAVEL: f64 = 0.1;
-/// Heights that are believed without being asked for, m.
+/// Least and greatest plausible height of a body, m.
 const HEIGHTS_M: [f64; 2] = [0.5, 2.5];
-/// Lowest part of the body, among which are the vertices that touch the floor.
+/// Lowest part of the body, as a part of its height. It contains the vertices that touch the floor.
 const FEET: f64 = 0.15;
 
-/// Options of an actor's file beside its name.
+/// Options of an actor's file besides its name.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ActorOptions {
-    /// Name of the animation; the only one, or the only one that is called a walk, if absent.
+    /// Name of the animation. If absent, the file must have only one, or only one that is called a walk.
     pub animation: Option<String>,
-    /// Scaled to this height, m; the file's own if absent.
+    /// Height to which the actor is scaled, m. If absent, the file's own height is kept.
     pub height_m: Option<f64>,
-    /// Instead of the file's unit.
+    /// Length unit that replaces the file's unit.
     pub unit: Option<LengthUnit>,
-    /// Instead of the axis that the file says points up.
+    /// Axis that replaces the up axis of the file.
     pub up: Option<UpAxis>,
-    /// The part of the animation that is one cycle, s; found if absent.
+    /// Part of the animation that is one cycle, s. If absent, the cycle is searched for.
     pub cycle_s: Option<[f64; 2]>,
 }
 
-/// A body from a file that walks.
+/// A walking body from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actor {
     skin: Arc<Skin>,
     cycle: Cycle,
     standing: Vec<Map>,
-    /// By segment of a body: the bone that carries it, and an ellipsoid about it when standing.
+    /// For each segment of a body: the bone that moves it, and an ellipsoid around it when standing.
     parts: [(usize, Ellipsoid); SEGMENTS],
     height_m: f64,
     cycle_m: f64,
@@ -75,7 +75,8 @@ pub struct Actor {
 }
 
 impl Actor {
-    /// An actor from a glTF (`.gltf`, `.glb`) or COLLADA (`.dae`) file's bytes; `path` tells which, and where buffers lie.
+    /// Parses a glTF (`.gltf`, `.glb`) or COLLADA (`.dae`) file. `path` gives the format, and the folder of its
+    /// buffers.
     ///
     /// # Errors
     /// [`FileError`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
@@ -101,7 +102,7 @@ impl Actor {
         let clip = choose(&rig.clips, options.animation.as_deref())?;
         let span = cycle_span(rig, clip, options.cycle_s)?;
         let Sampled { mut poses, mut standing } = sample(rig, clip, span);
-        // Upright and in metres.
+        // The pose is rotated upright and scaled to metres.
         let up = |v: DVec3| rig.up.to_z_up(v) * rig.metres;
         let upright = DMat3::from_cols(up(DVec3::X), up(DVec3::Y), up(DVec3::Z));
         let (_, own) = extent(rig, &standing, upright)?;
@@ -115,7 +116,7 @@ impl Actor {
         poses.iter_mut().for_each(|p| turn(p, scale, DVec3::ZERO));
         turn(&mut standing, scale, DVec3::ZERO);
 
-        // Over which ground, and which way, the feet push.
+        // Displacement and direction of walking, from the feet.
         let first = feet(rig, &standing);
         let stance = stance_of(rig, &first, &poses, height_m);
         let travel_m = stance.travel_m.length();
@@ -151,19 +152,19 @@ impl Actor {
             walked: Stance::default(),
             open_edges: bound.open_edges,
         };
-        // As it will walk, with the curve between poses.
+        // Contact of the feet on the interpolated curve between poses.
         let count = 4 * poses.len();
         let walked: Vec<Vec<Map>> = (0..count).map(|k| actor.cycle.at(k as f64 / count as f64)).collect();
         actor.walked = stance_of(rig, &first, &walked, height_m).over(DVec3::X * travel_m);
         Ok(actor)
     }
 
-    /// Its skin.
+    /// Skin of the actor.
     pub fn skin(&self) -> &Arc<Skin> {
         &self.skin
     }
 
-    /// Height, standing, m.
+    /// Height of the standing actor, m.
     pub fn height_m(&self) -> f64 {
         self.height_m
     }
@@ -173,17 +174,17 @@ impl Actor {
         self.cycle_m
     }
 
-    /// Sliding of feet over the floor at a speed of walking.
+    /// Returns how much the feet slide over the floor at a walking speed.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
     }
 
-    /// Edges at which the skin ends: borders of sheets and holes.
+    /// Number of edges at which the skin ends: borders of sheets and holes.
     pub fn open_edges(&self) -> usize {
         self.open_edges
     }
 
-    /// The bones in the room.
+    /// Returns the maps of the bones, in room coordinates.
     pub(super) fn maps(&self, walk: &Walk) -> Vec<Map> {
         let turned = DMat3::from_rotation_z(walk.heading_rad);
         let place = DVec3::new(walk.position_m[0], walk.position_m[1], 0.0);
@@ -195,7 +196,7 @@ impl Actor {
         maps
     }
 
-    /// Ellipsoids about its parts, in the room.
+    /// Returns ellipsoids around the actor's parts, in room coordinates.
     pub(super) fn body(&self, walk: &Walk) -> [Ellipsoid; SEGMENTS] {
         let maps = self.maps(walk);
         self.parts.map(|(bone, part)| {
@@ -209,7 +210,7 @@ impl Actor {
     }
 }
 
-/// The clip that is asked for, the only one, or the only one that is called a walk.
+/// Returns the requested clip, the only clip, or the only one that is called a walk.
 fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileError> {
     let names: Vec<&str> = clips.iter().map(|c| c.name.as_str()).collect();
     let hint = format!("the file has {names:?}: say one of them, animation = \"...\"");
@@ -227,7 +228,7 @@ fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileErr
     }
 }
 
-/// From when to when in a clip is one cycle, s.
+/// Returns the begin and end of one cycle in a clip, s.
 fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2], FileError> {
     let place = format!("clip {:?}", clip.name);
     let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
@@ -257,7 +258,7 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
     let (a, b) = (middle(first), middle(last));
     let apart: f64 = first.iter().zip(last).map(|(p, q)| (*p - a).distance_squared(*q - b)).sum();
     let apart = (apart / first.len().max(1) as f64).sqrt();
-    // Joints are spread by about a quarter of the height.
+    // The spread of the joints is about a quarter of the height.
     if apart < CLOSED * 4.0 * spread(first) {
         return Ok([begin, end]);
     }
@@ -269,12 +270,12 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
 }
 
 struct Sampled {
-    /// At even phases, the clip's way over the ground taken out.
+    /// Poses at even phases, without the clip's displacement over the ground.
     poses: Vec<Vec<Map>>,
     standing: Vec<Map>,
 }
 
-/// The maps over a cycle, in the file's unit and axes.
+/// Returns the maps over a cycle, in the file's unit and axes.
 fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     let [fewest, most] = CYCLE_SAMPLES;
     let count = ((end - begin) / clip.key_s().max(SAMPLE_S)).round().clamp(fewest, most) as usize;
@@ -296,7 +297,7 @@ fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     for (k, (_, maps)) in all.iter_mut().enumerate() {
         maps.iter_mut().for_each(|m| m.centre -= centre + (last - first) * phase(k));
     }
-    // What the ends differ by even so is shared out.
+    // The remaining difference between the ends is distributed over the cycle.
     let seam: Vec<Map> = all[count].1.iter().zip(&all[0].1).map(|(&b, &a)| b - a).collect();
     all.truncate(count);
     let close = |(k, (_, maps)): (usize, (DVec3, Vec<Map>))| -> Vec<Map> {
@@ -314,14 +315,14 @@ fn up_axis(rig: &Rig) -> DVec3 {
     [DVec3::Y, DVec3::Z].into_iter().find(|&axis| rig.up.to_z_up(axis) == DVec3::Z).unwrap_or(DVec3::Z)
 }
 
-/// Everything turned (and stretched) about the origin, then moved.
+/// Rotates (and scales) all maps about the origin, then moves them.
 fn turn(maps: &mut [Map], by: DMat3, then: DVec3) {
     for map in maps {
         *map = Map { centre: by * map.centre + then, stretch: by * map.stretch };
     }
 }
 
-/// The mesh of who stands, where all poses have places.
+/// Returns the mesh of the standing actor. It fails if the mesh is unusable or a pose is not finite.
 fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh, FileError> {
     let rest = Mesh { vertices: bound.posed(standing), triangles: bound.mesh.triangles.clone() };
     let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
@@ -335,7 +336,7 @@ fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh,
     Ok(rest)
 }
 
-/// Bottom and height of the skin in a pose.
+/// Returns the bottom and the height of the skin in a pose.
 fn extent(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<(f64, f64), FileError> {
     let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * follow(p, w, pose)).z);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
@@ -346,7 +347,7 @@ fn extent(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<(f64, f64), FileErr
     Err(FileError::new("skin", problem, "check the scale of the skeleton and the inverse bind matrices"))
 }
 
-/// Vertices that may touch the floor.
+/// Returns the vertices that may touch the floor.
 fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
     let heights: Vec<f64> = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| follow(p, w, standing).z).collect();
     let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &z| (l.min(z), h.max(z)));
@@ -363,7 +364,7 @@ fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> St
     Stance::of(&points, height_m)
 }
 
-/// By bone, where its skin is on the mean when standing, and how much there is of it.
+/// For each bone, returns the mean position of its skin when standing, and the amount of skin.
 fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<(DVec3, f64)> {
     let mut sums = vec![(DVec3::ZERO, 0.0); standing.len()];
     for (place, weights) in bound.posed(standing).into_iter().zip(&bound.weights) {
@@ -377,7 +378,7 @@ fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<(DVec3, f64)> {
     sums.into_iter().map(|(sum, total)| (sum / f64::max(total, 1e-300), total)).collect()
 }
 
-/// The segment of a standing body that a place is nearest to.
+/// Returns the segment of a standing body that is nearest to a point.
 fn nearest(body: &[Ellipsoid; SEGMENTS], place: DVec3) -> usize {
     let apart = |e: &Ellipsoid| ((e.axes.transpose() * (place - e.centre)) / e.semi_axes_m).length();
     (0..SEGMENTS).min_by(|&a, &b| apart(&body[a]).total_cmp(&apart(&body[b]))).unwrap_or(0)
@@ -388,14 +389,15 @@ fn standing_body(height_m: f64) -> [Ellipsoid; SEGMENTS] {
     build.segments(&build.standing())
 }
 
-/// By bone, the segment of a standing body that its skin is nearest to.
+/// For each bone, returns the segment of a standing body that is nearest to its skin.
 fn segments(bound: &BoundMesh, standing: &[Map], height_m: f64) -> Vec<usize> {
     let body = standing_body(height_m);
     middles(bound, standing).into_iter().map(|(middle, _)| nearest(&body, middle)).collect()
 }
 
-/// By segment of a body, the skin that is nearest to it: the bone that moves most of that, and an ellipsoid about it. For other
-/// people's shadows, loudness and truth. Skeletons may be as coarse as they like: a head without a bone is a head.
+/// For each segment of a body, returns the bone that moves most of the nearest skin, and an ellipsoid around that skin.
+/// They serve for occlusion by other people, echo levels and ground truth. Skeletons may be coarse: a head without a
+/// bone of its own is allowed.
 fn parts(bound: &BoundMesh, standing: &[Map], height_m: f64) -> [(usize, Ellipsoid); SEGMENTS] {
     let body = standing_body(height_m);
     let posed = bound.posed(standing);
@@ -410,12 +412,13 @@ fn parts(bound: &BoundMesh, standing: &[Map], height_m: f64) -> [(usize, Ellipso
         let bone = (0..moves.len()).max_by(|&a, &b| moves[a].total_cmp(&moves[b])).unwrap_or(0);
         let count = mine().count() as f64;
         if count == 0.0 {
-            // No such part: next to nothing, within the body.
+            // The actor has no such part: a very small ellipsoid within the body replaces it.
             return (bone, Ellipsoid { centre: middle, axes: DMat3::IDENTITY, semi_axes_m: DVec3::splat(0.02) });
         }
         let centre = mine().map(|v| posed[v]).sum::<DVec3>() / count;
         let squares = mine().map(|v| (posed[v] - centre) * (posed[v] - centre)).sum::<DVec3>() / count;
-        // Over an ellipsoid's surface, coordinates scatter by about its semi-axes over the root of three.
+        // Over an ellipsoid's surface, the standard deviation of each coordinate is about its semi-axis over the square
+        // root of three.
         let semi_axes_m = (3.0 * squares).map(f64::sqrt).max(DVec3::splat(0.02));
         (bone, Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m })
     })

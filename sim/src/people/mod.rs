@@ -1,5 +1,5 @@
-//! People: bodies of thirteen ellipsoids or a skin around them, gait, small motions and scripts; also actors and captured steps
-//! from files.
+//! People: bodies of thirteen ellipsoids or with a skin, gait, small motions and scripts. Actors and captured steps can
+//! come from files.
 
 pub mod body;
 pub mod bvh;

@@ -6,40 +6,40 @@ use super::postures::{Crouch, Lying};
 /// State of a motion at a time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Moment {
-    /// Place without sway, m.
+    /// Position without sway, m.
     pub position_m: [f64; 2],
-    /// Facing, rad.
+    /// Heading, rad.
     pub heading_rad: f64,
-    /// Cycles (two steps) made.
+    /// Number of cycles (two steps each) completed.
     pub phase: f64,
-    /// 0 standing, 1 walking.
+    /// Intensity of walking: 0 standing, 1 walking.
     pub vigour: f64,
-    /// 0 standing, 1 sitting with feet ahead.
+    /// Degree of sitting: 0 standing, 1 sitting with the feet ahead.
     pub sit: f64,
-    /// Vigour of steps on the spot.
+    /// Intensity of steps on the spot.
     pub march: f64,
-    /// Part of the way down on feet that stay.
+    /// Fraction of the descent into the crouch, on feet that stay in place.
     pub low: f64,
-    /// Way down to planted feet.
+    /// Crouch to which `low` refers.
     pub crouch: Option<Crouch>,
-    /// Part of the way from there to lying.
+    /// Fraction of the motion from the crouch to lying.
     pub lie: f64,
-    /// Place to lie.
+    /// Place at which the person lies.
     pub lying: Option<Lying>,
-    /// Small motions beside those of the person.
+    /// Small motions in addition to those of the person.
     pub small: Option<Small>,
 }
 
-/// Small motions of somebody who wanders.
+/// Small motions of a wandering person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Small {
-    /// Hips forward over feet that stay, m.
+    /// Hips forward of the feet, which stay in place, m.
     pub forward_m: f64,
-    /// Hips to the left over feet that stay, m.
+    /// Hips to the left of the feet, which stay in place, m.
     pub left_m: f64,
-    /// Trunk forward, rad.
+    /// Forward lean of the trunk, rad.
     pub lean_rad: f64,
-    /// Shoulders against hips, rad.
+    /// Rotation of the shoulders relative to the hips, rad.
     pub twist_rad: f64,
     /// Shoulder flexion (left, right), rad.
     pub shoulder_rad: [f64; 2],
@@ -52,7 +52,7 @@ impl Small {
         let (sine, cosine) = posture.heading_rad.sin_cos();
         posture.position_m[0] += self.forward_m * cosine - self.left_m * sine;
         posture.position_m[1] += self.forward_m * sine + self.left_m * cosine;
-        // Legs lean over feet that stay.
+        // The legs tilt, since the feet stay in place.
         let leg_m = build.thigh_m() + build.shank_m();
         let tilt_rad = self.forward_m / leg_m;
         posture.legs_left_rad -= self.left_m / leg_m;

@@ -1,5 +1,5 @@
-//! One person's motion: corners laid down by a script ([`MotionBuilder`]), smoothed by [`Track`]s, or the way of somebody who wanders
-//! (`wander.rs`), with gait and small motions on top.
+//! Motion of one person: a script's corners ([`MotionBuilder`]) smoothed by [`Track`]s, or the motion of a wandering
+//! person (`wander.rs`). Gait and small motions are added.
 
 mod builder;
 
@@ -18,7 +18,7 @@ pub use builder::{Bed, MotionBuilder};
 /// A person's motion over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Person who moves.
+    /// Person that moves.
     pub person: Person,
     x: Track,
     y: Track,
@@ -26,43 +26,43 @@ pub struct Motion {
     phase: Track,
     vigour: Track,
     sit: Track,
-    /// Heights of seats, m, each from a time on.
+    /// Heights of seats, m, each with the time from which it holds.
     seats: Vec<(f64, f64)>,
-    /// Steps on the spot.
+    /// Intensity of steps on the spot.
     march: Track,
-    /// Down on planted feet, and from there to lying.
+    /// Fraction of the descent into a crouch, and fraction of the motion from there to lying.
     low: Track,
     lie: Track,
-    /// Places to go down to, each from a time on.
+    /// Crouches and places to lie, each with the time from which it holds.
     lows: Vec<(f64, Low)>,
-    /// Instead of the tracks.
+    /// Source of the motion that replaces the tracks.
     wanderer: Option<Wanderer>,
-    /// Nobody is there before this, s.
+    /// Time from which the person is present, s.
     pub start_s: f64,
-    /// Nor after this, s.
+    /// Time until which the person is present, s.
     pub end_s: f64,
 }
 
-/// Place to which somebody goes down.
+/// Crouch, and place to lie after it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Low {
     crouch: Crouch,
     lying: Option<Lying>,
 }
 
-/// Value that holds at a time, of values that each hold from a time on; the first one before all.
+/// Returns the value that holds at a time. Each value holds from a time on; the first one also holds before.
 fn latest<T: Copy>(all: &[(f64, T)], time_s: f64) -> Option<T> {
     let past = all.partition_point(|(from_s, _)| *from_s <= time_s);
     all.get(past.saturating_sub(1)).map(|(_, what)| *what)
 }
 
 impl Motion {
-    /// Whether there is anybody at a time.
+    /// Whether the person is present at a time.
     pub fn exists(&self, time_s: f64) -> bool {
         time_s >= self.start_s && time_s <= self.end_s
     }
 
-    /// The motion of somebody who wanders and is there all the time.
+    /// Makes the motion of a wandering person that is present all the time.
     pub(crate) fn wandering(person: Person, wanderer: Wanderer) -> Self {
         let mut motion = MotionBuilder::new(person, f64::NEG_INFINITY, [0.0; 2], 0.0).stay();
         motion.wanderer = Some(wanderer);
@@ -90,12 +90,12 @@ impl Motion {
         }
     }
 
-    /// Joint angles and place at a time.
+    /// Joint angles and position at a time.
     pub fn posture(&self, time_s: f64) -> Posture {
         let build = &self.person.build;
         let moment = self.moment(time_s);
         let Moment { heading_rad, phase, sit, march, low, lie, .. } = moment;
-        // What walks by a clip stands here.
+        // A person that walks by a clip or as an actor stands here.
         let vigour = if matches!(self.person.steps, Steps::Gait) { moment.vigour.max(0.0) } else { 0.0 };
         let (forward, left) = gait::sway(phase, vigour);
         let (sway_x, sway_y) = self.person.sway_m(time_s);
@@ -108,7 +108,7 @@ impl Motion {
             position_m: [x, y],
             heading_rad,
             hip_height_m: standing + (seated - standing) * sit,
-            // Getting up and sitting down go through a bow.
+            // The trunk bows when the person stands up or sits down.
             lean_rad: 0.02 + sit * -0.06 + 0.5 * smooth_step(4.0 * sit * (1.0 - sit) * 2.0 - 1.0),
             pelvis_rad: 0.0,
             twist_rad: 0.0,
@@ -129,7 +129,7 @@ impl Motion {
             crouch.lower(build, low, &mut posture);
             if let (true, Some(lying)) = (lie > 0.0, moment.lying) {
                 lying.lower(build, lie, &mut posture);
-                // Arms move on a bed, trunks rest.
+                // On a bed, arms move and the trunk rests.
                 (lean, twist) = (lean * (1.0 - lie), twist * (1.0 - lie));
             }
         }
@@ -150,14 +150,14 @@ impl Motion {
         posture
     }
 
-    /// Place and steps at a time.
+    /// Position and phase of the steps at a time.
     pub fn walk(&self, time_s: f64) -> Walk {
         let (sway_x, sway_y) = self.person.sway_m(time_s);
         let Moment { position_m: [x, y], heading_rad, phase, vigour, .. } = self.moment(time_s);
         Walk { position_m: [x + sway_x, y + sway_y], heading_rad, phase, vigour: vigour.clamp(0.0, 1.0) }
     }
 
-    /// The body at a time; of an actor from a file, ellipsoids about its parts.
+    /// Returns the ellipsoids of the body at a time. For an actor from a file they surround its parts.
     pub fn body(&self, time_s: f64) -> [Ellipsoid; super::body::SEGMENTS] {
         let build = &self.person.build;
         match &self.person.steps {

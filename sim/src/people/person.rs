@@ -1,4 +1,4 @@
-//! Draws that belong to a person, whatever they do: body, clothes, small motions and style of walking.
+//! Random properties of a person that do not depend on the motion: body, clothes, small motions and walking style.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -13,29 +13,29 @@ use super::imported::Actor;
 use crate::random::{Purpose, draw, generator};
 use crate::scene_file::PeopleFile;
 
-/// Fidgets happen at most once in an epoch of this length, s.
+/// Interval in which at most one fidget happens, s.
 const FIDGET_EPOCH_S: f64 = 5.0;
 
 /// Source of a person's steps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum Steps {
-    /// The gait of [`super::gait`].
+    /// The built-in gait ([`super::gait`]).
     #[default]
     Gait,
     /// A captured clip, on the parametric body.
     Clip(Arc<BodyClip>),
-    /// An actor from a file, with a body of its own.
+    /// An actor from a file, with its own body.
     Actor(Arc<Actor>),
 }
 
-/// Draws that belong to a person, whatever they do.
+/// Random properties of a person that do not depend on the motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Person {
-    /// Size.
+    /// Size of the body.
     pub build: Build,
-    /// Identity for later draws.
+    /// Key for later random draws.
     pub identity: [u64; 2],
-    /// Amplitude factor of each segment: clothes (-4..+2 dB over skin).
+    /// Amplitude factor of each segment for clothes (-4..+2 dB relative to skin).
     pub cloth: [f64; SEGMENTS],
     seed: u64,
     breath_m: f64,
@@ -44,46 +44,47 @@ pub struct Person {
     heart_hz: f64,
     sway_m: f64,
     phases: [f64; 6],
-    /// Probability of a fidget in an epoch.
+    /// Probability of a fidget in one interval of `FIDGET_EPOCH_S`.
     pub fidget_probability: f64,
-    /// Further draws of a person at a desk; `None` elsewhere.
+    /// Further properties of a person at a desk; `None` elsewhere.
     pub at_desk: Option<AtDesk>,
-    /// Their way of making steps.
+    /// Source of the steps.
     pub steps: Steps,
-    /// Style of walking by the built-in gait.
+    /// Walking style for the built-in gait.
     pub style: Style,
 }
 
-/// Draws of a person close before the radar.
+/// Properties of a person that sits close to the radar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AtDesk {
     /// Amplitude of the double bounce relative to the direct echo; 0 for none.
     pub double_bounce: f64,
-    /// Length of one way that it is longer than twice the direct one, m.
+    /// Excess of the double bounce's one-way length over twice the direct one, m.
     pub double_bounce_offset_m: f64,
-    /// Shoulders, arms, lap.
+    /// Scattering points of shoulders, arms and lap.
     pub points: Vec<BodyPoint>,
     /// Loss of the points for each metre behind the chest, dB.
     pub point_decay_db_per_m: f64,
-    /// Shoulder and elbow flexion over that of sitting, rad: `[left, right]`.
+    /// Shoulder and elbow flexion added to those of sitting, rad: `[left, right]`.
     pub arms_rad: [(f64, f64); 2],
-    /// Lean over that of sitting, rad.
+    /// Lean added to that of sitting, rad.
     pub lean_rad: f64,
 }
 
-/// A point that scatters, fixed to the chest.
+/// A scattering point fixed to the chest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BodyPoint {
-    /// Place in units of the chest's semi-axes (forward, left, up): its forward part breathes with the chest.
+    /// Position in units of the chest's semi-axes (forward, left, up). Breath moves its forward component with the
+    /// chest.
     pub place: DVec3,
-    /// Square root of cross-section over 4 pi, m.
+    /// Square root of the radar cross-section over 4 pi, m.
     pub scatter_m: f64,
-    /// Detour of its echo, as a length of one way, m.
+    /// Detour of the point's echo, as a one-way length, m.
     pub detour_m: f64,
 }
 
 impl Person {
-    /// A person drawn from (seed, identity).
+    /// Draws a person from a seed and an identity.
     pub fn draw(seed: u64, identity: [u64; 2], height_m: f64) -> Self {
         let mut rng = generator(seed, Purpose::Build, identity);
         let build = Build { height_m, girth: rng.random_range(0.88..1.15) };
@@ -107,14 +108,14 @@ impl Person {
         }
     }
 
-    /// Slow breath as of somebody who sits, and half the sway: the back rests.
+    /// Sets the slow breath of a sitting person, and reduces the sway, since the back is supported.
     pub fn at_ease(&mut self) {
         let mut rng = generator(self.seed, Purpose::MicroMotion, [self.identity[0], self.identity[1] | 1 << 40]);
         self.breath_hz = rng.random_range(0.15..0.35);
         self.sway_m *= rng.random_range(0.2..0.7);
     }
 
-    /// Chest surface outward of its mean, m: breath peak to peak 4..12 mm, heart 0.2..0.5 mm.
+    /// Chest surface outward of its mean, m: breath 4..12 mm peak to peak, heart 0.2..0.5 mm.
     pub(super) fn chest_m(&self, t: f64) -> f64 {
         let breath = TAU * self.breath_hz * t + self.phases[0];
         let heart = TAU * self.heart_hz * t + self.phases[1];
@@ -122,7 +123,7 @@ impl Person {
         0.5 * self.breath_m * (breath.sin() + 0.15 * (2.0 * breath).cos()) + self.heart_m * beat
     }
 
-    /// Slow sway, m.
+    /// Slow sway at a time, m.
     pub(super) fn sway_m(&self, t: f64) -> (f64, f64) {
         let wave = |hz: f64, phase: f64| (TAU * hz * t + phase).sin();
         let p = &self.phases;
@@ -132,7 +133,7 @@ impl Person {
         )
     }
 
-    /// Arms and trunk now and then: (side, arm flexion, lean, twist).
+    /// Occasional movement of an arm and the trunk: (side, arm flexion, lean, twist).
     pub(super) fn fidget(&self, t: f64) -> (usize, f64, f64, f64) {
         let epoch = (t / FIDGET_EPOCH_S).floor();
         let index = [self.identity[0] << 32 | self.identity[1], (epoch + 1e6).max(0.0) as u64];

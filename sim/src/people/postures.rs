@@ -1,43 +1,44 @@
-//! Squatting, sitting down and lying: postures that are not walking.
+//! Squatting, sitting down and lying: postures other than walking.
 //!
-//! Who goes down keeps both feet where they are: the knees bend by a smooth course, and hips and ankles follow from that and from
-//! how far the hips go back. A knee is what is bent rather than how high the hips are, since a straight leg has no rate at which
-//! its knee bends when the hips begin to sink.
+//! Both feet stay in place when a person goes down. The knee flexion follows a smooth function of time. Hips and ankles
+//! follow from it and from the backward motion of the hips. The knee flexion is prescribed rather than the hip height:
+//! for a straight leg, the knee's rate is not finite when the hips begin to sink.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::body::{Build, Posture};
 
-/// Hips of somebody who sits are so much higher than the seat, m.
+/// Height of the hips over the seat when sitting, m.
 pub const HIPS_OVER_SEAT_M: f64 = 0.09;
-/// Hips of somebody who squats all the way are so far behind the ankles, as a part of the body's height.
+/// Distance of the hips behind the ankles in a full squat, as a part of the body's height.
 const SQUAT_BACK: f64 = 0.10;
-/// Lean of a squat over how far the head sinks as a part of the body's height, rad.
+/// Lean of a squat divided by the sinking of the head as a part of the body's height, rad.
 const SQUAT_LEAN_RAD: f64 = 1.8;
-/// Deepest squat as a part of the body's height: calves meet thighs.
+/// Deepest squat as a part of the body's height: the calves meet the thighs.
 pub const DEEPEST_SQUAT: f64 = 0.36;
-/// Lean of somebody upright, rad.
+/// Lean of a standing person, rad.
 const UPRIGHT_LEAN_RAD: f64 = 0.02;
-/// From the hips up to the middle of the head, and its place before the neck's axis.
+/// Height of the middle of the head over the hips, as a part of the body's height, and its distance before the neck's
+/// axis.
 const HEAD_UP: f64 = 0.288 + 0.108;
 const HEAD_AHEAD_M: f64 = 0.01;
 
-/// A way down on feet that stay, to where hips and arms are at its end.
+/// A descent on feet that stay in place, given by the hips and arms at its end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crouch {
-    /// Knee flexion at its end, rad.
+    /// Knee flexion at the end, rad.
     pub knee_rad: f64,
-    /// Hips behind the ankles at its end, m.
+    /// Distance of the hips behind the ankles at the end, m.
     pub back_m: f64,
-    /// Trunk forward at its end, rad.
+    /// Forward lean of the trunk at the end, rad.
     pub lean_rad: f64,
-    /// Most that the trunk bows forward on the way beside that, rad.
+    /// Largest additional forward lean of the trunk during the descent, rad.
     pub bow_rad: f64,
-    /// Shoulder and elbow flexion at its end, rad.
+    /// Shoulder and elbow flexion at the end, rad.
     pub arm_rad: [f64; 2],
 }
 
-/// Legs on the way down.
+/// State of the legs during the descent.
 struct Legs {
     hip_height_m: f64,
     back_m: f64,
@@ -47,26 +48,26 @@ struct Legs {
 }
 
 impl Crouch {
-    /// A squat by which the head sinks so far, m; no deeper than legs fold.
+    /// A squat in which the head sinks by `depth_m`. The depth is limited by the folding of the legs.
     pub fn squat(build: &Build, depth_m: f64) -> Self {
         let depth = (depth_m / build.height_m).clamp(0.0, DEEPEST_SQUAT);
         let lean_rad = UPRIGHT_LEAN_RAD + SQUAT_LEAN_RAD * depth;
         let head_m = |lean: f64| HEAD_UP * build.height_m * lean.cos() - HEAD_AHEAD_M * lean.sin();
-        // What leaning does not do the hips have to.
+        // The hips sink by the part that the lean does not provide.
         let hips = build.standing_hip_height_m() - depth * build.height_m + head_m(UPRIGHT_LEAN_RAD) - head_m(lean_rad);
-        // Shallow squats go less far back.
+        // The hips move back less in shallow squats.
         let back_m = SQUAT_BACK * build.height_m * (depth / 0.25).min(1.0);
         let knee_rad = knee_for(build, hips, back_m);
         Crouch { knee_rad, back_m, lean_rad, bow_rad: 0.0, arm_rad: [0.7, 0.5] }
     }
 
-    /// Sitting down on a seat so high, with hips so far behind the feet, m.
+    /// Sitting down on a seat of this height, with the hips this far behind the feet, m.
     pub fn sit(build: &Build, seat_height_m: f64, back_m: f64) -> Self {
         let knee_rad = knee_for(build, seat_height_m + HIPS_OVER_SEAT_M, back_m);
         Crouch { knee_rad, back_m, lean_rad: UPRIGHT_LEAN_RAD - 0.06, bow_rad: 0.5, arm_rad: [0.40, 1.15] }
     }
 
-    /// Distance of the hips behind their place before, m, at a part of the way down.
+    /// Distance of the hips behind their standing position, m, at a fraction of the descent.
     pub fn back_at(&self, part: f64) -> f64 {
         self.back_m * part
     }
@@ -77,12 +78,12 @@ impl Crouch {
         let (sine, cosine) = knee_rad.sin_cos();
         let reach = (thigh * thigh + shank * shank + 2.0 * thigh * shank * cosine).sqrt();
         let up = (reach * reach - back_m * back_m).max(0.0).sqrt();
-        // The line from hip to ankle leads forward, and the thigh is ahead of that.
+        // The line from hip to ankle points forward, and the thigh is ahead of that line.
         let hip_rad = back_m.atan2(up) + (shank * sine).atan2(thigh + shank * cosine);
         Legs { hip_height_m: build.ankle_height_m() + up, back_m, hip_rad, knee_rad, ankle_rad: knee_rad - hip_rad }
     }
 
-    /// Takes a posture that stands a part of the way down.
+    /// Lowers a standing posture by a fraction of the descent.
     pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
         let legs = self.legs(build, part);
         let (sine, cosine) = posture.heading_rad.sin_cos();
@@ -101,7 +102,7 @@ impl Crouch {
     }
 }
 
-/// Knee flexion of legs whose ankles are on the floor so far ahead of hips so high, rad.
+/// Knee flexion, rad, for which the hips are at a height and behind ankles that stand on the floor.
 fn knee_for(build: &Build, hip_height_m: f64, back_m: f64) -> f64 {
     let (thigh, shank) = (build.thigh_m(), build.shank_m());
     let up = hip_height_m - build.ankle_height_m();
@@ -109,24 +110,25 @@ fn knee_for(build: &Build, hip_height_m: f64, back_m: f64) -> f64 {
     cosine.clamp(-0.95, 1.0).acos()
 }
 
-/// Place at which somebody lies on the back.
+/// Place at which a person lies on the back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lying {
     /// Middle of the hips on the ground plan, m.
     pub position_m: [f64; 2],
-    /// Height of what one lies on, m.
+    /// Height of the lying surface, m.
     pub height_m: f64,
 }
 
 impl Lying {
-    /// Takes a posture that sits a part of the way down to lying. The heading is the motion's to turn: feet point there.
+    /// Moves a sitting posture by a fraction towards lying. The caller turns the heading, which is the direction of the
+    /// feet.
     pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
         let towards = |value: &mut f64, end: f64| *value += part * (end - *value);
         for (value, end) in posture.position_m.iter_mut().zip(self.position_m) {
             towards(value, end);
         }
         towards(&mut posture.hip_height_m, self.height_m + 0.11 * build.girth);
-        // A pillow lifts the trunk a little.
+        // A pillow raises the trunk a little.
         towards(&mut posture.lean_rad, 0.12 - FRAC_PI_2);
         towards(&mut posture.pelvis_rad, -FRAC_PI_2);
         for side in 0..2 {
@@ -158,7 +160,7 @@ mod tests {
         posture
     }
 
-    /// Ankles and soles stay where they are, all the way down.
+    /// Ankles and soles stay in place during the whole descent.
     #[test]
     fn feet_stay_on_their_places() {
         for build in BUILDS {
@@ -184,7 +186,7 @@ mod tests {
                 assert!((head(0.0) - head(1.0) - depth_m).abs() < 1e-9, "{} m", head(0.0) - head(1.0));
                 let falls = (0..20).map(|i| head(f64::from(i) / 20.0) - head(f64::from(i + 1) / 20.0));
                 assert!(falls.into_iter().all(|fall| fall > 0.0), "down all the way");
-                // Heads, chests and pelvises together over the feet's length.
+                // The centre of the body's volume lies over the length of the feet.
                 let all = build.segments(&low(&build, &Crouch::squat(&build, depth_m), 1.0));
                 let volume = |i: usize| all[i].semi_axes_m.x * all[i].semi_axes_m.y * all[i].semi_axes_m.z;
                 let total: f64 = (0..all.len()).map(volume).sum();

@@ -1,5 +1,5 @@
-//! The mesh of an actor from a file made fit for a surface integral: one vertex where textures have seams, no edge of more than
-//! two triangles, and edges short enough that what curves between them is a cubic.
+//! Refinement of an actor's mesh for a surface integral: one vertex at texture seams, at most two triangles at an edge,
+//! and short edges. Edges are short enough that the surface between them is close to a cubic.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,36 +10,37 @@ use super::skin::{EDGE_M, Map};
 use crate::file_error::FileError;
 use crate::geometry::{Mesh, bulge, edges, one_ring_normals, split, weld};
 
-/// Edges longer than this are halved, m: a little over the target, so that those about it are left alone.
+/// Edges longer than this are halved, m. It is a little above the target, so that edges near the target are kept.
 const LONGEST_M: f64 = 1.4 * EDGE_M;
-/// Vertices nearer than this part of the mesh's size are one.
+/// Distance within which vertices are merged, as a part of the mesh's size.
 const WELD: f64 = 1e-5;
-/// Rounds of halving: from metres to millimetres.
+/// Largest number of halvings: from metres to millimetres.
 const ROUNDS: usize = 10;
-/// A halved edge's middle is moved onto the curve over it by no more than this part of its length: creases are none.
+/// Largest displacement of a halved edge's midpoint onto the curved surface, as a part of the edge's length. It
+/// protects creases.
 const MOST_BULGE: f64 = 0.1;
 
 /// A mesh whose vertices follow bones.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct BoundMesh {
-    /// Places in the skin's own frame.
+    /// Mesh in the skin's own frame.
     pub mesh: Mesh,
-    /// By vertex, bones and weights that sum to one.
+    /// For each vertex, bones and weights that sum to one.
     pub weights: Vec<Vec<(usize, f64)>>,
-    /// Edges at which the surface ends.
+    /// Number of edges at which the surface ends.
     pub open_edges: usize,
-    /// Triangles that were left out: without area, or there twice.
+    /// Number of triangles that were left out: without area, or duplicates.
     pub dropped: usize,
 }
 
 impl BoundMesh {
-    /// Places of the vertices in a pose.
+    /// Returns the positions of the vertices in a pose.
     pub fn posed(&self, maps: &[Map]) -> Vec<DVec3> {
         self.mesh.vertices.iter().zip(&self.weights).map(|(&p, w)| follow(p, w, maps)).collect()
     }
 }
 
-/// Place of a vertex in a pose.
+/// Returns the position of a vertex in a pose.
 pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DVec3 {
     let at = |&(bone, weight): &(usize, f64)| {
         maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.stretch * place) * weight)
@@ -47,11 +48,11 @@ pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DV
     weights.iter().map(at).sum()
 }
 
-/// Welds, takes tangles apart and halves what is too long in a pose in metres.
+/// Welds vertices, separates non-manifold edges and halves edges that are too long in a pose in metres.
 pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[Map]) -> Result<BoundMesh, FileError> {
     let mut bound = welded(mesh, weights)?;
     untangle(&mut bound);
-    // What is inside out, or mirrored by a negative scale, is turned.
+    // A mesh that is inside out, or mirrored by a negative scale, is reversed.
     if (Mesh { vertices: bound.posed(pose), triangles: bound.mesh.triangles.clone() }).volume_m3() < 0.0 {
         bound.mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
@@ -80,7 +81,7 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
     let unit =
         Mesh { vertices: mesh.vertices.iter().map(|&v| (v - low) / size).collect(), triangles: mesh.triangles.clone() };
     let welded = weld(&unit, WELD).map_err(|e| FileError::new("skin", e.to_string(), "export the mesh again"))?;
-    // Which vertex each was, by the triangles that are left.
+    // Original index of each vertex, from the triangles that are left.
     let mut from = vec![0u32; welded.mesh.vertices.len()];
     for (triangle, &was) in welded.mesh.triangles.iter().zip(&welded.triangle_of) {
         let Some(before) = mesh.triangles.get(was as usize) else { continue };
@@ -93,7 +94,7 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
     let vertices = from.iter().filter_map(|&v| mesh.vertices.get(v as usize).copied()).collect();
     let weights = from.iter().filter_map(|&v| weights.get(v as usize).cloned()).collect();
     let mut bound = BoundMesh { mesh: Mesh { vertices, triangles: Vec::new() }, weights, ..BoundMesh::default() };
-    // Sheets drawn from either side are there twice.
+    // Double-sided sheets contain each triangle twice.
     let mut seen = BTreeSet::new();
     for &triangle in &welded.mesh.triangles {
         let mut corners = triangle;
@@ -109,7 +110,8 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
     Ok(bound)
 }
 
-/// Triangles at an edge of three or more, or at one of two that face different ways, get vertices of their own.
+/// Gives triangles vertices of their own at edges of three or more triangles, or of two triangles with different
+/// orientation.
 fn untangle(bound: &mut BoundMesh) {
     let mut tangled: BTreeSet<(u32, u32)> = BTreeSet::new();
     for edge in edges(&bound.mesh).iter().filter(|e| e.tangled) {
@@ -150,7 +152,7 @@ fn halve(bound: &mut BoundMesh, pose: &[Map]) -> bool {
         }
         let ends = [bound.mesh.vertices[p], bound.mesh.vertices[q]];
         let d = ends[1] - ends[0];
-        // Where the surface ends, straight.
+        // An edge at which the surface ends stays straight.
         let bulge = if edge.right.is_none() { DVec3::ZERO } else { bulge(ends, [normals[p], normals[q]]) };
         let bulge = bulge.clamp_length_max(MOST_BULGE * d.length());
         middles.insert((a.min(b), a.max(b)), bound.mesh.vertices.len() as u32);
@@ -189,7 +191,8 @@ mod tests {
         shape::icosphere(DVec3::splat(0.3), 2).mesh()
     }
 
-    /// A ball of 80 triangles of 16 cm becomes one of 2 cm, rounder than it was, still closed, every edge short.
+    /// A ball of 80 triangles with edges of 16 cm becomes one with edges of 2 cm. It is rounder than before and still
+    /// closed.
     #[test]
     fn coarse_triangles_become_fine_and_round() {
         let ball = ball();
@@ -209,7 +212,7 @@ mod tests {
     #[test]
     fn seams_are_closed_doubles_dropped_and_tangles_taken_apart() {
         let ball = ball();
-        // Every triangle with vertices of its own, the first twice, and a fin at an edge.
+        // Every triangle has vertices of its own. The first triangle exists twice, and one edge has a third triangle.
         let mut soup = Mesh::default();
         for t in 0..ball.triangles.len() {
             let first = soup.vertices.len() as u32;

@@ -1,8 +1,8 @@
-//! A skeleton with a skin and clips, as files of any format state it: nodes in a tree, joints among them, vertices that follow
-//! joints by weights, and tracks of the nodes' local transforms over time.
+//! A skeleton with a skin and clips, independent of the file format: a tree of nodes, of which some are joints,
+//! vertices that follow joints by weights, and tracks of the nodes' local transforms over time.
 //!
-//! A vertex `p` is at `sum w_j G_j B_j p`, with `G_j` the joint's transform in the file's world and `B_j` its inverse bind matrix
-//! (glTF 2.0, section 3.7.3). All in the file's own unit and axes.
+//! A vertex `p` is at `sum w_j G_j B_j p`, with `G_j` the joint's transform in the file's world and `B_j` its inverse
+//! bind matrix (glTF 2.0, section 3.7.3). All quantities are in the file's own unit and axes.
 
 use std::ops::{Add, Mul};
 
@@ -12,14 +12,15 @@ use super::skin::Map;
 use crate::file_error::FileError;
 use crate::geometry::import::UpAxis;
 
-/// Weights of a vertex sum to one within this, or the file is damaged; exporters round to bytes.
+/// Largest deviation of a vertex's sum of weights from one; beyond it the file is damaged. Exporters round weights to
+/// bytes.
 const WEIGHT_TOLERANCE: f64 = 0.05;
-/// Remedy for what is damaged.
+/// Remedy for damaged files.
 const EXPORT: &str = "export it again from the program it was made with, applying all transforms";
 
-/// Nodes, and joints of all skins, at most: actors have a hundred.
+/// Upper limit of nodes, and of the joints of all skins. Actors have about a hundred.
 pub(super) const MOST_NODES: usize = 4096;
-/// Triangles of a skin at most: a frame's time goes with them.
+/// Upper limit of a skin's triangles. The time of a frame grows with their number.
 pub(super) const MOST_TRIANGLES: usize = 150_000;
 
 /// A skeleton with a skin and clips.
@@ -27,18 +28,18 @@ pub(super) const MOST_TRIANGLES: usize = 150_000;
 pub(super) struct Rig {
     pub nodes: Vec<Node>,
     pub joints: Vec<Joint>,
-    /// Places in the skin's own frame.
+    /// Positions in the skin's own frame.
     pub vertices: Vec<DVec3>,
-    /// By vertex, joints and weights.
+    /// For each vertex, joints and weights.
     pub weights: Vec<Vec<(usize, f64)>>,
     pub triangles: Vec<[u32; 3]>,
     pub clips: Vec<Clip>,
-    /// Metres in one of the file's unit.
+    /// Length of the file's unit in metres.
     pub metres: f64,
     pub up: UpAxis,
 }
 
-/// A place in the tree.
+/// A node of the tree.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Node {
     pub name: String,
@@ -46,7 +47,7 @@ pub(super) struct Node {
     pub local: Local,
 }
 
-/// A node's transform within its parent: scaled, turned, moved.
+/// Transform of a node within its parent: scale, rotation, translation, applied in this order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Local {
     pub translation: DVec3,
@@ -54,43 +55,43 @@ pub(super) struct Local {
     pub scale: DVec3,
 }
 
-/// A node that moves skin.
+/// A node that moves the skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Joint {
     pub node: usize,
-    /// From the skin's own frame into the joint's.
+    /// Transform from the skin's own frame into the joint's frame.
     pub inverse_bind: DMat4,
 }
 
-/// Tracks over time.
+/// A named set of tracks over time.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Clip {
     pub name: String,
     pub tracks: Vec<Track>,
 }
 
-/// One part of one node's transform over time.
+/// One component of one node's transform over time.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Track {
     pub node: usize,
     pub between: Between,
-    /// Ascending, s.
+    /// Times of the keyframes, ascending, s.
     pub times_s: Vec<f64>,
     pub values: Values,
 }
 
-/// Interpolation between keys.
+/// Interpolation between keyframes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Between {
-    /// The earlier key's.
+    /// The value of the earlier keyframe.
     Step,
-    /// On the straight line, or the great arc.
+    /// Linear, or on the great arc for rotations.
     Linear,
-    /// Hermite's cubic: three values a key, of which the first and last are tangents.
+    /// Hermite's cubic: three values for each keyframe, of which the first and last are tangents.
     Cubic,
 }
 
-/// Values at the keys.
+/// Values at the keyframes.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Values {
     Translation(Vec<DVec3>),
@@ -110,13 +111,13 @@ impl Local {
 }
 
 impl Clip {
-    /// First and last key of all tracks, s; `None` without any.
+    /// Times of the first and last keyframe of all tracks, s; `None` without keyframes.
     pub fn span_s(&self) -> Option<[f64; 2]> {
         let ends = self.tracks.iter().filter_map(|t| Some([*t.times_s.first()?, *t.times_s.last()?]));
         ends.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 
-    /// Least distance of the keys of a track, s: over it, the clip has nothing to say.
+    /// Least mean interval between the keyframes of a track, s. The clip has no detail on shorter times.
     pub fn key_s(&self) -> f64 {
         let gap = |t: &Track| {
             let span = t.times_s.last()? - t.times_s.first()?;
@@ -127,7 +128,8 @@ impl Clip {
 }
 
 impl Track {
-    /// Key before a time, and how far it is to the next; at the ends, the end's.
+    /// Returns the keyframe before a time, and the fraction of the interval to the next one. Times outside the track
+    /// give its ends.
     fn place(&self, time_s: f64) -> (usize, f64) {
         let after = self.times_s.partition_point(|&t| t <= time_s);
         let last = self.times_s.len().saturating_sub(1);
@@ -139,7 +141,7 @@ impl Track {
         (before, if b > a { ((time_s - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 })
     }
 
-    /// Value at a time; `between` goes a part of the way from one key's to the next one's.
+    /// Value at a time. `between` interpolates from one keyframe's value to the next one's by a fraction.
     fn value<T>(&self, values: &[T], time_s: f64, between: impl Fn(T, T, f64) -> T) -> Option<T>
     where
         T: Copy + Add<Output = T> + Mul<f64, Output = T>,
@@ -159,7 +161,7 @@ impl Track {
         })
     }
 
-    /// Weights of the value and tangent at the key, and at the next.
+    /// Weights of the value and tangent at the keyframe, and at the next one.
     fn hermite(&self, key: usize, u: f64) -> [f64; 4] {
         let step_s = self.times_s.get(key + 1).map_or(0.0, |b| b - self.times_s[key]);
         let (u2, u3) = (u * u, u * u * u);
@@ -168,7 +170,7 @@ impl Track {
 }
 
 impl Rig {
-    /// Refuses what cannot be posed; brings weights to a sum of one.
+    /// Checks that the rig can be posed, and scales weights to a sum of one.
     ///
     /// # Errors
     /// [`FileError`] for the first part that is out of range or too large.
@@ -180,7 +182,7 @@ impl Rig {
         self.check_clips()
     }
 
-    /// Refuses a file without a skin, and more of anything than a person needs.
+    /// Refuses files without a skin, and files with many more elements than a person needs.
     fn check_sizes(&self) -> Result<(), FileError> {
         if self.joints.is_empty() || self.vertices.is_empty() {
             let hint = "export a mesh that is bound to an armature, with the option for skinning";
@@ -190,7 +192,7 @@ impl Rig {
         if triangles == 0 {
             return Err(FileError::new("skin", "the skinned mesh has no triangle", EXPORT));
         }
-        // Seams have a vertex for each side: corners are never fewer than vertices that are used.
+        // Seams have a vertex for each side. A mesh has at least as many corners as used vertices.
         if triangles > MOST_TRIANGLES || vertices > 3 * MOST_TRIANGLES {
             let problem = format!(
                 "it has {triangles} triangles and {vertices} vertices, expected {MOST_TRIANGLES} triangles at most"
@@ -205,7 +207,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Refuses vertices without a place and triangles without a vertex.
+    /// Refuses vertices without a finite position and triangles with missing vertices.
     fn check_skin(&self) -> Result<(), FileError> {
         if let Some(i) = self.vertices.iter().position(|v| !v.is_finite()) {
             let problem = format!("vertex {i} is at {}, expected finite numbers", self.vertices[i]);
@@ -220,7 +222,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Refuses nodes that cannot be placed and joints whose skin cannot.
+    /// Refuses nodes that cannot be placed, and joints whose skin cannot be placed.
     fn check_skeleton(&self) -> Result<(), FileError> {
         for (i, node) in self.nodes.iter().enumerate() {
             let place = format!("node {:?}", node.name);
@@ -254,7 +256,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Brings the weights of every vertex to a sum of one.
+    /// Scales the weights of every vertex to a sum of one.
     fn normalise_weights(&mut self) -> Result<(), FileError> {
         for (v, weights) in self.weights.iter_mut().enumerate() {
             let place = || format!("weights of vertex {v}");
@@ -295,7 +297,7 @@ impl Rig {
                 if !ascending || !track.times_s.iter().all(|t| t.is_finite()) {
                     return Err(FileError::new(place, "key times do not ascend", hint));
                 }
-                // A key's rotation that is none could not be normalised; tangents may be anything.
+                // A keyframe's rotation of length zero cannot be normalised. Tangents may have any value.
                 let key = |i: usize| if track.between == Between::Cubic { i % 3 == 1 } else { true };
                 let turned = match &track.values {
                     Values::Rotation(q) => q.iter().enumerate().all(|(i, q)| !key(i) || q.length() > 1e-6),
@@ -311,7 +313,7 @@ impl Rig {
         Ok(())
     }
 
-    /// The nodes' transforms at a time of a clip.
+    /// Returns the nodes' transforms at a time of a clip.
     pub fn locals(&self, clip: &Clip, time_s: f64) -> Vec<Local> {
         let mut locals: Vec<Local> = self.nodes.iter().map(|n| n.local).collect();
         for track in &clip.tracks {
@@ -330,7 +332,7 @@ impl Rig {
         locals
     }
 
-    /// Places of the joints in the file's world, and the maps from the skin's own frame.
+    /// Returns the joints' positions in the file's world, and the maps from the skin's own frame.
     pub fn pose(&self, locals: &[Local]) -> (Vec<DVec3>, Vec<Map>) {
         let mut world: Vec<DMat4> = Vec::with_capacity(locals.len());
         for (node, local) in self.nodes.iter().zip(locals) {
@@ -347,7 +349,7 @@ impl Rig {
     }
 }
 
-/// The mean of transforms: of rotations, that of their quaternions on one side.
+/// Mean of transforms. Quaternions are averaged with consistent signs.
 pub(super) fn mean(poses: &[Vec<Local>]) -> Vec<Local> {
     let Some(first) = poses.first() else { return Vec::new() };
     let over = 1.0 / poses.len() as f64;
@@ -374,7 +376,7 @@ mod tests {
         Track { node: 0, between, times_s: vec![0.0, 2.0], values }
     }
 
-    /// glTF 2.0, appendix C.
+    /// Interpolation follows glTF 2.0, appendix C.
     #[test]
     fn keys_are_joined_as_the_format_says() {
         let ends = || Values::Translation(vec![DVec3::ZERO, DVec3::X]);

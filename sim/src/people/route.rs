@@ -1,9 +1,9 @@
-//! Ways around furniture: the shortest one that keeps a distance from what stands in the room.
+//! Routes around furniture: the shortest route that keeps a distance from obstacles in the room.
 
 /// A box on the ground plan: low and high corner, m.
 pub(super) type Block = [[f64; 2]; 2];
 
-/// Corners of a way are so much farther off than asked, m: ways may run along blocks.
+/// Margin by which the corners of a route are farther off than requested, m. Routes may run along blocks.
 const BESIDE_M: f64 = 1e-6;
 
 /// Ground on which people may walk.
@@ -12,45 +12,47 @@ pub(crate) struct Ground {
     size_m: [f64; 2],
     blocks: Vec<Block>,
     keep_off_m: f64,
-    /// Whether some blocks are walls, which people pass closer by rather than go through.
+    /// Whether some blocks are walls. Rather than cross a wall, people pass closer to it.
     has_walls: bool,
 }
 
-/// Parts of the distance that ways keep off, one after another, where there are walls and no way is found farther off.
+/// Fractions of the keep-off distance. They are tried in this order if there are walls and no route is found farther
+/// off.
 const NEARER: [f64; 3] = [1.0, 0.5, 0.1];
 
 impl Ground {
-    /// A room with blocks, from which, as from the walls, hips keep so far.
+    /// A room with blocks. Hips keep a distance of `keep_off_m` from the blocks and from the room's walls.
     pub fn new(size_m: [f64; 2], blocks: Vec<Block>, keep_off_m: f64) -> Self {
         Ground { size_m, blocks, keep_off_m, has_walls: false }
     }
 
-    /// The same, some of whose blocks are walls: where no way keeps off as far as asked, ways lead closer by.
+    /// Marks some of the blocks as walls. Where no route keeps the requested distance, routes come closer.
     pub fn among_walls(self) -> Self {
         Ground { has_walls: true, ..self }
     }
 
-    /// Whether somebody may stand there.
+    /// Whether a person may stand at a position.
     pub fn is_free(&self, at: [f64; 2]) -> bool {
         let off_walls = (0..2).all(|i| at[i] >= self.keep_off_m && at[i] <= self.size_m[i] - self.keep_off_m);
         off_walls && self.blocks.iter().all(|block| distance_m(block, at) >= self.keep_off_m)
     }
 
-    /// Corners of a way between two places, the last one included. Near a block at which it begins or ends it keeps off only as
-    /// far as it can. Straight where there is no way around.
+    /// Returns the corners of a route between two positions, the last one included. The distance to a block is reduced
+    /// if the route begins or ends close to it. The route is straight if there is no way around.
     pub fn route(&self, from: [f64; 2], to: [f64; 2]) -> Vec<[f64; 2]> {
         let tries = if self.has_walls { NEARER.len() } else { 1 };
         let way = NEARER.iter().take(tries).find_map(|part| self.way(from, to, part * self.keep_off_m));
         way.unwrap_or_else(|| vec![to])
     }
 
-    /// A way that keeps so far off; `None` where there is none.
+    /// Returns a route with a given distance to the blocks; `None` if there is none.
     fn way(&self, from: [f64; 2], to: [f64; 2], keep_off_m: f64) -> Option<Vec<[f64; 2]>> {
         let kept: Vec<Block> = self
             .blocks
             .iter()
             .filter_map(|block| {
-                // Along the axes, as blocks are grown: ends beside a corner stay outside.
+                // The distance is taken along the axes, as blocks are grown, so that route ends near a corner stay
+                // outside.
                 let room = clearance_m(block, from).min(clearance_m(block, to));
                 let margin = keep_off_m.min(room - BESIDE_M);
                 (room > 0.0).then(|| grown(block, margin.max(0.0)))
@@ -64,13 +66,13 @@ impl Ground {
         for [low, high] in kept.iter().map(|block| grown(block, BESIDE_M)) {
             places.extend(
                 [[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]].into_iter().filter(|p| {
-                    // Bodies fit between walls and corners that are half as far.
+                    // Bodies fit between the room's walls and corners at half the distance.
                     let margin = 0.5 * keep_off_m;
                     (0..2).all(|i| p[i] >= margin && p[i] <= self.size_m[i] - margin)
                 }),
             );
         }
-        // Nobody comes to a corner within another block.
+        // A route has no corner within another block.
         let is_within = |[low, high]: &Block, at: &[f64; 2]| (0..2).all(|i| at[i] > low[i] && at[i] < high[i]);
         let mut number = 0;
         places.retain(|at| {
@@ -81,7 +83,8 @@ impl Ground {
     }
 }
 
-/// The shortest way from the first place to the second by others, if there is one: Dijkstra's.
+/// Returns the shortest route from the first position to the second through the others, if any, by Dijkstra's
+/// algorithm.
 fn shortest(places: &[[f64; 2]], open: impl Fn([f64; 2], [f64; 2]) -> bool) -> Option<Vec<[f64; 2]>> {
     let mut best = vec![(f64::INFINITY, 0usize); places.len()];
     let mut done = vec![false; places.len()];
@@ -123,17 +126,17 @@ fn off([low, high]: &Block, at: [f64; 2], axis: usize) -> f64 {
     (low[axis] - at[axis]).max(at[axis] - high[axis]).max(0.0)
 }
 
-/// From a block's edge, m; 0 within.
+/// Distance from a block's edge, m; 0 within.
 fn distance_m(block: &Block, at: [f64; 2]) -> f64 {
     off(block, at, 0).hypot(off(block, at, 1))
 }
 
-/// By how much a block could grow along both axes, m.
+/// Largest growth of a block along both axes that leaves a position outside, m.
 fn clearance_m(block: &Block, at: [f64; 2]) -> f64 {
     off(block, at, 0).max(off(block, at, 1))
 }
 
-/// Whether a straight way leads through the inside of a block.
+/// Whether a straight line crosses the inside of a block.
 fn crosses([low, high]: &Block, a: [f64; 2], b: [f64; 2]) -> bool {
     let (mut enters, mut leaves) = (0.0f64, 1.0f64);
     for i in 0..2 {
@@ -188,7 +191,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Off a corner by less than asked: the way still goes round the other block.
+        /// The route begins nearer to a corner than requested. It still goes around the other block.
         #[test]
         fn who_stands_by_a_corner_walks_around_the_rest() {
             let ground = Ground::new([6.0, 4.0], vec![[[3.0, 3.0], [3.5, 3.5]], [[0.0, 1.5], [2.2, 2.6]]], 0.3);
@@ -196,7 +199,7 @@ mod tests {
             assert!(way.len() > 1, "{way:?}");
         }
 
-        /// A walker who begins inside a block or in a niche gets out; a room cut in two is crossed straight.
+        /// A person that begins inside a block or in a niche gets out. A room cut in two is crossed straight.
         #[test]
         fn there_is_always_a_way() {
             let ground = ground();

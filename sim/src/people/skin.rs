@@ -1,10 +1,11 @@
-//! A person as one skin whose vertices follow bones. The parametric walker's is a closed smooth surface around bones and flesh,
-//! made once in a pose with limbs apart, whose bones are the thirteen ellipsoids of [`super::body`]; that of an actor from a file
-//! ([`super::imported`]) follows the file's joints.
+//! Skin of a person: one mesh whose vertices follow bones. The skin of the parametric walker is a closed smooth surface
+//! around the thirteen ellipsoids of [`super::body`]. It is made once in a pose with limbs apart. The skin of an actor
+//! from a file ([`super::imported`]) follows the file's joints.
 //!
-//! A vertex is a weighted mean of points, each of which moves with one bone: of the walker's, as the ellipsoid's own surface does
-//! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`), so that it takes part in gait, twist and breath alike. Its velocity is the
-//! same sum over the bones' rates, which come from the pose in f64 and never from differences of vertices.
+//! A vertex is a weighted mean of points, each of which moves with one bone. For the walker, a point moves like a point
+//! of the ellipsoid's own surface (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`). Its motion therefore includes
+//! gait, twist and breath. The velocity of a vertex is the same sum over the bones' rates. These come from the pose in
+//! f64 and never from differences of vertices.
 
 use glam::{DMat3, DVec3};
 
@@ -13,37 +14,38 @@ use crate::em::specular::Ellipsoid;
 use crate::geometry::{Edge, Mesh, Surface, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
 
-/// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
+/// Length of edges, m. A person of 1.75 m then has about 14000 triangles.
 pub const EDGE_M: f64 = 0.020;
-/// Parts blend into each other over about this, m.
+/// Scale of the blend between parts, m.
 const BLEND_M: f64 = 0.014;
-/// Parts farther than the nearest by this many times that blend by 1e-9.
+/// Distance beyond the nearest part, in units of [`BLEND_M`], at which another part contributes only 1e-9.
 const NEGLIGIBLE: f64 = 20.0;
-/// A segment moves skin up to this far from its own surface, m.
+/// Distance from its own surface up to which a segment moves the skin, m.
 const REACH_M: f64 = 0.085;
-/// Beyond this nothing of a part is left, neither skin nor what it moves, with all that blending brings nearer, m.
+/// Distance beyond which a part contributes neither to the surface nor to its motion, with blending taken into account,
+/// m.
 const FAR_M: f64 = 0.15;
-/// More parts than any body has.
+/// Upper limit of the number of parts; no body has as many.
 const MOST_PARTS: usize = 32;
-/// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
+/// Angles by which arms and legs are raised sideways in the rest pose, rad, so that they do not merge.
 const ARM_APART_RAD: f64 = 0.5;
 const LEG_APART_RAD: f64 = 0.10;
-/// Reach of a patch from where it began, m: over it a chirp's tones differ by a tenth of a cell.
+/// Largest distance in a patch from its first triangle, m. Over it the tones of a chirp differ by a tenth of a cell.
 const PATCH_M: f64 = 0.05;
 /// Radius of the thinnest limbs, m.
 const LIMB_RADIUS_M: f64 = 0.04;
-/// Rounds of averaging curvatures over neighbours.
+/// Iterations of averaging curvatures over neighbours.
 const CURVATURE_SMOOTHING: usize = 4;
 
-/// Flesh: where it is and which segment moves it.
+/// A solid part of the body, with the segment that moves it.
 #[derive(Debug, Clone, Copy)]
 enum Part {
     Ellipsoid(usize, Ellipsoid),
-    /// From one ball to another.
+    /// Rounded cone between two spheres: centres and radii.
     Cone(usize, [DVec3; 2], [f64; 2]),
 }
 
-/// A ball around a part, and a bound from below on how fast what [`Part::distance_m`] says grows with the distance from it.
+/// Bounding sphere of a part, and a lower bound of the slope of [`Part::distance_m`] with distance from it.
 #[derive(Debug, Clone, Copy)]
 struct Reach {
     centre: DVec3,
@@ -76,7 +78,7 @@ impl Part {
         }
     }
 
-    /// About the distance to the surface, m; negative inside.
+    /// Approximate distance to the surface, m; negative inside.
     fn distance_m(&self, p: DVec3) -> f64 {
         match self {
             Part::Ellipsoid(_, e) => {
@@ -94,8 +96,8 @@ impl Part {
     }
 }
 
-/// Distance to what is nearest of parts, less what the rest adds, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, the largest taken out.
-/// Of places that are [`FAR_M`] from all of them a bound from below.
+/// Smooth minimum of the distances to all parts, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, computed relative to the least
+/// distance. Farther than [`FAR_M`] from all parts, it is a lower bound.
 fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     let mut at_least_m = [f64::INFINITY; MOST_PARTS];
     let (mut nearest, mut nearest_m) = (0, f64::INFINITY);
@@ -107,7 +109,7 @@ fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     if nearest_m > FAR_M {
         return nearest_m - BLEND_M * (parts.len() as f64).ln();
     }
-    // What cannot matter beside the part that seems the nearest is passed over.
+    // Parts that are negligible relative to the seemingly nearest part are skipped.
     let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
     let (mut least, mut sum) = (f64::INFINITY, 0.0);
     for ((part, _), _) in parts.iter().zip(at_least_m).filter(|(_, at_least)| *at_least < farthest) {
@@ -122,8 +124,8 @@ fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     least - BLEND_M * f64::ln(sum)
 }
 
-/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units
-/// of the segment's semi-axes).
+/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in
+/// units of the segment's semi-axes).
 #[derive(Debug, Clone, PartialEq)]
 struct Binding {
     first: u32,
@@ -134,7 +136,7 @@ struct Binding {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
     rest: Mesh,
-    /// The segment of the body to which each bone belongs.
+    /// Segment of the body to which each bone belongs.
     segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
     bindings: Vec<Binding>,
@@ -143,39 +145,39 @@ pub struct Skin {
     narrowing: Vec<f32>,
 }
 
-/// Triangles that hang together: consecutive ones, no more than go side by side, nor their vertices.
+/// A connected set of consecutive triangles. Neither the triangles nor their vertices exceed the number of lanes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SkinPatch {
-    /// Their numbers.
+    /// Indices of the triangles.
     pub triangles: std::ops::Range<usize>,
-    /// Their vertices; the first again where there are fewer than lanes.
+    /// Indices of the vertices. Unused lanes repeat the first vertex.
     pub vertices: [u32; LANES],
-    /// Places of each triangle's corners in that list; all the same in lanes without a triangle.
+    /// Indices of each triangle's corners into `vertices`; all the same in lanes without a triangle.
     pub corners: [[usize; 3]; LANES],
 }
 
 /// An edge of a skin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SkinEdge {
-    /// Its vertices.
+    /// Indices of its vertices.
     pub vertices: [u32; 2],
-    /// The triangles on either side; the same twice where the surface ends.
+    /// Triangles on either side; the same index twice where the surface ends.
     pub triangles: [u32; 2],
 }
 
-/// A skin at one time.
+/// Pose of a skin at one time, for a surface integral.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PosedSkin {
     /// Positions of the vertices, m.
     pub vertices: Vec<DVec3>,
-    /// Their velocities, m/s.
+    /// Velocities of the vertices, m/s.
     pub velocities_m_per_s: Vec<DVec3>,
-    /// Unit normals there.
+    /// Unit normals at the vertices.
     pub normals: Vec<DVec3>,
 }
 
 impl Skin {
-    /// The skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
+    /// Makes the skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
     pub fn new(build: &Build, edge_m: f64) -> Self {
         let segments = apart(build);
         let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
@@ -204,8 +206,9 @@ impl Skin {
         skin
     }
 
-    /// A skin of a mesh in a rest pose, every edge with one triangle or two. Of each vertex, what moves it: bone, weight, and
-    /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
+    /// Makes a skin from a mesh in a rest pose, every edge with one triangle or two. `bound` states for each vertex the
+    /// bones, their weights and the point in each bone's frame; weights sum to one. `segment_of` states the body
+    /// segment of each bone.
     pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
         let (mut skin, from) = Skin::unbound(rest, segment_of);
         for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
@@ -215,7 +218,7 @@ impl Skin {
         skin
     }
 
-    /// A skin of a mesh that follows no bone yet, and of each of its vertices, which it was.
+    /// Makes a skin of a mesh without bindings to bones. Also returns the original index of each of its vertices.
     fn unbound(mesh: &Mesh, segment_of: Vec<usize>) -> (Self, Vec<u32>) {
         let (rest, patches, from) = in_patch_order(mesh);
         let edges = skin_edges(&rest);
@@ -224,7 +227,7 @@ impl Skin {
         (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, from)
     }
 
-    /// A body that keeps its shape and its place, and its pose.
+    /// Makes the skin of a rigid body at a fixed position, and its pose.
     pub(crate) fn still(surface: &Surface) -> (Self, PosedSkin) {
         let (skin, from) = Skin::unbound(&surface.mesh(), Vec::new());
         let posed = PosedSkin {
@@ -235,28 +238,28 @@ impl Skin {
         (skin, posed)
     }
 
-    /// The mesh in its rest pose, over the origin, facing +x.
+    /// Mesh in its rest pose, over the origin, facing +x.
     pub fn rest(&self) -> &Mesh {
         &self.rest
     }
 
-    /// The edges.
+    /// Edges of the skin.
     pub fn edges(&self) -> &[SkinEdge] {
         &self.edges
     }
 
-    /// Small connected patches of triangles, which together are all of them.
+    /// Small connected patches, which together contain every triangle.
     pub fn patches(&self) -> &[SkinPatch] {
         &self.patches
     }
 
-    /// By vertex, how much narrower than on the thinnest limb the surface around a specular point is that matters, as angles: phase
-    /// grows with the radius of curvature times the angle's square.
+    /// Factor by which the relevant region around a specular point is narrower, as an angle, than on the thinnest limb;
+    /// by vertex. Phase grows with the radius of curvature times the square of the angle.
     pub fn narrowing(&self) -> &[f32] {
         &self.narrowing
     }
 
-    /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
+    /// Returns a quantity of the segments for each vertex, weighted as the vertex follows the segments.
     pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
         let of_bone: Vec<f64> = self.segment_of.iter().map(|&s| of_segment[s]).collect();
         self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_bone[s]).sum()).collect()
@@ -267,7 +270,7 @@ impl Skin {
         self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
     }
 
-    /// Vertices for a pose of the bones; their velocities for its rate.
+    /// Returns the vertices for a pose of the bones, or their velocities for its rate.
     pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
         self.bindings.iter().map(|b| self.follow(b, maps)).collect()
     }
@@ -279,7 +282,7 @@ impl Skin {
     }
 }
 
-/// The square root of every vertex's least radius of curvature, smoothed, over that of a thin limb.
+/// Square root of every vertex's least radius of curvature, smoothed, relative to that of a thin limb.
 fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
     let normals = one_ring_normals(&mesh.vertices, &mesh.triangles);
     let mut curvatures = vec![0f64; mesh.vertices.len()];
@@ -309,8 +312,8 @@ fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
     edges(mesh).iter().map(edge).collect()
 }
 
-/// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
-/// together in memory. And of every vertex, which it was.
+/// Returns the mesh with triangles sorted by patch and vertices in order of use, so that each patch is contiguous in
+/// memory. Also returns the patches, and the original index of every vertex.
 fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
     let numbers_of = patches(mesh, &skin_edges(mesh));
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
@@ -352,8 +355,8 @@ impl SkinPatch {
     }
 }
 
-/// Patches of triangles that hang together: each begins where the fewest neighbours are left and takes what is nearest to its
-/// middle, until it is full or reaches [`PATCH_M`] from where it began.
+/// Groups triangles into connected patches. Each patch begins at the triangle with the fewest free neighbours and adds
+/// the triangle nearest to its centre. It ends when it is full or reaches [`PATCH_M`] from its beginning.
 fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     let mut beside: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
     for edge in edges {
@@ -368,7 +371,8 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     while let Some(start) = {
         let free =
             |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
-        // On the rim of what is done, where a triangle left behind would be alone; else anywhere.
+        // The next patch begins at the rim of finished patches, where a triangle could be left isolated; otherwise
+        // anywhere.
         let least = rim.iter().copied().min_by_key(|&t| (free(&patches, t), t));
         least.or_else(|| (beginning..patches.len() as u32).find(|&t| patches[t as usize] == u32::MAX))
     } {
@@ -385,7 +389,7 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
             };
             let around = members.iter().flat_map(|&t| &beside[t as usize]);
             let near = around.filter(|&&t| patches[t as usize] == u32::MAX && fits(t));
-            // Those that would be left alone come first.
+            // Triangles that would be left isolated come first.
             let alone = |t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
             let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * alone(t) as f64);
             let Some(&next) = near.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b))) else { break };
@@ -402,7 +406,7 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     patches
 }
 
-/// From a bone's own frame (of an ellipsoid: the unit sphere) to where it is; or the rate of that.
+/// Map from a bone's own frame (for an ellipsoid, the unit sphere) to the room; or the rate of such a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Map {
     pub(super) centre: DVec3,
@@ -420,7 +424,7 @@ impl Map {
 }
 
 impl Map {
-    /// Map that adds nothing.
+    /// Zero map, which adds nothing.
     pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
 }
 
@@ -445,7 +449,7 @@ impl std::ops::Mul<f64> for Map {
     }
 }
 
-/// The segments standing over the origin with limbs apart.
+/// Segments of a body that stands over the origin with limbs apart.
 fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
     let mut all = build.segments(&build.standing());
     for side in 0..2 {
@@ -462,17 +466,18 @@ fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
     all
 }
 
-/// Upper and lower joint of a limb: its ellipsoid reaches beyond either by 0.3 of its thickness.
+/// Upper and lower joint of a limb. Its ellipsoid extends beyond each joint by 0.3 of its thickness.
 fn joints(e: &Ellipsoid) -> [DVec3; 2] {
     let half = e.axes * DVec3::Z * (e.semi_axes_m.z - 0.3 * e.semi_axes_m.x);
     [e.centre + half, e.centre - half]
 }
 
-/// Ellipsoids alone touch in points: joints, neck, shoulders, hands and heels are added.
+/// Returns the ellipsoids and the parts that connect them: joints, neck, shoulders, hands and heels. Ellipsoids alone
+/// touch only at points.
 fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
     let mut parts: Vec<Part> = Vec::new();
     for (index, &e) in segments.iter().enumerate() {
-        // Room for hanging arms.
+        // The chest is narrower, to leave space for hanging arms.
         let slim = if index == CHEST { DVec3::new(1.0, 0.88, 1.0) } else { DVec3::ONE };
         parts.push(Part::Ellipsoid(index, Ellipsoid { semi_axes_m: e.semi_axes_m * slim, ..e }));
     }
@@ -575,7 +580,7 @@ mod tests {
         assert_eq!(moving.vertices, walker.mesh_at(t).vertices);
     }
 
-    /// Flesh neither vanishes nor is made by walking: skinning at the joints costs little.
+    /// Walking keeps the volume of the skin: skinning at the joints loses little.
     #[test]
     fn volume_is_kept_while_walking() {
         let walker = walker(1.75);

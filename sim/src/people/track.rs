@@ -1,5 +1,6 @@
-//! Smooth functions of time made of corners: every change of slope or level is spread over a window with a raised cosine, in
-//! closed form, so that position, velocity and acceleration are continuous and any time can be asked for directly.
+//! Smooth functions of time made of corners: every change of slope or level is spread over a window with a raised
+//! cosine. The form is closed, so that position, velocity and acceleration are continuous and any time can be evaluated
+//! directly.
 
 use crate::math::{smooth_ramp, smooth_step};
 
@@ -12,7 +13,7 @@ pub struct Track {
     slopes: Vec<Change>,
 }
 
-/// A change about a time, spread over a window either way.
+/// A change at a time, spread over `window_s` before and after it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Change {
     time_s: f64,
@@ -21,7 +22,7 @@ struct Change {
 }
 
 impl Track {
-    /// A constant, whose later changes are spread over `window_s` either way.
+    /// Makes a constant. Later changes are spread over `window_s` before and after their time.
     pub fn constant(start: f64, window_s: f64) -> Self {
         Track { start, window_s, levels: Vec::new(), slopes: Vec::new() }
     }
@@ -36,22 +37,22 @@ impl Track {
         self.bend_over(time_s, change, self.window_s);
     }
 
-    /// Changes the level about a time, over a window of its own either way. It changes no faster than by `change / window_s` a
-    /// second.
+    /// Changes the level about a time, over its own window before and after. The rate never exceeds `change / window_s`
+    /// a second.
     pub fn step_over(&mut self, time_s: f64, change: f64, window_s: f64) {
         if change != 0.0 {
             self.levels.push(Change { time_s, by: change, window_s });
         }
     }
 
-    /// Changes the slope about a time, over a window of its own either way.
+    /// Changes the slope about a time, over its own window before and after.
     pub fn bend_over(&mut self, time_s: f64, change: f64, window_s: f64) {
         if change != 0.0 {
             self.slopes.push(Change { time_s, by: change, window_s });
         }
     }
 
-    /// Spreads the last changes of slope at this very time over a window no narrower than this.
+    /// Widens the windows of the last changes of slope at exactly this time to at least `window_s`.
     pub fn widen(&mut self, time_s: f64, window_s: f64) {
         for change in self.slopes.iter_mut().rev().take_while(|c| c.time_s == time_s) {
             change.window_s = change.window_s.max(window_s);
@@ -61,7 +62,7 @@ impl Track {
     /// Value at a time.
     pub fn at(&self, time_s: f64) -> f64 {
         let mut value = self.start;
-        // Most changes are long over or still to come: these take neither a division nor a sine.
+        // Most changes are complete or have not begun. These need neither a division nor a sine.
         for c in &self.levels {
             let since_s = time_s - c.time_s;
             if since_s >= c.window_s {

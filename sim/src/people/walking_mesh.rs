@@ -6,10 +6,10 @@ use super::motion::{Motion, Steps};
 use super::skin::{Map, PosedSkin, Skin};
 use crate::geometry::{Mesh, one_ring_normals};
 
-/// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
+/// Step of the finite differences for rates, s. Their error is that of the fifth derivative, below 1 um/s.
 const RATE_STEP_S: f64 = 5e-4;
 
-/// A person who walks as a mesh.
+/// A walking person with a skin.
 #[derive(Debug, Clone)]
 pub struct WalkingMesh {
     skin: Arc<Skin>,
@@ -17,7 +17,8 @@ pub struct WalkingMesh {
 }
 
 impl WalkingMesh {
-    /// A mesh for a motion: the actor's own skin, or one of the person's build; see [`Skin::new`] for `edge_m`.
+    /// Makes the mesh for a motion: the actor's own skin, or one for the person's build. See [`Skin::new`] for
+    /// `edge_m`.
     pub fn new(motion: Arc<Motion>, edge_m: f64) -> Self {
         let skin = match &motion.person.steps {
             Steps::Actor(actor) => Arc::clone(actor.skin()),
@@ -26,17 +27,17 @@ impl WalkingMesh {
         WalkingMesh { skin, motion }
     }
 
-    /// The skin.
+    /// Skin of the person.
     pub fn skin(&self) -> &Skin {
         &self.skin
     }
 
-    /// The motion.
+    /// Motion of the person.
     pub fn motion(&self) -> &Motion {
         &self.motion
     }
 
-    /// The skin's bones at a time, in the room.
+    /// Returns the maps of the skin's bones at a time, in room coordinates.
     fn maps(&self, time_s: f64) -> Vec<Map> {
         match &self.motion.person.steps {
             Steps::Actor(actor) => actor.maps(&self.motion.walk(time_s)),
@@ -44,7 +45,7 @@ impl WalkingMesh {
         }
     }
 
-    /// The skin at a time, in the room, with what a surface integral needs.
+    /// Returns the skin at a time, in room coordinates, with velocities and normals for a surface integral.
     pub fn posed(&self, time_s: f64) -> PosedSkin {
         let h = RATE_STEP_S;
         let [far_before, before, after, far_after] =
@@ -65,7 +66,7 @@ impl WalkingMesh {
         PosedSkin { vertices, velocities_m_per_s: self.skin.pose(&rates), normals }
     }
 
-    /// The mesh at a time, in the room.
+    /// Returns the mesh at a time, in room coordinates.
     pub fn mesh_at(&self, time_s: f64) -> Mesh {
         Mesh { vertices: self.skin.pose(&self.maps(time_s)), triangles: self.skin.rest().triangles.clone() }
     }

@@ -1,9 +1,10 @@
-//! People who wander about a room as people do: on smooth curves at a speed that varies, with pauses in which they sway, shift
-//! their weight and gesture, alone or with each other.
+//! People that wander about a room. They follow smooth curves at a varying speed, with pauses for sway, weight shifts
+//! and gestures, alone or together.
 //!
-//! [`plan`] moves everybody together in steps of 50 ms. [`errand`] is one person, who goes to the places of [`setting`] by the motions
-//! of [`steer`]; [`braking`] refuses those that do not leave time to stop. [`walker`] holds the dynamics, [`table`] keeps the steps,
-//! [`node`] gives the motion between them, [`small`] adds the small motions of a body. Everything is a function of seed and time.
+//! [`plan`] moves all people together in steps of 50 ms. [`errand`] is one person, which goes to the places of
+//! [`setting`] by the motions of [`steer`]. [`braking`] refuses motions that do not leave time to stop. [`walker`]
+//! holds the dynamics, [`table`] keeps the steps, [`node`] gives the motion between them, and [`small`] adds small
+//! motions of the body. Everything is a function of seed and time.
 
 mod braking;
 mod errand;
@@ -35,23 +36,23 @@ use small::Sway;
 use table::Group;
 use walker::{Limits, march, vigour};
 
-/// Hips keep so far from furniture and walls where the scene says nothing else, m.
+/// Distance that hips keep from furniture and walls if the scene states none, m.
 const KEEP_OFF_M: f64 = 0.35;
-/// Ways are laid so much farther off, m: people do not walk them exactly.
+/// Additional distance of planned routes, m, since people do not follow routes exactly.
 const PLANNED_M: f64 = 0.15;
-/// Hips go back so far to sit down where the seat says nothing else, m.
+/// Backward motion of the hips for sitting down if the seat states none, m.
 const SEAT_BACK_M: f64 = 0.38;
-/// Depth of the ground beyond the far wall on which somebody walks about, and its distance from the wall, m.
+/// Depth of the ground beyond the far wall on which a passer-by walks, and its distance from the wall, m.
 const BEYOND_M: [f64; 2] = [2.4, 0.6];
-/// Identity of somebody who walks about there.
+/// Identity of that passer-by.
 const BEYOND: u64 = 1 << 20;
 
-/// Whether something of a probability happens.
+/// Whether an event of a given probability happens.
 fn chance(rng: &mut Xoshiro256PlusPlus, probability: f64) -> bool {
     rng.random::<f64>() < probability
 }
 
-/// A time between two bounds, s: many short ones and a few long ones (a truncated Pareto distribution).
+/// Random time between two bounds, s: mostly short and sometimes long (a truncated Pareto distribution).
 fn heavy_tailed(rng: &mut Xoshiro256PlusPlus, [least_s, longest_s]: [f64; 2]) -> f64 {
     /// Exponent of the tail.
     const TAIL: f64 = 0.7;
@@ -59,15 +60,15 @@ fn heavy_tailed(rng: &mut Xoshiro256PlusPlus, [least_s, longest_s]: [f64; 2]) ->
     (least_s * (1.0 - part).powf(-1.0 / TAIL)).min(longest_s)
 }
 
-/// The person of an identity in a setting.
+/// Makes the person of an identity in a setting.
 fn person(setting: &Setting, identity: [u64; 2]) -> Person {
     let mut rng = generator(setting.seed, Purpose::Wander, [identity[0] | 1 << 40, identity[1]]);
     let person = Person::draw(setting.seed, identity, draw(&mut rng, setting.file.height_m));
     with_gait(person, &setting.people, setting.seed)
 }
 
-/// Everybody who wanders in a scene among blocks, somebody beyond the far wall last; `people` says how many are in the room instead
-/// of the seed.
+/// Makes all wandering people of a scene with blocks. A passer-by beyond the far wall is last. `people` replaces the
+/// number of people in the room that the seed would draw.
 pub(crate) fn everybody(
     scene: &SceneFile,
     file: &WanderFile,
@@ -76,7 +77,7 @@ pub(crate) fn everybody(
     people: Option<usize>,
 ) -> Vec<(Person, Wanderer)> {
     let mut rng = generator(seed, Purpose::Wander, [u64::MAX, 0]);
-    // Not used: without it, all later draws and so the people of every seed would be others.
+    // Not used. Without this draw, all later draws of every seed would change, and so would its people.
     let _: f64 = rng.random();
     let count = rng.random_range(0..=file.max_people);
     let slots = people.unwrap_or(count);
@@ -86,19 +87,19 @@ pub(crate) fn everybody(
     all
 }
 
-/// The people of a group.
+/// Makes the people of a group.
 fn members(group: &Arc<Group>, slots: usize) -> Vec<(Person, Wanderer)> {
     (0..slots).map(|slot| member(group, slot, [0.0; 2])).collect()
 }
 
-/// Ground of a scene's room with blocks in it.
+/// Makes the setting of a scene's room with blocks in it.
 fn room(scene: &SceneFile, file: &WanderFile, mut blocks: Vec<Block>, seed: u64) -> Setting {
     let size_m = [scene.room.size_m[0], scene.room.size_m[1]];
     let radar_m = [scene.radar.position_m[0], scene.radar.position_m[1]];
     let keep_off_m = scene.people.keep_off_m.unwrap_or(KEEP_OFF_M);
     let nearest_m = file.range_m[0];
     if nearest_m > 0.0 {
-        // Hips keep off a block by more than it takes to keep off the radar.
+        // Hips keep `keep_off_m` from a block, so the block covers the rest of the least distance to the radar.
         let half_m = (nearest_m - keep_off_m).max(0.0);
         blocks.push([radar_m.map(|x| x - half_m), radar_m.map(|x| x + half_m)]);
     }
@@ -131,7 +132,7 @@ fn seat(file: &SeatFile) -> Seat {
     }
 }
 
-/// Somebody beyond the far wall, where there is one.
+/// Makes a passer-by beyond the far wall, if there is such a wall.
 fn passer_by(
     scene: &SceneFile,
     file: &WanderFile,
@@ -162,7 +163,7 @@ fn passer_by(
     Some((person, wanderer))
 }
 
-/// The person of a slot, whose motion is all moved by an offset.
+/// Makes the person of a slot, whose whole motion is shifted by an offset.
 fn member(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> (Person, Wanderer) {
     let setting = group.setting();
     let identity = setting.identity(slot);
@@ -178,7 +179,7 @@ fn member(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> (Person, Wande
     (person, wanderer)
 }
 
-/// One person's part in a group's motion.
+/// Motion of one person within a group's motion.
 #[derive(Debug, Clone)]
 pub(crate) struct Wanderer {
     group: Arc<Group>,
@@ -186,7 +187,7 @@ pub(crate) struct Wanderer {
     offset_m: [f64; 2],
     sway: Sway,
     limits: Limits,
-    /// Ways down to the seats.
+    /// Descents to the seats.
     crouches: Vec<Crouch>,
 }
 
@@ -197,14 +198,14 @@ impl PartialEq for Wanderer {
 }
 
 impl Wanderer {
-    /// Motion at a time.
+    /// Returns the motion at a time.
     pub(super) fn moment(&self, time_s: f64) -> Moment {
         let Some((a, b, part)) = self.group.around(self.slot, time_s) else { return Moment::default() };
         let place = Place::between(&a.pose, &b.pose, part, &self.limits);
         let low = smooth_step(2.0 * (a.down + part * (b.down - a.down)) - 1.0);
         let seat = if a.down > 0.0 { a.seat } else { b.seat };
         let swayed = self.sway.at(time_s);
-        // Who sits rests against the seat.
+        // A sitting person rests against the seat.
         let upright = 1.0 - 0.7 * low;
         let [forward, left] = [0, 1].map(|i| a.shift_m[i].between(b.shift_m[i], part) * (1.0 - low));
         let arm = |side: usize, joint: usize| a.arms_rad[side][joint].between(b.arms_rad[side][joint], part);

@@ -1,4 +1,4 @@
-//! Additions of the receiver to every chirp whatever is in front of it, and the converter.
+//! Signals that the receiver adds to every chirp independently of the scene, and quantisation by the ADC.
 
 use radome_dsp::{MAX_CODE, Waveform};
 
@@ -19,7 +19,8 @@ pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
         .collect()
 }
 
-/// The leakage's part of what phase noise multiplies ([`super::phase_noise`]) over one chirp, LSB s.
+/// Contribution of the leakage to the signal that phase noise multiplies ([`super::phase_noise`]), over one chirp, LSB
+/// s.
 pub fn leakage_by_delay_lsb_s(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
     (0..waveform.request.samples_per_chirp)
         .map(|n| {
@@ -35,6 +36,6 @@ pub fn leakage_by_delay_lsb_s(channel: &RxChannel, waveform: &Waveform) -> Vec<f
 
 /// Rounds to the nearest code and clips at both ends; NaN reads 0.
 pub fn quantise(lsb: f32) -> u16 {
-    // `as` cuts the fraction off, saturates and takes NaN to 0.
+    // `as` truncates the fraction, saturates and converts NaN to 0.
     ((lsb + 0.5) as u16).min(MAX_CODE)
 }

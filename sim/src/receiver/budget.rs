@@ -1,4 +1,4 @@
-//! From path amplitudes to LSB: link budget and IF filters, all in analogue, before sampling.
+//! Conversion of path amplitudes to LSB: link budget and analogue IF filters, before sampling.
 
 use num_complex::Complex64;
 use radome_dsp::Waveform;
@@ -20,7 +20,7 @@ pub struct Filters {
 }
 
 impl Filters {
-    /// Budget as the waveform sets it, with the receiver's deviations.
+    /// Makes the filters that the waveform sets, with the receiver's deviations.
     pub fn new(receiver: &Receiver, waveform: &Waveform) -> Self {
         Filters {
             high_pass_hz: waveform.request.high_pass_cutoff_hz * receiver.high_pass_cutoff_scale,
@@ -34,12 +34,13 @@ impl Filters {
         Complex64::new(re, im)
     }
 
-    /// The same in real and imaginary part, for loops over lanes: all factors above one denominator, and one quotient by that.
+    /// Real and imaginary part of the same response, for loops over SIMD lanes. All factors share one denominator, so
+    /// there is a single division.
     #[inline(always)]
     pub(crate) fn response_in_lane(&self, frequency_hz: f64) -> [f64; 2] {
         let (x, y) = (frequency_hz / self.high_pass_hz, frequency_hz / self.anti_alias_hz);
         let real = 1.0 - y * y;
-        // Both pole pairs, then with the high-pass `j x / (1 + j x)`.
+        // Product of both pole pairs, then with the high-pass `j x / (1 + j x)`.
         let pairs = [real * real - DAMPING[0] * DAMPING[1] * y * y, (DAMPING[0] + DAMPING[1]) * y * real];
         let below = [pairs[0] - x * pairs[1], pairs[1] + x * pairs[0]];
         let per_square = x / (below[0] * below[0] + below[1] * below[1]);
@@ -58,13 +59,13 @@ impl Filters {
     }
 }
 
-/// LSB in one volt.
+/// LSB per volt.
 pub fn lsb_per_volt(receiver: &Receiver) -> f64 {
     4096.0 / receiver.adc_full_scale_v
 }
 
-/// Peak LSB at the ADC of a path whose amplitude (isotropic antennas, aperture `lambda/4 pi` contained) is 1, before the
-/// filters: `sqrt(2 * 50 ohm * P_tx G_t G_r) * 10^((conversion + IF + correction)/20)`.
+/// Peak LSB at the ADC of a path whose amplitude (isotropic antennas, aperture `lambda/4 pi` contained) is 1, before
+/// the filters: `sqrt(2 * 50 ohm * P_tx G_t G_r) * 10^((conversion + IF + correction)/20)`.
 pub fn lsb_per_unit_amplitude(receiver: &Receiver, waveform: &Waveform) -> f64 {
     let power_dbm = receiver.transmit_power_dbm
         - receiver.transmit_power_step_db * f64::from(31 - waveform.request.tx_power_level.min(31))
@@ -88,7 +89,7 @@ pub fn thermal_lsb2(receiver: &Receiver, waveform: &Waveform) -> f64 {
 mod tests {
     use super::*;
 
-    /// Against the product of a high-pass and two pole pairs, each a complex quotient of its own.
+    /// Compares with the product of a high-pass and two pole pairs, each as a separate complex quotient.
     #[test]
     fn responses_are_those_of_the_filters_one_after_another() {
         let filters = Filters { high_pass_hz: 80e3, anti_alias_hz: 500e3 };

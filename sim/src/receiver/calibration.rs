@@ -1,18 +1,21 @@
-//! Fits a receiver to a recording: what the chip shows with anything or nothing in front of it.
+//! Fits a receiver to a recording. The scene before the chip may be anything, or empty.
 //!
-//! - *Noise.* Second differences of three chirps in a row: what stands still, and what moves evenly, cancels (a breathing chest
-//!   to far below noise, somebody who walks only while he is in a bin). Of a recording's periodograms, which are exponentially
-//!   distributed, the mean of the lower seven tenths over its expectation is the density, whatever the others held. A
-//!   receiver's is smooth over neighbouring bins.
-//! - *Offset, settling and leakage.* Median over the frames of each sample's mean over chirps, so that what moves is left out;
-//!   fitted by a constant, two exponentials and four tones of up to two cycles a chirp, by least squares. Echoes of what stands
-//!   still lie at higher beats and are left alone.
-//! - *Jitter and drift* of offset and leakage, between frames and over the recording, noise subtracted.
+//! - *Noise.* Second differences of three consecutive chirps cancel static echoes and echoes of constant Doppler. A
+//!   breathing chest is cancelled to far below noise; a walking person only disturbs the bins that the person is in.
+//!   The periodograms of a recording are exponentially distributed. The mean of their lower seven tenths over its
+//!   expectation is the density, independently of the other values. A receiver's density is smooth over neighbouring
+//!   bins.
+//! - *Offset, settling and leakage.* The median over the frames of each sample's mean over chirps leaves out moving
+//!   echoes. It is fitted by a constant, two exponentials and four tones of up to two cycles a chirp, by least squares.
+//!   Static echoes have higher beat frequencies and do not take part.
+//! - *Jitter and drift* of offset and leakage, between frames and over the recording, with noise subtracted.
 //!
-//! Echo levels are not fitted here: without a target of known size in the recording they cannot be told from what it reflects.
-//! Of a scene that is a copy of what the recording shows, [`gain`] fits them to what stands still.
+//! Echo levels are not fitted here: without a target of known size in the recording, the receiver's gain cannot be
+//! separated from the targets' reflectivity. If a scene is a copy of the recorded one, [`gain`] fits the levels to
+//! static echoes.
 //!
-//! A recording may be longer than memory: of each frame a few numbers are kept, of its chirps and noise some evenly spread.
+//! A recording may be larger than memory. A few numbers are kept of each frame, and an evenly spaced subset of its
+//! chirps and noise.
 
 pub mod gain;
 mod leakage;
@@ -29,39 +32,39 @@ use super::{Receiver, RxChannel};
 use crate::math::median;
 use leakage::{Shape, fit_shape};
 
-/// Frames without which nothing is fitted.
+/// Least number of frames for a fit.
 pub const LEAST_FRAMES: usize = 16;
-/// Greatest number of periodograms that are kept of a recording's noise by channel, evenly spread.
+/// Upper limit of evenly spaced periodograms of a recording's noise that are kept for each channel.
 const MOST_PERIODOGRAMS: usize = 20_000;
-/// Greatest number of frames whose mean chirps are kept.
+/// Upper limit of frames whose mean chirps are kept.
 const MOST_CHIRPS: usize = 4096;
-/// From the median of a normal distribution's deviations to its standard deviation.
+/// Ratio of a normal distribution's standard deviation to its median absolute deviation.
 const MAD: f64 = 1.4826;
 
-/// A recording to which no receiver can be fitted.
+/// Error of a recording to which no receiver can be fitted.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CalibrationError {
-    /// Too little of it.
+    /// The recording has too few frames.
     #[error("calibration: {got} frames, at least {LEAST_FRAMES} are needed\n\nhint: record ten seconds or more")]
     TooShort {
-        /// Frames.
+        /// Number of frames.
         got: usize,
     },
-    /// Frames that cannot be differenced.
+    /// The frames cannot be differenced.
     #[error("calibration: {chirps} chirps of {samples} samples a frame, at least 3 of 16 are needed")]
     Shape {
-        /// Chirps a frame.
+        /// Number of chirps in a frame.
         chirps: usize,
-        /// Samples a chirp.
+        /// Number of samples in a chirp.
         samples: usize,
     },
-    /// A frame of another shape than the first.
+    /// A frame has another shape than the first one.
     #[error("calibration: frame {sequence} has another shape than the waveform says")]
     Frame {
-        /// Its number.
+        /// Sequence number of the frame.
         sequence: u64,
     },
-    /// No noise at all: codes that stand still are no receiver's.
+    /// A channel has no noise. Codes that never change do not come from a receiver.
     #[error("calibration: channel {rx} shows no noise\n\nhint: is it a recording of raw codes of a powered receiver?")]
     Silent {
         /// Index of the channel in the frame.
@@ -69,22 +72,22 @@ pub enum CalibrationError {
     },
 }
 
-/// Data that are kept of one channel.
+/// Data that are kept for one channel.
 struct Channel {
-    /// `[kept][bin]`, LSB^2 a sample.
+    /// Periodograms, `[kept][bin]`, LSB^2 per sample.
     periodograms: Vec<Vec<f32>>,
-    /// Mean chirps of frames, LSB.
+    /// Mean chirps of the frames, LSB.
     chirps: Vec<Vec<f32>>,
-    /// Offset and leakage of every frame of each recording.
+    /// Offset and leakage of every frame, `[recording][frame]`.
     levels: Vec<Vec<Level>>,
 }
 
-/// Data that are kept of every frame's mean chirp.
+/// Data that are kept for every frame's mean chirp.
 #[derive(Debug, Clone, Copy)]
 struct Level {
-    /// Its mean, LSB.
+    /// Mean of the chirp, LSB.
     offset_lsb: f64,
-    /// One cycle a chirp: where the leakage is, and few echoes.
+    /// Component at one cycle a chirp, LSB. It contains the leakage and few echoes.
     leakage: Complex64,
 }
 
@@ -101,7 +104,7 @@ impl Level {
     }
 }
 
-/// Takes frames in, fits a receiver to them.
+/// Accumulator of frames, to which a receiver is fitted.
 pub struct Calibration {
     waveform: Waveform,
     channels: Vec<Channel>,
@@ -111,30 +114,30 @@ pub struct Calibration {
     chirp_stride: usize,
 }
 
-/// A fitted channel, and how well it was met.
+/// A fitted channel with the error of the fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChannelFit {
-    /// Measured noise density for bins 0..=N/2, LSB^2 a sample.
+    /// Measured noise density for bins 0..=N/2, LSB^2 per sample.
     pub density_lsb2: Vec<f64>,
     /// Median of the frames' mean chirps, LSB.
     pub chirp_lsb: Vec<f64>,
-    /// Error of the fit of that, LSB rms.
+    /// Error of the fit of `chirp_lsb`, LSB rms.
     pub residual_lsb: f64,
 }
 
 /// A fitted receiver.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
-    /// The receiver: the base with what was measured in place of its own.
+    /// Receiver: the base with the measured values in place of its own.
     pub receiver: Receiver,
-    /// The channels as they were measured, in the order of the frame.
+    /// Measured channels, in the order of the frame.
     pub channels: Vec<ChannelFit>,
-    /// Frames it was fitted to.
+    /// Number of frames of the fit.
     pub frames: usize,
 }
 
 impl Calibration {
-    /// Nothing yet, for recordings of a waveform of about so many frames in all.
+    /// Makes an empty calibration for recordings of a waveform with about `frames` frames in all.
     ///
     /// # Errors
     /// [`CalibrationError::Shape`] if a frame has too few chirps or samples.
@@ -155,15 +158,15 @@ impl Calibration {
         })
     }
 
-    /// Begins another recording: nothing is said of changes from the last frame to its first.
+    /// Begins another recording. Changes from the last frame to its first one are not counted.
     pub fn begin_recording(&mut self) {
         self.channels.iter_mut().for_each(|channel| channel.levels.push(Vec::new()));
     }
 
-    /// Takes in a frame.
+    /// Adds a frame.
     ///
     /// # Errors
-    /// [`CalibrationError::Frame`] if the frame has another shape than the waveform says.
+    /// [`CalibrationError::Frame`] if the frame has another shape than the waveform states.
     pub fn push(&mut self, frame: &Frame) -> Result<(), CalibrationError> {
         let shape = self.waveform.shape();
         if frame.shape != shape || frame.codes.len() != shape.codes() {
@@ -189,7 +192,7 @@ impl Calibration {
                     continue;
                 }
                 let [a, b, c] = [three[0], three[1], three[2]].map(|chirp| chirp.iter().map(|&code| f64::from(code)));
-                // 1 + 4 + 1 times a sample's variance.
+                // The sum of squared weights, 1 + 4 + 1, scales a sample's variance.
                 let second = |((a, b), c): ((f64, f64), f64)| (a - 2.0 * b + c) / 6f64.sqrt();
                 let mut difference: Vec<f64> = a.zip(b).zip(c).map(second).collect();
                 if self.fft.process(&mut difference, &mut spectrum).is_ok() {
@@ -202,10 +205,11 @@ impl Calibration {
         Ok(())
     }
 
-    /// The receiver that made these frames: `base` with what they show.
+    /// Fits the receiver that recorded the frames: `base` with the measured values.
     ///
     /// # Errors
-    /// [`CalibrationError::TooShort`] if there are too few frames, and [`CalibrationError::Silent`] if a channel has no noise.
+    /// [`CalibrationError::TooShort`] if there are too few frames, and [`CalibrationError::Silent`] if a channel has no
+    /// noise.
     pub fn fit(&self, base: &Receiver, name: &str, measured_from: &str) -> Result<Fit, CalibrationError> {
         if self.seen < LEAST_FRAMES {
             return Err(CalibrationError::TooShort { got: self.seen });
@@ -245,7 +249,7 @@ impl Calibration {
         let density_lsb2: Vec<f64> = (0..=n / 2)
             .map(|bin| {
                 let powers = channel.periodograms.iter().map(|powers| f64::from(powers[bin])).collect();
-                // Real at both ends: the median of a squared normal number.
+                // At both ends the spectrum is real: the divisor is the median of a squared normal variable.
                 if bin == 0 || 2 * bin == n { median(powers) / 0.454_936 } else { exponential_mean(powers) }
             })
             .collect();
@@ -255,7 +259,7 @@ impl Calibration {
         (ChannelFit { density_lsb2, residual_lsb: shape.residual_lsb, chirp_lsb }, shape)
     }
 
-    /// Jitter and drift of offsets and of the leakage: the median of the channels' and recordings'.
+    /// Fits jitter and drift of offsets and of the leakage: medians over channels and recordings.
     fn fit_changes(&self, shapes: &[&Shape], receiver: &mut Receiver) {
         let interval_s = self.waveform.frame_interval_s();
         let (n, chirps) = (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
@@ -265,7 +269,7 @@ impl Calibration {
             let density = |bin: usize| median(channel.periodograms.iter().map(|p| f64::from(p[bin])).collect());
             let noise_lsb2 = density(0) / 0.454_936 / (n as f64 * chirps);
             let whole = Level::of(shape.leakage_lsb(n, &self.waveform).into_iter()).leakage;
-            // Hann's window leaves three eighths of the power, of which half is along.
+            // Hann's window keeps three eighths of the power, of which half is in phase with the leakage.
             let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps / whole.norm_sqr();
             for levels in channel.levels.iter().filter(|levels| levels.len() > 1) {
                 let offsets: Vec<f64> = levels.iter().map(|level| level.offset_lsb).collect();
@@ -277,7 +281,7 @@ impl Calibration {
                 let along: Vec<f64> =
                     levels.iter().map(|level| (level.leakage * whole.conj()).re / whole.norm_sqr()).collect();
                 jitter.push((step_variance(&along) - noise).max(0.0).sqrt());
-                // Seconds instead of frames, so that jitter is no drift.
+                // Means over seconds replace frames, so that jitter does not count as drift.
                 let seconds: Vec<f64> =
                     along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
                 let lag = 10.min(seconds.len().saturating_sub(1));
@@ -294,15 +298,15 @@ impl Calibration {
     }
 }
 
-/// Variance of what changes from one value to the next, half a step's, without regard to the few that jump.
+/// Variance of the values' jitter, half of the variance of their steps. It is robust against a few large steps.
 fn step_variance(values: &[f64]) -> f64 {
     let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
     (median(steps) * MAD).powi(2) / 2.0
 }
 
-/// A density as smooth as a receiver's is beyond its steep lowest bins: the binomial mean of five logarithms.
+/// Smooths a density by the binomial mean of five logarithms. The steep lowest bins are kept.
 fn smoothed(density: &[f64]) -> Vec<f64> {
-    /// Leakage and 1/f noise are steep below this bin.
+    /// First bin that is smoothed. Leakage and 1/f noise are steep below it.
     const FIRST: usize = 3;
     const WEIGHTS: [f64; 5] = [1.0, 4.0, 6.0, 4.0, 1.0];
     let at = |bin: usize| {
@@ -316,9 +320,9 @@ fn smoothed(density: &[f64]) -> Vec<f64> {
     density.iter().enumerate().map(|(bin, &raw)| if bin < FIRST { raw } else { at(bin) }).collect()
 }
 
-/// Mean of exponentially distributed values, of which some of the upper ones may be anything.
+/// Mean of exponentially distributed values, robust against outliers among the upper ones.
 fn exponential_mean(mut values: Vec<f64>) -> f64 {
-    /// The part that is taken, from below, and its mean where that of all is one: `1 + ln(1 - q) (1 - q) / q`.
+    /// Fraction of values that is used, from below. Its mean is `1 + ln(1 - q) (1 - q) / q` if the mean of all is one.
     const KEPT: f64 = 0.7;
     let kept = (values.len() as f64 * KEPT) as usize;
     if kept == 0 {
@@ -370,7 +374,7 @@ mod tests {
         calibration.fit(&Receiver::typical(), "fitted", "a test")
     }
 
-    /// The calibration gives back what was put in: noise by bin, offsets, mean chirps, jitter.
+    /// The calibration recovers the parameters of a simulated receiver: noise by bin, offsets, mean chirps, jitter.
     #[test]
     fn a_known_receiver_is_found_again() {
         let mut receiver = Receiver::typical();
@@ -387,16 +391,16 @@ mod tests {
             }
             assert!(channel.residual_lsb < 1.0, "{}", channel.residual_lsb);
         }
-        // Through the simulator again: the same chirps and the same noise.
+        // The fitted receiver, simulated again, has the same chirps and the same noise.
         let again = fit(&frames(&found.receiver, 160)).expect("a fit of the fit");
         for (first, second) in found.channels.iter().zip(&again.channels) {
             let apart: Vec<f64> = first.chirp_lsb.iter().zip(&second.chirp_lsb).map(|(a, b)| a - b).collect();
-            // Offsets drift.
+            // Offsets drift, so their differences have wide limits.
             let mean = apart.iter().sum::<f64>() / apart.len() as f64;
             assert!(mean.abs() < 10.0, "{mean} LSB");
             assert!(apart.iter().all(|d| (d - mean).abs() < 4.0), "{apart:?}");
         }
-        // Which part of a mean chirp is called leakage is a matter of taste; how much it jitters in the end is not.
+        // The part of a mean chirp that is called leakage is ambiguous, but the amplitude of its jitter is not.
         let jitters = [&found, &again].map(|fit| fit.receiver.clutter.leakage_jitter);
         assert!(jitters[0] > 0.002 && (0.5..2.0).contains(&(jitters[1] / jitters[0])), "{jitters:?}");
         let dc = found.receiver.drift.dc_jitter_lsb;
@@ -404,7 +408,7 @@ mod tests {
         assert_eq!(found.receiver.first_fault(), None);
     }
 
-    /// Two recordings whose offsets differ by far: that is no jitter, and no drift.
+    /// A large difference of offsets between two recordings is neither jitter nor drift.
     #[test]
     fn what_differs_between_recordings_is_no_change_within_one() {
         let mut second = Receiver::typical();
@@ -422,7 +426,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Most of a long recording's chirps are not kept; what is found is the same but for chance.
+        /// Most chirps of a long recording are not kept. The result is the same except for random errors.
         #[test]
         fn a_part_of_a_long_recordings_chirps_is_enough() {
             let all = frames(&Receiver::typical(), 96);
@@ -450,7 +454,7 @@ mod tests {
             assert!(matches!(fit(&cut), Err(CalibrationError::Frame { sequence: 3 })));
         }
 
-        /// Codes that stick to an end in some frames, as a hand before the antenna makes them, move nothing.
+        /// Codes that saturate in some frames, as with a hand before the antenna, do not change the result.
         #[test]
         fn some_frames_that_are_clipped_do_not_matter() {
             let clean = frames(&Receiver::typical(), 80);

@@ -260,7 +260,7 @@ fn one() -> f64 {
     1.0
 }
 
-/// Offsets and leakage about as recordings of this chip show them at 64 samples and 2 MHz.
+/// Offsets and leakage that are similar to recordings of this chip at 64 samples and 2 MHz.
 fn typical_channels() -> Vec<RxChannel> {
     let channel = |dc_code, leakage_lsb, phase_rad, transient_lsb| RxChannel {
         dc_code,
@@ -339,7 +339,7 @@ impl Default for OffsetDrift {
 }
 
 impl Receiver {
-    /// Datasheet typicals.
+    /// Receiver with typical values of the datasheet.
     pub fn typical() -> Self {
         Receiver {
             format: RECEIVER_FORMAT,
@@ -362,7 +362,7 @@ impl Receiver {
         }
     }
 
-    /// Constants with their keys, and the least and the greatest value of each.
+    /// Returns each constant's key, value, least and greatest value.
     fn ranged(&self) -> [(&'static str, f64, f64, f64); 36] {
         let (antenna, noise, clutter, drift) = (&self.antenna, &self.noise, &self.clutter, &self.drift);
         [
@@ -405,7 +405,7 @@ impl Receiver {
         ]
     }
 
-    /// The first value that is no physical constant, as (key, value, what was expected).
+    /// Returns the first constant that is not valid, as (key, value, expected value).
     pub fn first_fault(&self) -> Option<(&'static str, String, &'static str)> {
         let fault = |key, value: String, expected| Some((key, value, expected));
         if self.format != RECEIVER_FORMAT {

@@ -1,4 +1,5 @@
-//! Receiver noise with the measured spectrum: white Gaussian bins shaped by the density, one inverse real FFT a chirp.
+//! Receiver noise with the measured spectrum: white Gaussian bins shaped by the density, with one inverse real FFT per
+//! chirp.
 
 use std::sync::Arc;
 
@@ -15,7 +16,7 @@ use super::{Receiver, RxChannel};
 /// Variance that rounding adds, LSB^2.
 const ROUNDING_LSB2: f64 = 1.0 / 12.0;
 
-/// Density for each fast-time bin 0..=N/2, LSB^2 per sample, rounding contained (see [`super::Noise`]).
+/// Density for each fast-time bin 0..=N/2, LSB^2 per sample, including rounding (see [`super::Noise`]).
 pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
     let samples = waveform.request.samples_per_chirp;
     let noise = &receiver.noise;
@@ -29,7 +30,7 @@ pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
     let bin_hz = waveform.sample_rate_hz / samples as f64;
     (0..=samples / 2)
         .map(|bin| {
-            // 1/f has no value at zero: the lowest bin holds what lies within a quarter bin.
+            // 1/f has no value at zero, so the lowest bin takes the value at a quarter bin.
             let f = (bin as f64 * bin_hz).max(0.25 * bin_hz);
             let amplifier = (noise.amplifier_flicker_corner_hz / f).powf(noise.flicker_exponent);
             let ahead = |f: f64, flicker: f64| {
@@ -50,7 +51,7 @@ pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
         .collect()
 }
 
-/// The same of one channel, with its own deviations.
+/// Density of one channel's noise, LSB^2 per sample, with the channel's own deviations.
 pub fn channel_density_lsb2(receiver: &Receiver, channel: &RxChannel, waveform: &Waveform) -> Vec<f64> {
     let factor = 10f64.powf(0.1 * channel.noise_db);
     let bins = waveform.request.samples_per_chirp / 2 + 1;
@@ -58,7 +59,7 @@ pub fn channel_density_lsb2(receiver: &Receiver, channel: &RxChannel, waveform: 
     measured.unwrap_or_else(|| density_lsb2(receiver, waveform)).iter().map(|density| density * factor).collect()
 }
 
-/// Adds noise of a density to chirps.
+/// Generator of noise with a given density, which it adds to chirps.
 #[derive(Clone)]
 pub struct NoiseShaper {
     amplitude: Vec<f32>,
@@ -81,7 +82,7 @@ impl std::fmt::Debug for NoiseShaper {
 }
 
 impl NoiseShaper {
-    /// For a density as [`density_lsb2`] gives it; what rounding will add is left out.
+    /// Makes a generator for a density from [`density_lsb2`]. The noise that rounding adds later is subtracted.
     pub fn new(density_lsb2: &[f64], samples: usize) -> Self {
         let inverse = inverse_real_fft_f32(samples);
         let bins = samples / 2 + 1;
@@ -95,7 +96,7 @@ impl NoiseShaper {
         NoiseShaper { amplitude, samples, inverse }
     }
 
-    /// Adds one chirp of noise, scaled.
+    /// Adds one chirp of noise, multiplied by `scale`.
     pub fn add(&self, rng: &mut Xoshiro256PlusPlus, scale: f32, out: &mut [f32], scratch: &mut NoiseScratch) {
         scratch.spectrum.clear();
         for (bin, &a) in self.amplitude.iter().enumerate() {
@@ -105,7 +106,7 @@ impl NoiseShaper {
         }
         scratch.chirp.resize(self.samples, 0.0);
         scratch.fft.resize(self.inverse.get_scratch_len(), Complex::default());
-        // Lengths agree by construction, so this cannot fail.
+        // The lengths are consistent by construction, so this cannot fail.
         let done =
             self.inverse.process_with_scratch(&mut scratch.spectrum, &mut scratch.chirp, &mut scratch.fft).is_ok();
         if done {

@@ -1,34 +1,37 @@
 //! Phase noise of the transmitter, as far as it does not cancel.
 //!
-//! Mixer and echo have the same oscillator, one a delay after the other: what is left of its phase in a beat is
-//! `phi(t) - phi(t - tau)`, which for delays of a room is `tau phi'` (to 0.9 % at 21.7 m and 500 kHz; the rate is half a delay
-//! ago's, which shows between echoes far apart only, and at far offsets). A beat `Re a exp(j theta)` gets `phi'(t) Re j tau a exp(j theta)` on top, so one more grid of the same tones, each times `j` and its
-//! delay, gives the noise of all echoes at once, with every cancellation between them. On one side of a beat there is
-//! `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at 1 m and 100 kHz, -33.6 dB at 5 m.
+//! Mixer and echo have the same oscillator, with a delay between them. The phase that remains in a beat is `phi(t) -
+//! phi(t - tau)`. For delays of a room it is `tau phi'` (to 0.9 % at 21.7 m and 500 kHz). The exact rate is that of
+//! half a delay earlier, which matters only between echoes far apart and at large offsets. A beat `Re a exp(j theta)`
+//! receives the additional signal `phi'(t) Re j tau a exp(j theta)`. So a second grid of the same tones, each times `j`
+//! and its delay, gives the noise of all echoes at once. It includes every cancellation between them. On one side of a
+//! beat there is `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at 1 m and 100 kHz, -33.6 dB at 5 m.
 //!
-//! Of an oscillator whose noise falls with the square of the offset, `phi'` is white. What the IF filters do to sidebands otherwise
-//! than to the beat itself is left out.
+//! For an oscillator whose noise falls with the square of the offset, `phi'` is white. The model neglects that the IF
+//! filters act differently on the sidebands and on the beat.
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::PhaseNoise;
 
-/// Rates of the transmitter's phase in sample after sample.
+/// Generator of the transmitter's phase rate, sample by sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PhaseRates {
-    /// Their standard deviation, rad/s.
+    /// Standard deviation of the rates, rad/s.
     sigma_rad_per_s: f64,
 }
 
 impl PhaseRates {
-    /// Phase noise of an oscillator, up to half a sample rate: `S_phi' = 2 L (2 pi f)^2`, the same at all offsets.
+    /// Makes the phase noise of an oscillator, up to half a sample rate: `S_phi' = 2 L (2 pi f)^2`, the same at all
+    /// offsets.
     pub fn new(noise: &PhaseNoise, sample_rate_hz: f64) -> Self {
         let level = 10f64.powf(0.1 * noise.level_dbc_per_hz);
         PhaseRates { sigma_rad_per_s: std::f64::consts::TAU * noise.offset_hz * (level * sample_rate_hz).sqrt() }
     }
 
-    /// Adds the noise of the next samples, given what stands beside `phi'`: the sum of tones times `j` and their delays, LSB s.
+    /// Adds the noise of the next samples. `by_delay` is the factor of `phi'`: the sum of tones times `j` and their
+    /// delays, LSB s.
     pub fn add(&self, rng: &mut Xoshiro256PlusPlus, by_delay: &[f32], out: &mut [f32]) {
         for (x, beside) in out.iter_mut().zip(by_delay) {
             let rate: f64 = StandardNormal.sample(rng);
@@ -54,7 +57,7 @@ mod tests {
     const START_HZ: f64 = 60e9;
     const SLOPE_HZ_PER_S: f64 = 20e12;
 
-    /// A phase of many sinusoids up to 500 kHz, rad: its value and its rate.
+    /// Phase as a sum of sinusoids up to 500 kHz, rad: its value and its rate.
     fn phase(parts: &[(f64, f64, f64)], time_s: f64) -> (f64, f64) {
         parts.iter().fold((0.0, 0.0), |(value, rate), (hz, amplitude, at)| {
             let (sine, cosine) = (TAU * hz * time_s + at).sin_cos();
@@ -62,8 +65,8 @@ mod tests {
         })
     }
 
-    /// Echoes between 0.3 and 20 m through an oscillator that has noise up to `most_hz` from its carrier: power of the noise
-    /// straight from `exp(j (theta + phi(t) - phi(t - tau)))`, of that of the second grid, and of their difference.
+    /// Powers of the noise of echoes between 0.3 and 20 m, with oscillator noise up to `most_hz` from the carrier. They
+    /// are that of `exp(j (theta + phi(t) - phi(t - tau)))`, that of the second grid, and that of their difference.
     fn powers(most_hz: f64) -> [f64; 3] {
         let mut rng = generator(5, Purpose::PhaseNoise, [0, 0]);
         let parts: Vec<(f64, f64, f64)> =
@@ -110,29 +113,29 @@ mod tests {
         powers
     }
 
-    /// The noise itself where the phase does not turn within a delay, its power everywhere in the band.
+    /// The signals agree if the phase changes little within a delay. The powers agree everywhere in the band.
     #[test]
     fn one_more_grid_is_the_noise_of_the_echoes_themselves() {
         let [exact, _, missed] = powers(1e5);
-        // At most pi f tau, 4.2 %, of the farthest at the fastest.
+        // The largest error is pi f tau, 4.2 %, for the farthest echo at the highest frequency.
         assert!(missed / exact < 0.03f64.powi(2), "{:.1} dB", 10.0 * (missed / exact).log10());
         let [exact, gridded, _] = powers(5e5);
         assert!((10.0 * (gridded / exact).log10()).abs() < 0.5, "{gridded} {exact}");
     }
 
-    /// Sidebands of a beat at 100 kHz from it, from the draws, beside the oscillator's own.
+    /// Sidebands of a beat at 100 kHz from it, from the drawn rates, relative to the oscillator's own.
     #[test]
     fn noise_cancels_by_47_6_db_at_a_metre_and_33_6_db_at_five() {
         let oscillator = PhaseNoise { level_dbc_per_hz: -80.0, offset_hz: 1e5 };
         let rates = PhaseRates::new(&oscillator, RATE_HZ);
-        // Ten kilohertz off, the oscillator has 20 dB more and the delay takes 20 dB more away.
+        // At an offset of ten kilohertz the oscillator has 20 dB more noise, and the delay cancels 20 dB more.
         for (range_m, offset_hz, cancelled_db) in [(1.0, 1e5, -47.6), (5.0, 1e5, -33.6), (1.0, 1e4, -67.6)] {
             let delay_s = 2.0 * range_m / SPEED_OF_LIGHT_M_PER_S;
             let chirp = vec![delay_s as f32; 8 * SAMPLES];
             let mut density = 0.0;
             const CHIRPS: u64 = 3000;
             for index in 0..CHIRPS {
-                // The phase left in a beat, whatever the beat.
+                // Phase that remains in a beat, independently of its frequency.
                 let mut left = vec![0f32; chirp.len()];
                 rates.add(&mut generator(1, Purpose::PhaseNoise, [index, 0]), &chirp, &mut left);
                 let turn = -TAU * offset_hz / RATE_HZ;

@@ -1,4 +1,4 @@
-//! Spurious tones at the ADC: clocks and supplies that couple into the baseband, whatever is in front of the antenna.
+//! Spurious tones at the ADC: clocks and supplies that couple into the baseband, independently of the scene.
 
 use std::f64::consts::TAU;
 
@@ -8,9 +8,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::{Noise, SpurPhase};
 use crate::random::{Purpose, generator};
 
-/// Weakest spur below the strongest, dB.
+/// Level of the weakest possible spur below the strongest one, dB.
 const SPREAD_DB: f64 = 20.0;
-/// Frequencies lie within this part of the sample rate.
+/// Least and greatest frequency, as a part of the sample rate.
 const BAND: [f64; 2] = [0.02, 0.5];
 
 /// One tone in one receiver.
@@ -32,7 +32,8 @@ pub struct Spurs {
 }
 
 impl Spurs {
-    /// Draws the tones of a receiver: frequencies are the same in all receivers of a chip, levels and phases are each one's own.
+    /// Draws the tones of a receiver. Frequencies are the same in all receivers of a chip; each receiver has its own
+    /// levels and phases.
     pub fn draw(noise: &Noise, sample_rate_hz: f64, seed: u64, rx: usize) -> Self {
         let rx = rx as u64;
         let mut of_chip = generator(seed, Purpose::Spur, [0, 0]);
@@ -58,12 +59,12 @@ impl Spurs {
         Spurs { spurs, sample_rate_hz, seed, rx }
     }
 
-    /// Source of the phases that are new in every chirp of a frame.
+    /// Returns the generator of phases that are new in every chirp of a frame.
     pub fn phases(&self, index: u64) -> Xoshiro256PlusPlus {
         generator(self.seed, Purpose::Spur, [1 + index, self.rx])
     }
 
-    /// Adds the tones to a chirp whose first sample is at a time of the scene.
+    /// Adds the tones to a chirp. `first_s` is the time of its first sample in the scene.
     pub fn add(&self, first_s: f64, phases: &mut Xoshiro256PlusPlus, out: &mut [f32]) {
         for spur in &self.spurs {
             let begin = match spur.phase {
@@ -88,7 +89,7 @@ mod tests {
     const SAMPLES: usize = 128;
     const RATE_HZ: f64 = 2e6;
 
-    /// Chirps of 64 a frame with nothing but spurs.
+    /// Chirps of a frame, 64 samples each, with only spurs.
     fn chirps(phase: SpurPhase, rx: usize) -> Vec<Vec<f32>> {
         let noise = Noise { spurs: 3, spur_lsb: 2.0, spur_phase: Some(phase), ..Noise::default() };
         let spurs = Spurs::draw(&noise, RATE_HZ, 5, rx);
@@ -109,7 +110,7 @@ mod tests {
     fn locked_spurs_repeat_and_others_do_not() {
         let locked = chirps(SpurPhase::Locked, 0);
         assert!(locked.iter().all(|chirp| *chirp == locked[0]));
-        // Half of the square of the strongest, and what up to 20 dB weaker ones add.
+        // Half of the square of the strongest tone, plus the power of tones that are up to 20 dB weaker.
         assert!((1.5..7.0).contains(&power(&locked[0])), "{}", power(&locked[0]));
         for phase in [SpurPhase::Free, SpurPhase::Random] {
             let moving = chirps(phase, 0);

@@ -1,4 +1,4 @@
-//! The actors' files that a scene names.
+//! Actor files that a scene refers to.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,10 +12,10 @@ use crate::people::imported::{Actor, ActorOptions};
 use crate::people::motion::Steps;
 use crate::scene_file::{ActorFile, SceneFile};
 
-/// At this speed sliding is told, m/s.
+/// Walking speed for which foot sliding is reported, m/s.
 const USUAL_M_PER_S: f64 = 1.2;
 
-/// By `[[people.actor]]`, where the person's steps come from.
+/// Returns the source of the person's steps for each `[[people.actor]]`.
 pub(super) fn load(scene: &SceneFile, path: &Path, text: &str) -> Result<Vec<Steps>, SceneError> {
     scene.people.actor.iter().map(|actor| load_one(actor, path, text)).collect()
 }

@@ -1,4 +1,4 @@
-//! Limits of a scene file beyond its types.
+//! Checks of a scene file beyond its types.
 
 use std::path::Path;
 
@@ -10,16 +10,17 @@ use crate::scene_file::{
     StepFile, SurfaceFile, SwayFile, VibrationFile, VisitsFile, WanderFile,
 };
 
-/// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
+/// Upper limit of tables of one kind (furniture, seats, beds, doors). Each takes memory for every image of the
+/// antennas.
 const MOST_TABLES: f64 = 1000.0;
-/// People with scripts or visits at most. Labels end at two, which means two or more.
+/// Upper limit of people with scripts or visits. Labels end at two, which stands for two or more.
 const MOST_PEOPLE: f64 = 8.0;
-/// Steps of one person's script at most.
+/// Upper limit of steps in one person's script.
 const MOST_STEPS: f64 = 10_000.0;
 /// Unit of a spread of frequencies.
 const BANDWIDTH_UNIT: &str = "(standard deviation of the frequencies' logarithm)";
 
-/// A value that makes no sense.
+/// A value that is not allowed.
 pub(super) struct Fault {
     key: &'static str,
     value: String,
@@ -65,7 +66,7 @@ fn probabilities<const N: usize>(all: [(&'static str, f64); N]) -> Result<(), Fa
     all.into_iter().try_for_each(|(key, probability)| within(key, probability, 0.0, 1.0, "(probability)"))
 }
 
-/// Refuses a place outside of a room of a size.
+/// Refuses a place outside a room of the given size.
 fn in_room(key: &'static str, place: &[f64], size: [f64; 3]) -> Result<(), Fault> {
     if place.iter().zip(size).all(|(&p, s)| p >= 0.0 && p <= s) {
         return Ok(());
@@ -73,7 +74,7 @@ fn in_room(key: &'static str, place: &[f64], size: [f64; 3]) -> Result<(), Fault
     fault(key, place, format!("a place in the room {size:?}"))
 }
 
-/// Refuses the index of a table that is not there.
+/// Refuses an index beyond the tables that exist.
 fn index(key: &'static str, number: Option<usize>, table: &str, count: usize) -> Result<(), Fault> {
     match number {
         Some(number) if number >= count => {
@@ -83,7 +84,7 @@ fn index(key: &'static str, number: Option<usize>, table: &str, count: usize) ->
     }
 }
 
-/// The six surfaces by key.
+/// The room's six surfaces, each with its key.
 pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     [
         ("x_low", &room.x_low),
@@ -95,7 +96,7 @@ pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     ]
 }
 
-/// Checks the scene's own materials, and what a room is made of: before its meshes are read.
+/// Checks the scene's own materials and the materials of the room, before its meshes are read.
 pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     file.materials.iter().try_for_each(|(name, own)| check_own_material(name, own))?;
     for furniture in &file.furniture {
@@ -140,7 +141,8 @@ fn check_own_material(name: &str, own: &OwnMaterial) -> Result<(), Fault> {
     interval("band_ghz", own.band_ghz.unwrap_or([1.0, 100.0]), 0.0, 1e4, "GHz")
 }
 
-/// Checks the material of one of the six surfaces: given in a box, absent where a plan or meshes have the walls.
+/// Checks the material of one of the six surfaces. A box must state it; a plan or meshes must leave it out for their
+/// walls.
 fn check_surface(file: &SceneFile, key: &'static str, material: &str) -> Result<(), Fault> {
     let room = &file.room;
     let is_of_plan = room.plan.is_some() && !["floor", "ceiling"].contains(&key);
@@ -152,7 +154,7 @@ fn check_surface(file: &SceneFile, key: &'static str, material: &str) -> Result<
         (true, material) => check_material(file, key, material),
         (false, "") => Ok(()),
         (false, _) if is_of_plan => fault(key, material, "none beside [room.plan]: upright walls come from the plan"),
-        // Surfaces that the meshes lack.
+        // The meshes lack this surface.
         (false, OPEN) => Ok(()),
         (false, _) => fault(key, material, "none beside [[room.mesh]]: walls come from the meshes, or are \"open\""),
     }
@@ -167,7 +169,7 @@ pub(super) fn check_material(file: &SceneFile, key: &'static str, name: &str) ->
     fault(key, name, format!("one of {table}, or of the scene's own [materials.NAME], which are {own:?}"))
 }
 
-/// Checks a whole scene whose room has its size.
+/// Checks a whole scene after the room's size is known.
 pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     if file.format != SCENE_FORMAT {
         return fault("format", file.format, "1, the only version that this program reads");
@@ -214,7 +216,7 @@ fn check_room(room: &RoomFile) -> Result<(), Fault> {
     thicknesses_m.try_for_each(|thickness_m| within("thickness_m", thickness_m, 0.0, 10.0, "m"))
 }
 
-/// Refuses a radar that is in a wall of the box around the room, or outside.
+/// Refuses a radar in a wall of the box around the room, or outside it.
 fn check_position(radar: &RadarFile, size: [f64; 3]) -> Result<(), Fault> {
     if radar.position_m.iter().zip(size).all(|(&p, s)| p >= 0.01 && p <= s - 0.01) {
         return Ok(());
@@ -222,7 +224,7 @@ fn check_position(radar: &RadarFile, size: [f64; 3]) -> Result<(), Fault> {
     fault("position_m", radar.position_m, format!("a place in the room, 1 cm or more from its walls {size:?}"))
 }
 
-/// Checks where the radar looks, and its vibration.
+/// Checks the radar's orientation and its vibration.
 fn check_mounting(radar: &RadarFile) -> Result<(), Fault> {
     within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
     within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
@@ -255,7 +257,7 @@ fn check_furniture(furniture: &FurnitureFile, size: [f64; 3]) -> Result<(), Faul
     within("points", furniture.points as f64, 1.0, 64.0, "points")
 }
 
-/// Checks place, heading and height of a seat or a bed.
+/// Checks position, heading and height of a seat or a bed.
 fn check_resting_place(
     key: &'static str,
     position_m: &[f64],
@@ -279,7 +281,7 @@ fn check_door(door: &DoorFile, [width_m, depth_m, _]: [f64; 3]) -> Result<(), Fa
     within("width_m", door.width_m, 0.4, 10.0, "m")
 }
 
-/// Checks options that exclude an actor's file, and those that need one.
+/// Checks options that exclude an actor's file, and options that need one.
 fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
     let Some(file) = &actor.file else {
         let given = [
@@ -335,7 +337,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     people.desk.iter().try_for_each(check_desk)
 }
 
-/// Checks somebody's script.
+/// Checks the script of one person.
 fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
     let height_m = actor.height_m.unwrap_or(1.75);
     within("height_m", height_m, 0.5, 2.5, "m")?;
@@ -365,7 +367,7 @@ fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Checks one step of a script of somebody of a height, but for the tables that it names.
+/// Checks one step of a script for a person of the given height, except the tables that the step names.
 fn check_step(step: &StepFile, height_m: f64) -> Result<(), Fault> {
     let given = [
         step.walk_to_m.is_some(),

@@ -1,6 +1,6 @@
-//! Which part of the ground plan a room is, and what is in people's way in it: furniture, all that lies outside of its walls, its
-//! partitions but for their doorways, and door leaves. Of rooms from files it is where a floor leads to the radar without a wall
-//! between ([`cells`]).
+//! Floor of a room on the ground plan, and the obstacles on it: furniture, the area outside the walls, partitions
+//! between their doorways, and door leaves. For rooms from files, the floor is the area that leads to the radar without
+//! a wall between ([`cells`]).
 
 mod cells;
 
@@ -14,25 +14,25 @@ use cells::{Cells, Kind};
 /// A box on the ground plan: low and high corner, m.
 pub(crate) type GroundBox = [[f64; 2]; 2];
 
-/// Size of the boxes into which walls askew are cut, m.
+/// Size of the boxes that cover oblique walls, m.
 const STEP_M: f64 = 0.25;
-/// People pass openings that begin below this and end above that, m.
+/// Openings that people can pass begin below the first height and end above the second one, m.
 const SILL_M: f64 = 0.05;
 const HEAD_M: f64 = 1.9;
-/// Doors that are open by so much let people through, degrees.
+/// Least opening angle of a door that people can pass, degrees.
 const OPEN_DEG: f64 = 45.0;
-/// Lines nearer to each other than this are one, m.
+/// Distance within which lines are the same, m.
 const SAME_M: f64 = 1e-6;
-/// Pieces of meshes that are larger than this on the ground plan and higher than people are walls, which may stand around the
-/// floor of the room, m.
+/// Size on the ground plan above which a piece of a mesh counts as a wall if it is also higher than people, m. Such
+/// pieces may surround the floor of the room.
 const LARGE_M: f64 = 1.5;
 
-/// Which part of the ground plan a room is.
+/// Floor of a room on the ground plan.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Floor {
-    /// All of the box around it, of this size, m.
+    /// The whole box around the room, of this size, m.
     Box([f64; 2]),
-    /// Area that these walls enclose, m.
+    /// Area enclosed by these corners, m.
     Plan(Vec<DVec2>),
     /// Cells of a grid.
     Cells(Cells),
@@ -50,7 +50,8 @@ impl Floor {
         }
     }
 
-    /// Of what reaches so far along the axes from a place, m: whether some is in the room, and whether some is outside.
+    /// Whether parts of a body lie in the room, and whether parts lie outside. The body extends by `half` along the
+    /// axes from its centre, m.
     pub fn meets(&self, centre: DVec3, half: DVec3) -> [bool; 2] {
         let across = [DVec2::ZERO, DVec2::X * half.x, DVec2::Y * half.y];
         let places = || across.into_iter().flat_map(|off| [centre.truncate() + off, centre.truncate() - off]);
@@ -68,7 +69,7 @@ impl Floor {
 
 /// Obstacles that people walk around: furniture and walls.
 pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
-    /// Height below which nothing is in anybody's way, m.
+    /// Height below which objects are no obstacles, m.
     const CARPET_M: f64 = 0.05;
     let (has_meshes, of_meshes) = (!scene.meshes.pieces.is_empty(), scene.meshes.own_furniture);
     let in_the_way = scene.file.furniture.iter().enumerate().filter(|(number, f)| {
@@ -83,7 +84,7 @@ pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
     in_the_way.map(block).chain(walls(scene)).collect()
 }
 
-/// Parts of a room itself that people walk around; none in a box.
+/// Parts of the room itself that people walk around; none for a box.
 pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
     match (Floor::of(scene), &scene.file.room.plan) {
         (_, Some(plan)) => [boxes(plan), leaves(plan)].concat(),
@@ -101,7 +102,7 @@ fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
     boxes
 }
 
-/// Parts of a plan that people walk around, but for door leaves.
+/// Parts of a plan that people walk around, except door leaves.
 fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
     let mut boxes = outside(&plan::corners(plan));
     for partition in &plan.partition {
@@ -110,7 +111,8 @@ fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
     boxes
 }
 
-/// Boxes over what lies around a polygon within its bounds: exact where its sides run along the axes.
+/// Boxes that cover the area outside a polygon, within its bounds. They are exact if the polygon's sides are parallel
+/// to the axes.
 fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
     let is_askew = sides(corners).any(|[a, b]| (a.x - b.x).abs() > SAME_M && (a.y - b.y).abs() > SAME_M);
     let lines = |axis: usize| {
@@ -142,7 +144,7 @@ fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
     boxes
 }
 
-/// Whether people go through an opening.
+/// Whether people can pass an opening.
 fn lets_people_through(opening: &OpeningFile) -> bool {
     let is_open = opening.door.as_ref().is_none_or(|door| door.open_deg.abs() >= OPEN_DEG);
     opening.material.is_none() && is_open && opening.sill_m <= SILL_M && opening.head_m >= HEAD_M
@@ -165,7 +167,7 @@ fn add_partition(partition: &PartitionFile, boxes: &mut Vec<GroundBox>) {
     }
 }
 
-/// Adds boxes around a line: one where it runs along an axis.
+/// Adds boxes that cover a line: a single one if it is parallel to an axis.
 fn add_line(from: DVec2, to: DVec2, boxes: &mut Vec<GroundBox>) {
     let offset = (to - from).abs();
     let parts = if offset.min_element() < SAME_M { 1 } else { (offset.length() / STEP_M).ceil().max(1.0) as usize };
@@ -192,7 +194,7 @@ mod tests {
         assert!(boxes(&rectangle).is_empty());
     }
 
-    /// Askew walls are followed within a step.
+    /// Boxes follow oblique walls within one step.
     #[test]
     fn askew_walls_are_taken_in_steps() {
         let triangle = plan("corners_m = [[0.0, 0.0], [4.0, 0.0], [0.0, 3.0]]");
@@ -204,7 +206,8 @@ mod tests {
         assert!(holds(3.6, 2.6) && !holds(1.0, 1.0) && !holds(0.4, 2.2));
     }
 
-    /// A leaf of 0.9 m at 45 degrees, hung where the opening begins, swings to the left of the way along its partition.
+    /// A leaf of 0.9 m at 45 degrees is hung at the beginning of the opening and swings to the left of the partition's
+    /// direction.
     #[test]
     fn door_leaves_are_in_the_way() {
         let found = leaves(&plan(
@@ -216,7 +219,7 @@ mod tests {
         let low = found.iter().map(|[low, _]| low[0]).fold(f64::INFINITY, f64::min);
         let high = found.iter().map(|[_, high]| high[1]).fold(0.0, f64::max);
         assert!((low - (3.5 - reach_m)).abs() < 1e-9 && (high - (1.5 + reach_m)).abs() < 1e-9, "{found:?}");
-        // The leaf lies in the line x + y = 5, and each box around a part of it.
+        // The leaf lies in the line x + y = 5, and each box covers a part of it.
         assert!(found.iter().all(|[low, high]| low[0] + low[1] <= 5.0 && high[0] + high[1] >= 5.0), "{found:?}");
     }
 

@@ -1,4 +1,4 @@
-//! Scenes: the content of a scene file, checked and resolved.
+//! Scenes: the checked and resolved content of scene files.
 
 pub(crate) mod ground;
 pub mod surfaces;
@@ -30,103 +30,103 @@ use crate::scene_file::{BodyFile, SceneFile};
 use room::RoomMeshes;
 use surfaces::Surfaces;
 
-/// A scene that cannot be used.
+/// Error of a scene that cannot be used.
 #[derive(Debug, Error)]
 pub enum SceneError {
     /// A file cannot be read.
     #[error("{path}: cannot be read: {source}")]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Reason of the system.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A file is no TOML, or has a wrong key or type.
+    /// A file is not valid TOML, or has a wrong key or type.
     #[error("{path}:{line}: {message}")]
     Parse {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line, from 1.
+        /// Line number, from 1.
         line: usize,
-        /// Text that the parser found, and what it expected.
+        /// Message of the parser: the text found and the text expected.
         message: String,
     },
-    /// A value makes no sense.
+    /// A value is not allowed.
     #[error("{path}:{line}: {key} is {value}, expected {expected}")]
     Value {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line, from 1; the file's first if the key is not written there.
+        /// Line number, from 1; the file's first line if the key is not written there.
         line: usize,
-        /// Key.
+        /// Key of the value.
         key: String,
         /// Value that was given.
         value: String,
-        /// Values that would do.
+        /// Description of the allowed values.
         expected: String,
     },
     /// A key of `[random]` cannot be drawn.
     #[error("{path}:{line}: random: {key}: found {found}, expected {expected}")]
     Random {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Line, from 1; the file's first if the key is not written there.
+        /// Line number, from 1; the file's first line if the key is not written there.
         line: usize,
-        /// Key.
+        /// Key of `[random]`.
         key: String,
         /// Content that was found.
         found: String,
-        /// Content that would do.
+        /// Description of the allowed content.
         expected: String,
     },
-    /// Values within the ranges of `[random]` make no scene.
+    /// Values within the ranges of `[random]` do not form a valid scene.
     #[error("{path}: values drawn from [random] ({which}) make no scene: {reason}")]
     Drawn {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Values that were drawn.
         which: String,
-        /// Reason, in lines of the scene with those values.
+        /// Reason, with line numbers of the scene that has those values.
         reason: String,
     },
-    /// A file that the scene names, an actor's or a room's, cannot be used.
+    /// A file that the scene refers to, an actor's or a room's, cannot be used.
     #[error("{path}:{line}: {file}: {source}")]
     File {
-        /// The scene file.
+        /// Path of the scene file.
         path: PathBuf,
-        /// Line of it that names the file.
+        /// Line of the scene file that names the file.
         line: usize,
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// Place in it, what is wrong, and what to do.
+        /// Place in the file, problem and remedy.
         source: Box<FileError>,
     },
     /// The chip cannot produce the waveform.
     #[error("{path}:{line}: {source}")]
     Waveform {
-        /// The file.
+        /// Path of the scene file.
         path: PathBuf,
         /// Line of the waveform's table.
         line: usize,
-        /// Reason.
+        /// Reason why the chip cannot produce it.
         source: WaveformError,
     },
 }
 
-/// Places of the transmit and receive antennas on the package, in the radar's frame (x boresight, y left, z up), m.
-/// The receivers form an L with RX3 in the corner, 2.5 mm apart: RX1 & RX3 give azimuth, RX2 & RX3 elevation.
-/// The distance from TX to the corner is an estimate.
+/// Positions of the transmit and receive antennas on the package, in the radar's frame (x boresight, y left, z up), m.
+/// The receivers form an L with RX3 in the corner, 2.5 mm apart: RX1 & RX3 give azimuth, RX2 & RX3 elevation. The
+/// distance from TX to the corner is an estimate.
 pub const ANTENNA_OFFSETS_M: AntennaOffsets = AntennaOffsets {
     tx: DVec3::new(0.0, -0.003, 0.0),
     rx: [DVec3::new(0.0, 0.0045, 0.0), DVec3::new(0.0, 0.002, 0.0025), DVec3::new(0.0, 0.002, 0.0)],
 };
 
-/// See [`ANTENNA_OFFSETS_M`].
+/// Positions of antennas relative to the package; see [`ANTENNA_OFFSETS_M`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AntennaOffsets {
-    /// Transmitter.
+    /// Position of the transmitter, m.
     pub tx: DVec3,
-    /// Receivers RX1, RX2, RX3.
+    /// Positions of the receivers RX1, RX2, RX3, m.
     pub rx: [DVec3; 3],
 }
 
@@ -137,11 +137,11 @@ pub struct Scene {
     path: PathBuf,
     waveform: Waveform,
     receiver: Receiver,
-    /// A receiver that was given instead of the file's.
+    /// Receiver that replaces the file's receiver.
     given: Option<Receiver>,
-    /// Model of people's bodies, if it was chosen instead of the file's.
+    /// Model of people's bodies that replaces the file's model.
     body: Option<BodyFile>,
-    /// The file, where its `[random]` table has keys.
+    /// Text of the file, if its `[random]` table has keys.
     text: Option<Arc<str>>,
     outlines: Arc<[Outline]>,
     meshes: Arc<RoomMeshes>,
@@ -150,17 +150,18 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Reads a scene file and the files that it names: in its folder, or where [`crate::bounded_file::named_by_spec`] lets
-    /// them be.
+    /// Reads a scene file and the files that it refers to. These are in its folder, or where
+    /// [`crate::bounded_file::named_by_spec`] allows.
     ///
     /// # Errors
-    /// [`SceneError`] for whatever is wrong with the scene or with a file that it names.
+    /// [`SceneError`] if the scene, or a file that it refers to, cannot be used.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
         let text = read(path)?;
         Self::parse(&text, path)
     }
 
-    /// A scene from a file with other values of some keys of its `[waveform]`. Lines in errors are then those of the changed text.
+    /// Reads a scene from a file and replaces some keys of its `[waveform]`. Line numbers in errors then refer to the
+    /// changed text.
     ///
     /// # Errors
     /// Those of [`Scene::load`].
@@ -176,7 +177,7 @@ impl Scene {
         Self::parse(&table.to_string(), path)
     }
 
-    /// Empty space before a radar of a waveform: what a receiver shows by itself.
+    /// Makes a scene of empty space before a radar with a waveform. It shows the receiver's own output.
     ///
     /// # Errors
     /// [`SceneError`] if no scene can have the waveform.
@@ -192,10 +193,10 @@ impl Scene {
         Self::parse(&text, Path::new("(nothing)"))
     }
 
-    /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
+    /// Parses a scene from text. `path` is used in messages, and receiver files are relative to it.
     ///
     /// # Errors
-    /// Those of [`Scene::load`], but for the scene's own file.
+    /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
@@ -207,10 +208,10 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The scene that a seed makes of this one: the same where the file has no `[random]` table.
+    /// Draws the scene of a seed. It is this scene if the file has no `[random]` table.
     ///
     /// # Errors
-    /// [`SceneError`] if the values that are drawn make no scene, or the receiver's file cannot be read any more.
+    /// [`SceneError`] if the drawn values do not form a valid scene, or the receiver's file cannot be read any more.
     pub fn drawn(&self, seed: u64) -> Result<Self, SceneError> {
         self.drawn_at(Draw::Seed(seed))
     }
@@ -236,7 +237,7 @@ impl Scene {
         })?;
         let text_of_draw = table.to_string();
         let parse = || Self::parse_fixed(&text_of_draw, path);
-        // What is to be warned of was said when the file was read, of the ends of all ranges: not of every seed again.
+        // Warnings were given when the file was read, for the ends of all ranges. They are not repeated for each seed.
         let parsed = match draw {
             Draw::Seed(_) => tracing::subscriber::with_default(tracing::subscriber::NoSubscriber::default(), parse),
             Draw::Least | Draw::Greatest => parse(),
@@ -319,7 +320,7 @@ impl Scene {
         &self.waveform
     }
 
-    /// The receiver's constants.
+    /// Constants of the receiver.
     pub fn receiver(&self) -> &Receiver {
         &self.receiver
     }
@@ -329,7 +330,7 @@ impl Scene {
         &self.file
     }
 
-    /// By `[[people.actor]]`, where the person's steps come from.
+    /// Source of the person's steps for each `[[people.actor]]`.
     pub fn steps(&self) -> &[Steps] {
         &self.steps
     }
@@ -349,27 +350,28 @@ impl Scene {
         &self.file.name
     }
 
-    /// Path from which it was read.
+    /// Path from which the scene was read.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The same scene with another receiver.
+    /// Replaces the receiver.
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
         self.given = Some(receiver.clone());
         self.receiver = receiver;
         self
     }
 
-    /// The same scene with other receive antennas enabled. What one of them hears of ellipsoids does not depend on those behind
-    /// it, to the bit; skins are looked at from the middle of all antennas, which is exact to far less than their tolerance.
+    /// Replaces the enabled receive antennas. For ellipsoids, the signal of one antenna does not depend on the later
+    /// antennas, to the bit. Skins are evaluated from the middle of all antennas. The error of that is far below the
+    /// tolerance.
     pub fn with_receivers(mut self, rx_antennas: RxMask) -> Self {
         self.file.waveform.rx_antennas = rx_antennas;
         self.waveform.request.rx_antennas = rx_antennas;
         self
     }
 
-    /// The same scene with people made of something else. People at a desk have no skin: they stay as they are.
+    /// Replaces the body model of people. People at a desk have no skin, so they keep their model.
     pub fn with_body(mut self, body: BodyFile) -> Self {
         if self.file.people.desk.is_none() {
             self.file.people.body = body;
@@ -401,7 +403,7 @@ impl Scene {
         BoxRoom::new(DVec3::from_array(room.size_m), self.walls, self.wavenumber_per_m(), room.transmission)
     }
 
-    /// All surfaces in the room's coordinates: walls, floors, what stands in it. They are made anew at each call.
+    /// All surfaces in room coordinates: walls, floors and furniture. They are computed anew at each call.
     pub fn surfaces(&self) -> Surfaces {
         surfaces::sources::surfaces(&self.file, &self.walls, &self.meshes, self.waveform.centre_frequency_hz())
     }

@@ -1,4 +1,4 @@
-//! Rooms from floor plans: what a plan may say, and its walls, panes and doors as faces.
+//! Rooms from floor plans: checks of a plan, and its walls, panes and doors as faces.
 
 use glam::{DVec2, DVec3};
 
@@ -9,16 +9,16 @@ use crate::geometry::polygon::{self, distance_to_line};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 
-/// Places so near are one, m.
+/// Distance within which positions are the same, m.
 const SAME_M: f64 = 1e-6;
-/// Walls and openings are no shorter, m.
+/// Least length of walls and openings, m.
 const LEAST_LENGTH_M: f64 = 0.05;
-/// The radar keeps so far from walls, m.
+/// Least distance of the radar from walls, m.
 const RADAR_OFF_M: f64 = 0.01;
-/// Corners, openings and partitions of a plan at most.
+/// Upper limit of corners, openings and partitions of a plan.
 const MOST: f64 = 200.0;
 
-/// Checks the plan, if there is one, and puts the size of the box around it and its walls in their place.
+/// Checks the plan, if any, and fills in the size of the box around it and its walls.
 pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     if file.room.size_m != [0.0; 3] {
@@ -39,7 +39,7 @@ pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Checks that radar, furniture, seats, beds and doors have their places in the plan, if there is one.
+/// Checks that radar, furniture, seats, beds and doors lie within the plan, if any.
 pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     let Some(floor) = floor(plan) else { return Ok(()) };
@@ -77,7 +77,7 @@ pub(super) fn corners(plan: &PlanFile) -> Vec<DVec2> {
     plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
 }
 
-/// Ends of all walls, m.
+/// Returns the ends of all walls, m.
 pub(super) fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
     polygon::sides(&corners(plan)).collect()
 }
@@ -86,19 +86,19 @@ pub(super) fn ends(partition: &PartitionFile) -> [DVec2; 2] {
     [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
 }
 
-/// An opening of a floor plan as seen from above.
+/// An opening of a floor plan, seen from above.
 #[derive(Debug, Clone, Copy)]
 pub struct Opening<'a> {
-    /// Its beginning and end on the line of its wall or partition, m.
+    /// Begin and end of the opening on the line of its wall or partition, m.
     pub ends: [DVec2; 2],
-    /// Hinge and end of its door leaf, m. None without a door.
+    /// Hinge and end of its door leaf, m; `None` without a door.
     pub leaf: Option<[DVec2; 2]>,
     /// Its keys in the scene file.
     pub file: &'a OpeningFile,
 }
 
 impl<'a> Opening<'a> {
-    /// Places an opening on a line. A door leaf turns to the left of the way along it (1) or to the right (-1).
+    /// Places an opening on a line. A door leaf turns to the left of the line's direction (1) or to the right (-1).
     fn new([from, to]: [DVec2; 2], file: &'a OpeningFile, left: f64) -> Self {
         let along = (to - from).normalize_or_zero();
         let ends = [file.from_m, file.to_m].map(|place_m| from + along * place_m);
@@ -113,7 +113,7 @@ impl<'a> Opening<'a> {
     }
 }
 
-/// Openings of all walls and partitions.
+/// Returns the openings of all walls and partitions.
 pub(super) fn openings(plan: &PlanFile) -> Vec<Opening<'_>> {
     let (walls, left) = (walls(plan), polygon::doubled_area(&corners(plan)).signum());
     let mut openings = Vec::new();
@@ -129,7 +129,7 @@ pub(super) fn openings(plan: &PlanFile) -> Vec<Opening<'_>> {
     openings
 }
 
-/// The floor, which faces up.
+/// Returns the floor, which faces up.
 fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
     let corners: Vec<DVec3> = corners(plan).into_iter().map(|corner| corner.extend(0.0)).collect();
     let floor = PlanarPolygon::from_corners(&corners, &[])?;
@@ -162,7 +162,7 @@ fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
             let follows = j == i + 1;
             let precedes = i == 0 && j + 1 == walls.len();
             let is_hit = match (follows, precedes) {
-                // They share a corner: does one fold back onto the other?
+                // The sides share a corner. They must not fold back onto each other.
                 (true, _) => distance_to_line(other[1], wall) < SAME_M || distance_to_line(wall[0], other) < SAME_M,
                 (_, true) => distance_to_line(other[0], wall) < SAME_M || distance_to_line(wall[1], other) < SAME_M,
                 _ => {
@@ -234,7 +234,7 @@ fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile)
     check_openings(file, &partition.opening.iter().collect::<Vec<_>>(), length_m, height_m)
 }
 
-/// Openings of one wall of a length and height.
+/// Checks the openings of one wall with the given length and height.
 fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_m: f64) -> Result<(), Fault> {
     for (number, opening) in all.iter().enumerate() {
         let [from, to, sill, head] = rectangle(opening);
@@ -279,7 +279,7 @@ fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_
     Ok(())
 }
 
-/// Begin and end along the wall and over the floor, m.
+/// Returns the begin and end along the wall, and the sill and head above the floor, m.
 fn rectangle(opening: &OpeningFile) -> [f64; 4] {
     [opening.from_m, opening.to_m, opening.sill_m, opening.head_m]
 }
@@ -303,13 +303,13 @@ impl Upright {
         self.ends[0].lerp(self.ends[1], along_m / self.length_m()).with_z(up_m)
     }
 
-    /// A part of it, which faces to the left of the way along it.
+    /// Returns a part of the rectangle, which faces to the left of its direction.
     fn part(&self, [from, to, sill, head]: [f64; 4]) -> Option<PlanarPolygon> {
         let corners = [self.at(from, sill), self.at(from, head), self.at(to, head), self.at(to, sill)];
         PlanarPolygon::from_corners(&corners, &[])
     }
 
-    /// Polygons that openings leave of it, which face to the left.
+    /// Returns the polygons that remain of the rectangle around openings. They face to the left.
     fn pierced(&self, openings: &[&OpeningFile]) -> Vec<PlanarPolygon> {
         let lines = |most: f64, of: &dyn Fn(&[f64; 4]) -> [f64; 2]| {
             let cuts = openings.iter().flat_map(|opening| of(&rectangle(opening)));
@@ -339,7 +339,7 @@ impl Upright {
         planes(&mesh, SAME_M).planes.iter().flat_map(|plane| PlanarPolygon::of_plane(&mesh, plane)).collect()
     }
 
-    /// A door leaf in an opening, and whether it is shut.
+    /// Returns a door leaf in an opening, and whether it is shut.
     fn leaf(&self, opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> (Option<PlanarPolygon>, bool) {
         let [from, to, sill, head] = rectangle(opening);
         let (hinge, end) = match door.hinge {
@@ -347,7 +347,7 @@ impl Upright {
             HingeFile::To => (to, from),
         };
         let (hinge, shut) = (self.at(hinge, sill), self.at(end, sill));
-        // To the left of the way along the wall, whichever end it hangs at.
+        // The leaf turns to the left of the wall's direction, at either hinge.
         let turn = if door.hinge == HingeFile::From { left } else { -left };
         let (sine, cosine) = (turn * door.open_deg.to_radians()).sin_cos();
         let way = shut - hinge;
@@ -357,7 +357,7 @@ impl Upright {
     }
 }
 
-/// Collects faces with their groups, and what they look like.
+/// Builder of faces with their groups, and of outlines.
 struct Builder<'a> {
     file: &'a SceneFile,
     frequency_hz: f64,
@@ -372,7 +372,7 @@ impl Builder<'_> {
         self.groups
     }
 
-    /// Adds faces, unless their material is none.
+    /// Adds faces, unless their material is open.
     fn add(&mut self, polygons: impl IntoIterator<Item = PlanarPolygon>, of: (&str, f64), name: &str, group: usize) {
         let surface = SurfaceFile { material: of.0.to_owned(), thickness_m: of.1 };
         let Some(wall) = solid(self.file, &surface, self.frequency_hz) else { return };
@@ -382,7 +382,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds a wall or partition with its panes and doors. It faces to the left of the way along it, or to the right.
+    /// Adds a wall or partition with its panes and doors. It faces to the left of its direction, or to the right.
     fn upright(&mut self, upright: &Upright, openings: &[&OpeningFile], of: (&str, f64), place: (&str, usize, bool)) {
         let (name, group, is_left) = place;
         let facing = |polygon: PlanarPolygon| if is_left { polygon } else { polygon.flipped() };
@@ -394,7 +394,7 @@ impl Builder<'_> {
             }
             if let Some(door) = &opening.door {
                 let (leaf, is_shut) = upright.leaf(opening, door, if is_left { 1.0 } else { -1.0 });
-                // A leaf that is open closes no volume with the wall.
+                // An open leaf does not enclose a volume with the wall.
                 let group = if is_shut { group } else { self.group() };
                 self.add(leaf, (&door.material, door.thickness_m), &format!("door in {name}"), group);
             }
@@ -402,7 +402,7 @@ impl Builder<'_> {
     }
 }
 
-/// Walls, floor, ceiling, partitions, panes and doors of a plan; and what they look like.
+/// Returns walls, floor, ceiling, partitions, panes and doors of a plan as faces, and their outlines.
 pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Vec<Draft>, Vec<Outline>) {
     let mut builder = Builder { file, frequency_hz, drafts: Vec::new(), outlines: Vec::new(), groups: ROOM };
     let twice_area_m2 = polygon::doubled_area(&corners(plan));
@@ -430,7 +430,7 @@ pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Ve
     (builder.drafts, builder.outlines)
 }
 
-/// The floor at another height.
+/// Returns the floor polygon at another height.
 fn raised(floor: &PlanarPolygon, height_m: f64) -> PlanarPolygon {
     let outline = floor.outline.iter().map(|corner| corner.with_z(height_m)).collect();
     PlanarPolygon { outline, offset_m: height_m, ..floor.clone() }

@@ -1,11 +1,13 @@
 //! Materials of a room, and rooms from meshes.
 //!
-//! Of meshes, the six largest planes along the axes that look at each other make the box around the room; each wall has the
-//! material of the mesh that most of it belongs to. What stands inside the box is furniture, each piece that hangs together: people
-//! walk around its bounding box, and around walls where these are (`ground.rs`). Where paths are found by rays (`[room] solver`),
-//! planes of meshes mirror, hide and diffract as they are, and pieces without planes scatter from points. Where the images of the
-//! box are taken, walls reflect as a whole, and all pieces scatter from points on their bounding boxes, with the mean cross-section
-//! of a convex body turned at random, a quarter of its area, times what its material reflects.
+//! In meshes, the six largest axis-parallel planes that face each other form the box around the room. Each wall has the
+//! material of the mesh that contributes most of its area. Connected pieces inside the box are furniture. People walk
+//! around the bounding boxes of furniture, and around walls (`ground.rs`).
+//!
+//! If `[room] solver` finds paths by rays, planes of meshes reflect, occlude and diffract at their true position.
+//! Pieces without planes scatter from points. If the solver uses images of the box, walls reflect as a whole, and all
+//! pieces scatter from points on their bounding boxes. The cross-section is the mean of a convex body in random
+//! orientation, a quarter of its area, times the reflectivity of its material.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -25,24 +27,27 @@ use crate::material::{Material, OPEN};
 use crate::math::Sets;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
-/// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
+/// Distance within which vertices are merged, and within which triangles belong to a plane, m. Modelling programs store
+/// floats.
 pub(super) const WELD_M: f64 = 1e-4;
-/// Planes so near are one wall, m.
+/// Distance within which planes form one wall, m.
 const SAME_WALL_M: f64 = 0.01;
-/// A wall looks along an axis within this, as the cosine of 2 degrees.
+/// Least cosine of the angle between a wall's normal and an axis: 2 degrees.
 const ALONG: f64 = 0.9994;
-/// A wall covers at least this part of its side of the meshes' bounding box.
+/// Least area of a wall, as a part of its side of the meshes' bounding box.
 const LEAST_WALL: f64 = 0.3;
-/// Solid walls are no thicker, m.
+/// Largest thickness of a solid wall, m.
 const THICKEST_M: f64 = 0.6;
-/// Rooms are no smaller and no larger, m.
+/// Least and largest size of a room, m.
 const SIZES_M: [f64; 2] = [0.5, 100.0];
-/// Pieces of furniture that are kept, the largest, and points of each on a square metre.
+/// Upper limit of pieces of furniture, of which the largest are kept, and number of scattering points per square metre
+/// of each.
 const MOST_PIECES: usize = 64;
 const POINTS_PER_M2: f64 = 4.0;
-/// Triangles of one mesh at most: what a scan of a flat has, and what can be welded and searched within seconds.
+/// Upper limit of triangles in one mesh: as many as in a scan of a flat. More cannot be welded and searched within
+/// seconds.
 const MOST_TRIANGLES: usize = 1_000_000;
-/// Names of the six walls and the axis and end that each is at.
+/// Names of the six walls, with axis and end of each.
 pub(super) const WALLS: [(&str, usize, bool); 6] = [
     ("x_low", 0, false),
     ("x_high", 0, true),
@@ -52,7 +57,7 @@ pub(super) const WALLS: [(&str, usize, bool); 6] = [
     ("ceiling", 2, true),
 ];
 
-/// Whether nothing has been said yet of a material in a wall: a dataset draws the same walls thousands of times.
+/// Whether a warning about a material in a wall is new. A dataset draws the same walls thousands of times.
 fn is_news(material: &str, wall: &str) -> bool {
     static SAID: Mutex<BTreeSet<[String; 2]>> = Mutex::new(BTreeSet::new());
     SAID.lock().unwrap_or_else(PoisonError::into_inner).insert([material.to_owned(), wall.to_owned()])
@@ -85,7 +90,8 @@ fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Wavefo
     }
 }
 
-/// Warns of such materials of furniture, within floor plans and of parts of files, but for those of the box around the room.
+/// Warns of materials outside their band in furniture, floor plans and parts of files, except in the box around the
+/// room.
 pub(super) fn warn_of_bands_within(file: &SceneFile, meshes: &RoomMeshes, waveform: &Waveform) {
     let own = file.furniture.iter().take(meshes.own_furniture);
     let furniture = own.filter_map(|f| Some(("furniture", f.material.as_deref()?)));
@@ -97,7 +103,7 @@ pub(super) fn warn_of_bands_within(file: &SceneFile, meshes: &RoomMeshes, wavefo
     }
 }
 
-/// Reflection and transmission of a slab of a material of the table or of the scene's own; `None` for another name.
+/// Reflection and transmission of a slab of a built-in material or of the scene's own; `None` for an unknown name.
 pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
     let thickness_m = surface.thickness_m;
     let Some(material) = Material::named(&surface.material) else {
@@ -111,18 +117,18 @@ pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -
     })
 }
 
-/// Share of a wave's power that a wall of a material reflects at normal incidence; 0 where there is no wall.
+/// Fraction of a wave's power that a wall of a material reflects at normal incidence; 0 for an open one.
 fn reflected(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
     let wavenumber_per_m = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
     slab(file, surface, frequency_hz).map_or(0.0, |wall| wall.reflection(wavenumber_per_m, 1.0).te.norm_sqr())
 }
 
-/// Mean cross-section of a body of so much surface turned at random, dBsm.
+/// Mean radar cross-section of a convex body with this surface area in random orientation, dBsm.
 fn cross_section_dbsm(area_m2: f64, reflected: f64) -> f64 {
     10.0 * (0.25 * area_m2 * reflected).max(1e-10).log10()
 }
 
-/// Says how large furniture is to a radar whose scene only says what it is made of.
+/// Computes the radar cross-section of furniture for which the scene states only the material.
 pub(super) fn fill_cross_sections(file: &mut SceneFile, frequency_hz: f64) {
     let of = |f: &FurnitureFile| {
         let surface = SurfaceFile { material: f.material.clone()?, thickness_m: f.thickness_m };
@@ -135,16 +141,16 @@ pub(super) fn fill_cross_sections(file: &mut SceneFile, frequency_hz: f64) {
     }
 }
 
-/// Lines of a mesh of a room, in the scene.
+/// Lines of a room's mesh in room coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
-    /// Its material.
+    /// Name of its material.
     pub material: String,
-    /// Edges at which it ends or turns, m.
+    /// Edges at which the mesh ends or bends, m.
     pub edges: Vec<[DVec3; 2]>,
 }
 
-/// Edges that turn by more than this are drawn, rad.
+/// Least angle of edges that are drawn, rad.
 const CREASE_RAD: f64 = 0.35;
 
 fn outline(piece: &Piece, corner: DVec3) -> Outline {
@@ -162,17 +168,17 @@ pub(super) struct Piece {
     pub mesh: Mesh,
 }
 
-/// Meshes of a room as they were read.
+/// Meshes of a room as read from files.
 #[derive(Debug, Default)]
 pub(super) struct RoomMeshes {
     pub pieces: Vec<Piece>,
-    /// Origin of the scene in them, m.
+    /// Position of the scene's origin in the meshes, m.
     pub corner: DVec3,
-    /// Pieces of furniture that the scene file has itself: those after them stand for the meshes' triangles.
+    /// Number of pieces of furniture from the scene file itself. The later ones stand for triangles of the meshes.
     pub own_furniture: usize,
 }
 
-/// Faces in one plane.
+/// Faces that lie in one plane.
 #[derive(Default)]
 struct Face {
     area_m2: f64,
@@ -181,8 +187,7 @@ struct Face {
     of: BTreeMap<usize, f64>,
 }
 
-/// Reads the meshes, if there are any, and puts the room's size, surfaces and furniture in their place. Returns what they look
-/// like, and them.
+/// Reads the meshes, if any, and fills in the room's size, surfaces and furniture. Returns the outlines and the meshes.
 pub(super) fn read_meshes(
     file: &mut SceneFile,
     path: &Path,
@@ -219,7 +224,7 @@ pub(super) fn read_meshes(
     Ok((outlines, RoomMeshes { pieces, corner, own_furniture }))
 }
 
-/// Places of the six walls of meshes between two corners, m, and what each of them is.
+/// Returns the positions of the six walls of meshes between two corners, m, and the surface of each wall.
 fn six_walls(
     file: &SceneFile,
     pieces: &[Piece],
@@ -231,7 +236,7 @@ fn six_walls(
     let is_open = surfaces(&file.room).map(|(_, surface)| surface.material == OPEN);
     for (i, &(name, axis, is_high)) in WALLS.iter().enumerate() {
         if is_open[i] {
-            // Where there is no wall, the room ends where the meshes do.
+            // Without a wall, the room ends where the meshes end.
             found[i] = if is_high { high[axis] } else { low[axis] };
             made[i].material = OPEN.to_owned();
             continue;
@@ -253,7 +258,7 @@ fn six_walls(
     Ok((found, made))
 }
 
-/// Reads a mesh file: its parts, each with a material, welded.
+/// Reads a mesh file: its welded parts, each with a material.
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(&mesh.file);
@@ -270,7 +275,7 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
     parts.map_err(|source| file_error(path, text, &mesh.file, source))
 }
 
-/// Checks that the file has the names to which the scene gives materials.
+/// Checks that the file contains the names to which the scene assigns materials.
 fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileError> {
     let mut names: Vec<&str> =
         parts.iter().flat_map(|p| [p.material.as_deref().unwrap_or_default(), p.name.as_str()]).collect();
@@ -290,7 +295,7 @@ fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileError> {
     }
 }
 
-/// The parts of a mesh file in metres, z up.
+/// Reads the parts of a mesh file, in metres, z up.
 fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<Part>, FileError> {
     let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let says = ["gltf", "glb"].contains(&extension.as_str());
@@ -304,7 +309,7 @@ fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<P
             return Err(FileError::new(what, problem, hint));
         }
     };
-    // Others are refused by their names.
+    // `import` refuses other formats by their extension.
     if says || ["stl", "obj"].contains(&extension.as_str()) {
         named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileError::unreadable(&e))?;
     }
@@ -320,7 +325,7 @@ fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<P
     })
 }
 
-/// A part of a mesh file with the material that the scene gives it.
+/// Makes a piece from a part of a mesh file, with the material that the scene assigns to it.
 fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileError> {
     let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];
     let material = names.iter().find_map(|n| mesh.materials.get(*n)).or(mesh.material.as_ref());
@@ -348,18 +353,18 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
     Ok(Piece { name: part.name, surface, mesh: welded.mesh })
 }
 
-/// Low and high corner of places.
+/// Lowest and highest corner of a set of points.
 fn bounds<'a>(places: impl Iterator<Item = &'a DVec3>) -> [DVec3; 2] {
     places.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &v| [l.min(v), h.max(v)])
 }
 
-/// Planes along each axis, by place.
+/// Returns the planes along each axis, in order of position.
 fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     let mut all: [Vec<(f64, f64, usize)>; 3] = Default::default();
     for (number, piece) in pieces.iter().enumerate() {
         for plane in planes(&piece.mesh, WELD_M).planes {
             let Some(axis) = (0..3).find(|&axis| plane.normal[axis].abs() > ALONG) else { continue };
-            // The offset is along the normal, which may look the other way.
+            // The offset is along the normal, which may point in the negative direction.
             all[axis].push((plane.offset_m * plane.normal[axis].signum(), plane.area_m2, number));
         }
     }
@@ -380,8 +385,9 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     })
 }
 
-/// The innermost of the large planes at an end of an axis that may be one wall with the outermost: walls that are solids have an
-/// outer plane too, and rooms that are no boxes have walls farther in. If there is none, the largest area.
+/// Returns the innermost large plane at one end of an axis that may form one wall with the outermost plane. Solid walls
+/// also have an outer plane, and rooms that are not boxes have walls farther in. Without such a plane, returns the
+/// largest area.
 fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
     let middle = 0.5 * (low + high)[axis];
     let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
@@ -395,7 +401,7 @@ fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> 
     walls().filter(is_outer).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
 }
 
-/// Furniture within the walls.
+/// Returns the furniture within the walls.
 fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, frequency_hz: f64) -> Vec<FurnitureFile> {
     let mut all: Vec<(f64, FurnitureFile)> = Vec::new();
     for piece in pieces {
@@ -437,7 +443,7 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
     all.into_iter().map(|(_, furniture)| furniture).collect()
 }
 
-/// Those triangles that count and hang together by vertices.
+/// Returns the connected sets of the triangles for which `counts` holds. Triangles are connected by vertices.
 fn shells(mesh: &Mesh, counts: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
     let mut sets = Sets::new(mesh.vertices.len());
     let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| counts(*t));

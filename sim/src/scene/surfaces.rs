@@ -1,9 +1,9 @@
-//! A scene's surfaces: one description of rooms from boxes, floor plans and files.
+//! Surfaces of a scene: one description for rooms from boxes, floor plans and files.
 //!
-//! Walls, floors and the sides of furniture are [`Face`]s: plane polygons of a slab of a material. What is curved or small stays
-//! a mesh of triangles ([`SmallPart`]), which hides what is behind it. Faces that close a volume have air on one side, and their
-//! normals point to it: into the room where the volume holds the radar. All others have air on both sides, and their normals
-//! point to the side of the radar.
+//! Walls, floors and the sides of furniture are [`Face`]s: plane polygons of a slab of a material. Curved or small
+//! parts remain meshes of triangles ([`SmallPart`]), which occlude objects behind them. Faces that enclose a volume
+//! have air on one side, and their normals point to it: into the room if the volume contains the radar. All other faces
+//! have air on both sides, and their normals point to the side of the radar.
 
 mod sides;
 pub(super) mod sources;
@@ -19,95 +19,95 @@ use crate::geometry::{Mesh, PlanarPolygon};
 use crate::scene_file::FurnitureFile;
 use touch::{Index, TOUCH_M, Touch, touches};
 
-/// Planes of a mesh that are smaller than this stay triangles, m^2: the first Fresnel zone in the middle of a path of 2 m at 60 GHz
-/// is 0.008 m^2.
+/// Least area of a plane that becomes a face, m^2; smaller planes of a mesh remain triangles. For comparison, the first
+/// Fresnel zone in the middle of a path of 2 m at 60 GHz is 0.008 m^2.
 pub const LEAST_FACE_M2: f64 = 0.01;
-/// Faces that meet at less than this beside a straight angle continue each other, rad.
+/// Deviation from a straight angle within which a face continues another one, rad.
 const STRAIGHT_RAD: f64 = 0.01;
 
-/// On which sides of a face there is air.
+/// Sides of a face that have air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sides {
-    /// On the side to which its normal points: nothing mirrors on the other side.
+    /// Only the side to which its normal points. The other side does not reflect.
     One,
-    /// On either side.
+    /// Both sides.
     Two,
 }
 
 /// A plane surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Face {
-    /// Its place, m.
+    /// Outline of the face, m.
     pub polygon: PlanarPolygon,
-    /// Material.
+    /// Reflection and transmission of its slab.
     pub wall: Wall,
     /// Name of the wall, the piece of furniture or the part of the file, for messages.
     pub name: String,
-    /// Sides on which there is air.
+    /// Sides with air.
     pub sides: Sides,
 }
 
-/// Other faces at the place where a face ends.
+/// Faces that meet a face at its edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EdgeKind {
-    /// Other faces, with at most 180 degrees of air between: it does not diffract.
+    /// Other faces, with at most 180 degrees of air between. The edge does not diffract.
     Inner,
-    /// Another face in the same plane, on either side that has air.
+    /// Another face in the same plane, on each side that has air.
     Flat,
-    /// Another face, with more than 180 degrees of air between: a wedge, which both faces list.
+    /// Another face, with more than 180 degrees of air between. The edge is a wedge, which both faces list.
     Wedge {
         /// Angle of the air, rad: pi to two pi.
         air_rad: f64,
-        /// The other face; `None` where it is of a [`SmallPart`].
+        /// Index of the other face; `None` if it belongs to a [`SmallPart`].
         other: Option<usize>,
     },
-    /// Nothing: the rim of a sheet.
+    /// No other face: the free edge of a sheet.
     Free,
 }
 
-/// A part of an edge of a face along which the same others meet it.
+/// A part of a face's edge along which the same other faces meet it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaceEdge {
-    /// The face.
+    /// Index of the face.
     pub face: usize,
     /// Index of the edge, as in [`PlanarPolygon::edges`].
     pub edge: usize,
-    /// Ends of the part, m, as the edge runs.
+    /// Ends of the part, m, in the direction of the edge.
     pub ends: [DVec3; 2],
     /// Unit vector from the edge into the face.
     pub inwards: DVec3,
-    /// Unit normal of the face: of a wedge, on the side of its air.
+    /// Unit normal of the face. For a wedge, it points to the side with air.
     pub air: DVec3,
-    /// Other faces there.
+    /// Other faces at the edge.
     pub kind: EdgeKind,
 }
 
 impl FaceEdge {
-    /// Whether it diffracts.
+    /// Whether the edge diffracts.
     pub fn diffracts(&self) -> bool {
         matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. })
     }
 }
 
-/// Triangles of one material that are no faces: curved, or too small.
+/// Triangles of one material that do not form faces, because they are curved or too small.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SmallPart {
-    /// The triangles, m.
+    /// Triangles, m.
     pub mesh: Mesh,
-    /// Material.
+    /// Reflection and transmission of its slab.
     pub wall: Wall,
     /// Name of the part of the file.
     pub name: String,
 }
 
-/// A face that lay within another one of the same plane, and was left out.
+/// A face that was left out because it lies within another face of the same plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Coincident {
-    /// Name of the face that is kept.
+    /// Name of the face that was kept.
     pub kept: String,
-    /// Name of the face that is left out.
+    /// Name of the face that was left out.
     pub left_out: String,
-    /// Its area, m^2.
+    /// Area of the face that was left out, m^2.
     pub area_m2: f64,
 }
 
@@ -120,21 +120,21 @@ pub enum Owner {
     Small(u32),
 }
 
-/// All surfaces of a scene, in the room's coordinates.
+/// All surfaces of a scene, in room coordinates.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surfaces {
     /// Plane surfaces.
     pub faces: Vec<Face>,
-    /// Their edges, by face.
+    /// Edges of the faces, sorted by face.
     pub edges: Vec<FaceEdge>,
-    /// Triangles that are no faces.
+    /// Triangles that do not form faces.
     pub small: Vec<SmallPart>,
     /// Faces that were left out because another one covers them.
     pub coincident: Vec<Coincident>,
 }
 
 impl Surfaces {
-    /// Finds out where faces have air and what meets at their edges, and leaves out those that others cover.
+    /// Determines the sides with air and the neighbours at edges, and leaves out faces that other faces cover.
     pub(super) fn assemble(mut drafts: Vec<Draft>, small: Vec<SmallPart>, radar: DVec3) -> Self {
         let polygons: Vec<PlanarPolygon> = drafts.iter().map(|draft| draft.polygon.clone()).collect();
         let triangles = small.iter().flat_map(|part| part.mesh.all_corners());
@@ -167,7 +167,7 @@ impl Surfaces {
         made
     }
 
-    /// Edge of the faces for a touch of the drafts; `number` says which became which.
+    /// Converts a touch between drafts to an edge of the faces. `number` maps drafts to faces.
     fn edge(&self, touch: &Touch, number: &[Option<usize>]) -> Option<FaceEdge> {
         let index = number.get(touch.face).copied().flatten()?;
         let face = self.faces.get(index)?;
@@ -176,7 +176,8 @@ impl Surfaces {
         let [first, last] = touch.ends;
         let ends = if (last - first).dot(to - from) >= 0.0 { [first, last] } else { [last, first] };
         let normal = face.polygon.normal;
-        // Angles of the sheets about the edge, from the face towards its normal. Those that are left out lie within others.
+        // Angles of the sheets about the edge, from the face towards its normal. Faces that were left out lie within
+        // other faces.
         let mut sheets: Vec<(f64, Option<usize>)> = Vec::new();
         for sheet in &touch.sheets {
             let other = match sheet.face {
@@ -208,7 +209,7 @@ impl Surfaces {
         furniture.material.is_some() && self.faces.iter().any(is_within)
     }
 
-    /// All surfaces as triangles, m, and what each of them is of: what visibility is tested against.
+    /// All surfaces as triangles, m, with the owner of each triangle. Visibility is tested against them.
     pub fn triangles(&self) -> (Mesh, Vec<Owner>) {
         let mut mesh = Mesh::default();
         let mut owners = Vec::new();
@@ -228,8 +229,8 @@ impl Surfaces {
     }
 }
 
-/// Kind of an edge at which other sheets begin at these angles, ascending; and whether those are on the side of the face's
-/// normal.
+/// Kind of an edge from the ascending angles of the other sheets at it. Also returns whether those are on the side of
+/// the face's normal.
 fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> (EdgeKind, bool) {
     let (Some(&(first, front)), Some(&(last, back))) = (sheets.first(), sheets.last()) else {
         return (EdgeKind::Free, true);
@@ -246,7 +247,7 @@ fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> (EdgeKind, bool) {
     }
 }
 
-/// The face that covers another one: of two that cover each other the first.
+/// Returns the face that covers another one. If two faces cover each other, the first one counts as the cover.
 fn cover(polygons: &[PlanarPolygon], index: &Index, face: usize) -> Option<usize> {
     let polygon = polygons.get(face)?;
     let [low, high] = polygon.bounds();
@@ -260,7 +261,7 @@ fn cover(polygons: &[PlanarPolygon], index: &Index, face: usize) -> Option<usize
         .min()
 }
 
-/// Whether one polygon lies in another one of the same plane, on whichever side that has its normal.
+/// Whether one polygon lies within another one of the same plane, for either direction of the normals.
 fn covers(larger: &PlanarPolygon, smaller: &PlanarPolygon) -> bool {
     let within = |point: DVec3| larger.clearance(point).distance_m >= -TOUCH_M;
     smaller.loops().flatten().all(|corner| larger.height_m(*corner).abs() <= TOUCH_M)

@@ -1,4 +1,4 @@
-//! Work done ahead of who asks for it, on rayon's threads.
+//! Computations queued ahead of their use, on rayon's threads.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -8,23 +8,24 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::{ThreadPool, Yield};
 
-/// Something being made; dropped, it is not begun any more, or ends unseen.
+/// A queued computation. When it is dropped, it does not begin any more, or its result is discarded.
 #[derive(Debug)]
 pub(super) struct Ahead<T> {
-    /// Never locked: it only lets threads share what holds an [`Ahead`].
+    /// Never locked. The mutex only makes a type with an [`Ahead`] shareable between threads.
     result: Mutex<Receiver<Result<T, Box<dyn Any + Send>>>>,
     unwanted: Arc<AtomicBool>,
 }
 
 impl<T: Send + 'static> Ahead<T> {
-    /// Queues the making of something, first come first served, on the threads of a pool, or on those that all share.
+    /// Queues a computation, first come first served, on the threads of a pool or on the shared ones.
     pub(super) fn new(pool: Option<&ThreadPool>, make: impl FnOnce() -> T + Send + 'static) -> Self {
         let (send, result) = sync_channel(1);
         let unwanted = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&unwanted);
         let job = move || {
             if !stop.load(Ordering::Relaxed) {
-                // A panic is the asker's: unwinding here would end the process. Who no longer listens misses nothing.
+                // A panic is passed to the waiting thread, since unwinding here would end the process. If nobody waits,
+                // the result is dropped.
                 let _ = send.send(catch_unwind(AssertUnwindSafe(make)));
             }
         };
@@ -35,10 +36,10 @@ impl<T: Send + 'static> Ahead<T> {
         Ahead { result: Mutex::new(result), unwanted }
     }
 
-    /// Waits for it; a panic of its making goes on here. `None` if it was never begun.
+    /// Waits for the result. A panic of the computation continues here. Returns `None` if the computation never began.
     ///
-    /// One of rayon's own threads works while it waits, since it may be the only one there is; without work left, all that
-    /// was queued is in others' hands, and it sleeps.
+    /// A rayon thread does other work while it waits, since it may be the only thread. If no work is left, other
+    /// threads run all queued computations, and this thread sleeps.
     pub(super) fn wait(mut self) -> Option<T> {
         let receiver = self.result.get_mut().unwrap_or_else(PoisonError::into_inner);
         let result = loop {
@@ -73,7 +74,7 @@ mod tests {
         assert_eq!(wait(make()), expected);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
         assert_eq!(pool.install(|| wait(make())), expected);
-        // Begun in one place, waited for in another.
+        // The computation begins in one place, and another place waits for it.
         let begun = pool.install(make);
         assert_eq!(wait(begun), expected);
         let begun = make();
@@ -93,7 +94,7 @@ mod tests {
         let begun = Arc::new(AtomicBool::new(false));
         pool.install(|| {
             let mark = Arc::clone(&begun);
-            // The pool's only thread is here, so nothing else has begun.
+            // The pool's only thread is busy here, so no other computation has begun.
             drop(Ahead::new(None, move || mark.store(true, Ordering::Relaxed)));
             Ahead::new(None, || ()).wait();
         });

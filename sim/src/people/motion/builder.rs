@@ -1,4 +1,4 @@
-//! Scripts of motions: corners of a way, turns, seats, beds and squats, laid down one after another.
+//! Builder of scripted motions: corners of a route, turns, seats, beds and squats, one after another.
 
 use std::f64::consts::PI;
 
@@ -9,49 +9,50 @@ use super::super::track::Track;
 use super::{Low, Motion, Person, Steps};
 use crate::math::wrapped;
 
-/// Corners of the path are rounded over this time either way, s.
+/// Half the time over which a corner of the route is rounded, s.
 const CORNER_S: f64 = 0.35;
-/// Sitting down and getting up take twice this, s.
+/// Half the time for sitting down or standing up, s.
 const SIT_S: f64 = 0.8;
-/// Lying down and rising take twice this, s.
+/// Half the time for lying down or rising, s.
 const LIE_S: f64 = 1.6;
-/// On the edge of a bed one sits so long before lying down and before getting up, s.
+/// Time on the edge of a bed before lying down and before standing up, s.
 const ON_EDGE_S: f64 = 0.8;
-/// Smaller turns are made without steps, rad.
+/// Least angle of a turn that takes steps, rad.
 const LEAST_MARCH_RAD: f64 = 0.4;
-/// Wider turns on the way are made on the spot where turning has a bound, rad.
+/// Widest turn made while walking if the turning rate is limited, rad. Wider turns are made on the spot.
 const WIDEST_CURVE_RAD: f64 = 1.8;
-/// Turns on the spot that were asked for are no faster than this where nothing is said, rad/s.
+/// Turning rate of requested turns on the spot if the script states none, rad/s.
 const TURN_RAD_PER_S: f64 = 2.1;
 
-/// A bed, as one gets into it.
+/// A bed and the side for getting in and out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bed {
-    /// Place at which the hips come to rest, m.
+    /// Position of the hips when lying, m.
     pub position_m: [f64; 2],
-    /// Direction in which feet point, rad.
+    /// Direction of the feet, rad.
     pub heading_rad: f64,
     /// Height of the mattress, m.
     pub height_m: f64,
-    /// From there to the edge at which one gets in and out, to the left of the heading, m; to the right if negative.
+    /// Distance from `position_m` to the edge for getting in and out, to the left of the heading, m; to the right if
+    /// negative.
     pub edge_m: f64,
 }
 
 impl Bed {
-    /// Hips of who sits on the edge are so far within it, m.
+    /// Distance of the hips from the edge when sitting on it, m.
     const WITHIN_M: f64 = 0.12;
 
-    /// Hips of who sits are so far behind the feet, m: thighs are level.
+    /// Distance of the hips behind the feet when sitting, m. The thighs are level.
     fn back_m(build: &Build) -> f64 {
         0.95 * build.thigh_m()
     }
 
-    /// Facing of who sits on the edge, rad.
+    /// Heading when sitting on the edge, rad.
     fn outward_rad(&self) -> f64 {
         self.heading_rad + 0.5 * PI * self.edge_m.signum()
     }
 
-    /// Place to stand before it, m.
+    /// Position for standing before the bed, m.
     pub fn stand_m(&self, build: &Build) -> [f64; 2] {
         let from_middle = self.edge_m.abs() - Self::WITHIN_M + Self::back_m(build);
         let (sine, cosine) = self.outward_rad().sin_cos();
@@ -64,21 +65,21 @@ impl Bed {
     }
 }
 
-/// Lays down a motion step by step.
+/// Builder of a motion, step by step.
 #[derive(Debug, Clone)]
 pub struct MotionBuilder {
     motion: Motion,
     time_s: f64,
     place: [f64; 2],
     facing: f64,
-    /// Fastest that anybody turns, rad/s; within a corner's time if `None`.
+    /// Fastest turning rate, rad/s. If `None`, a turn takes the time of a corner.
     turn_rate_rad_per_s: Option<f64>,
-    /// Time at which the last turn is over, s.
+    /// Time at which the last turn ends, s.
     turned_s: f64,
 }
 
 impl MotionBuilder {
-    /// Begins at a place and time, facing a direction.
+    /// Begins at a position and time, facing a direction.
     pub fn new(person: Person, start_s: f64, place: [f64; 2], facing_rad: f64) -> Self {
         let motion = Motion {
             person,
@@ -107,23 +108,23 @@ impl MotionBuilder {
         }
     }
 
-    /// Turns no faster than this, rad/s, from here on: wide turns are made on the spot, with steps, others in a curve.
+    /// Limits the turning rate from here on, rad/s. Wide turns are made on the spot, with steps; others follow a curve.
     pub fn turning_at(mut self, most_rad_per_s: Option<f64>) -> Self {
         self.turn_rate_rad_per_s = most_rad_per_s;
         self
     }
 
-    /// The person who moves.
+    /// Person that moves.
     pub fn person(&self) -> &Person {
         &self.motion.person
     }
 
-    /// Time reached, s.
+    /// Time reached so far, s.
     pub fn time_s(&self) -> f64 {
         self.time_s
     }
 
-    /// Place reached, m.
+    /// Position reached so far, m.
     pub fn place(&self) -> [f64; 2] {
         self.place
     }
@@ -149,7 +150,7 @@ impl MotionBuilder {
         let end_s = begin_s + 2.0 * window_s;
         self.motion.heading.step_over(begin_s + window_s, change, window_s);
         if change.abs() > LEAST_MARCH_RAD && matches!(self.motion.person.steps, Steps::Gait) {
-            // Within the turn: feet are down again when it ends.
+            // The steps lie within the turn, so that both feet are down when it ends.
             for (t, sign) in [(begin_s + CORNER_S, 1.0), (end_s - CORNER_S, -1.0)] {
                 self.motion.march.step(t, sign);
                 self.motion.phase.bend(t, sign * gait::MARCH_HZ);
@@ -160,7 +161,7 @@ impl MotionBuilder {
         self
     }
 
-    /// Turns for a way that begins now. Gives the time over which its corner is rounded either way, s, too.
+    /// Turns for a straight line that begins now. Also returns half the time over which the corner is rounded, s.
     fn turn_into(self, facing: f64) -> (Self, f64) {
         let Some(rate) = self.turn_rate_rad_per_s else {
             let mut legacy = self;
@@ -179,7 +180,7 @@ impl MotionBuilder {
         (curving, window_s)
     }
 
-    /// Walks straight to a place.
+    /// Walks straight to a position.
     pub fn walk_to(self, to: [f64; 2], speed_m_per_s: f64) -> Self {
         let (dx, dy) = (to[0] - self.place[0], to[1] - self.place[1]);
         let distance = dx.hypot(dy);
@@ -189,7 +190,7 @@ impl MotionBuilder {
         let (mut this, corner_s) = self.turn_into(dy.atan2(dx));
         let (begin, end) = (this.time_s, this.time_s + distance / speed_m_per_s);
         let (vx, vy) = (dx / distance * speed_m_per_s, dy / distance * speed_m_per_s);
-        // The way that ends here is rounded over the same time as the one that begins.
+        // The line that ends here is rounded over the same time as the one that begins.
         if corner_s > CORNER_S {
             for track in [&mut this.motion.x, &mut this.motion.y] {
                 track.widen(begin, corner_s);
@@ -197,7 +198,7 @@ impl MotionBuilder {
         }
         let m = &mut this.motion;
         let leg_m = m.person.build.standing_hip_height_m();
-        // A clip goes with the ground covered, so that feet rest on it.
+        // The phase of a clip advances with the ground covered, so that feet do not slide.
         let (vigour, cycles) = match &m.person.steps {
             Steps::Gait => {
                 let vigour = (speed_m_per_s / 1.3).sqrt().min(1.35);
@@ -223,7 +224,7 @@ impl MotionBuilder {
         self
     }
 
-    /// Turns to a heading, rad, and sits down for a while (sitting down and getting up included).
+    /// Turns to a heading, rad, and sits down for a duration, which includes sitting down and standing up.
     pub fn sit(self, heading_rad: f64, seat_height_m: f64, duration_s: f64) -> Self {
         let mut this = if self.turn_rate_rad_per_s.is_some() { self.face(heading_rad) } else { self };
         this.turn_to(heading_rad);
@@ -235,17 +236,17 @@ impl MotionBuilder {
         this
     }
 
-    /// Sits from the very beginning, for good.
+    /// Sits from the beginning, without end.
     pub fn seated(mut self, seat_height_m: f64) -> Self {
         self.motion.seats.push((f64::NEG_INFINITY, seat_height_m));
         self.motion.sit = Track::constant(1.0, SIT_S);
         self
     }
 
-    /// Goes down for a while (going down and getting up included), feet where they are.
+    /// Goes down for a duration, which includes going down and standing up. The feet stay in place.
     fn crouch(mut self, crouch: Crouch, duration_s: f64) -> Self {
         let duration_s = duration_s.max(2.5 * SIT_S);
-        // The last way ends, and its feet stand.
+        // The last walk has ended, and the feet stand.
         let begin_s = self.time_s + CORNER_S;
         self.motion.lows.push((begin_s, Low { crouch, lying: None }));
         self.motion.low.step(begin_s + SIT_S, 1.0);
@@ -254,22 +255,22 @@ impl MotionBuilder {
         self
     }
 
-    /// Squats for a while (going down and getting up included), the head as much lower as this, m.
+    /// Squats for a duration, which includes going down and standing up. The head sinks by `depth_m`.
     pub fn squat(self, depth_m: f64, duration_s: f64) -> Self {
         let crouch = Crouch::squat(&self.motion.person.build, depth_m);
         self.crouch(crouch, duration_s)
     }
 
-    /// Turns round before a seat, as far away as the hips go back, and sits down on it for a while (sitting down and getting up
-    /// included), feet where they are.
+    /// Turns with the back to a seat, and sits down on it for a duration, which includes sitting down and standing up.
+    /// The feet stay in place; the hips move back by `back_m`.
     pub fn sit_back(self, heading_rad: f64, seat_height_m: f64, back_m: f64, duration_s: f64) -> Self {
         let this = self.face(heading_rad);
         let crouch = Crouch::sit(&this.motion.person.build, seat_height_m, back_m);
         this.crouch(crouch, duration_s)
     }
 
-    /// Turns round before a bed ([`Bed::stand_m`]), sits down on its edge, lies down, and the same way back: all of that within
-    /// the duration, s.
+    /// Turns with the back to a bed ([`Bed::stand_m`]), sits down on its edge, lies down, and gets up the same way. All
+    /// of this happens within the duration, s.
     pub fn lie(self, bed: &Bed, duration_s: f64) -> Self {
         let mut this = self.face(bed.outward_rad());
         let begin_s = this.time_s + CORNER_S;
@@ -285,7 +286,7 @@ impl MotionBuilder {
         this.rise(bed, rise_s)
     }
 
-    /// Lies on a bed from before the beginning, and rises so long after it, s.
+    /// Lies on a bed from before the beginning, and rises after a duration, s.
     pub fn lying(mut self, bed: &Bed, duration_s: f64) -> Self {
         let build = self.motion.person.build;
         self.place = bed.stand_m(&build);
@@ -300,7 +301,7 @@ impl MotionBuilder {
         self.rise(bed, rise_s)
     }
 
-    /// Gets up from lying, half-way to sitting at a time.
+    /// Gets up from lying; the motion is half done at `rise_s`.
     fn rise(mut self, bed: &Bed, rise_s: f64) -> Self {
         let m = &mut self.motion;
         m.lie.step(rise_s, -1.0);
@@ -314,13 +315,13 @@ impl MotionBuilder {
         self
     }
 
-    /// The person vanishes at the time reached.
+    /// Ends the motion: the person disappears at the time reached.
     pub fn leave(mut self) -> Motion {
         self.motion.end_s = self.time_s;
         self.motion
     }
 
-    /// The person stays for good.
+    /// Ends the motion: the person stays without end.
     pub fn stay(self) -> Motion {
         self.motion
     }

@@ -1,23 +1,24 @@
-//! Steps that leave time to stop: the dynamics of the step itself are run on while everybody brakes.
+//! Choice of motions that leave time to stop. The test simulates braking of all people with the dynamics of the step
+//! itself.
 
 use super::setting::Setting;
 use super::walker::{Command, Limits, Pose};
 
-/// Steps of braking that are looked at: more than a stop ever takes.
+/// Number of simulated braking steps: more than any stop takes.
 const BRAKE_STEPS: usize = 200;
 
-/// Somebody whom others must not come near while both brake.
+/// Another person that brakes, to which a distance must be kept.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Braking {
-    /// Place and motion at the end of this step.
+    /// Position and motion at the end of this step.
     pub pose: Pose,
-    /// Bounds of their motion.
+    /// Bounds of the person's motion.
     pub limits: Limits,
-    /// Place of the seat on which they sit besides, m.
+    /// Position of the seat that the person uses, if any, m.
     pub seat_m: Option<[f64; 2]>,
 }
 
-/// The first of some motions that leaves time to stop, and its place among them; braking if none does.
+/// Returns the first of several motions that leaves time to stop, and its index. If there is none, returns braking.
 pub(super) fn choose(
     setting: &Setting,
     from: &Pose,
@@ -34,7 +35,7 @@ pub(super) fn choose(
     (from.advance(&Command::STOP, limits), commands.len())
 }
 
-/// Whether somebody who brakes from a pose on stays on the ground and off others who brake as well.
+/// Whether a person that brakes from a pose stays on the ground and away from other braking people.
 fn stops_in_time(setting: &Setting, from: Pose, limits: &Limits, others: &[Braking]) -> bool {
     let least_m = setting.file.least_distance_m;
     let (mut pose, mut others) = (from, others.to_vec());

@@ -1,4 +1,4 @@
-//! One person who wanders: a role that lasts, the errands that it is made of, and small motions beside them.
+//! One wandering person: a role that lasts for some time, the errands of the role, and small motions.
 
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,101 +13,101 @@ use crate::math::wrapped;
 use crate::people::body::Build;
 use crate::random::{Purpose, generator};
 
-/// A corner of a way, or a goal at which nobody stops, is passed at this distance, m.
+/// Distance at which a corner of a route, or a goal without a stop, counts as passed, m.
 const PASS_M: f64 = 0.3;
-/// A goal at which somebody stops is reached at this distance, m.
+/// Distance at which a goal with a stop counts as reached, m.
 const STOP_M: f64 = 0.12;
-/// Somebody who does not get on for so long does something else, s.
+/// Time without progress after which the person changes the errand, s.
 const PATIENCE_S: f64 = 1.2;
-/// Sitting down and getting up take this, s.
+/// Time for sitting down or standing up, s.
 const SIT_DOWN_S: f64 = 1.6;
 
-/// Role of a person until another one is given.
+/// Role of a person until the next role is assigned.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Role {
-    /// Goes from place to place.
+    /// Walks from place to place.
     Wander,
-    /// Goes to and fro between two places: the next one is `ends[at]`.
+    /// Walks to and fro between two places. The next one is `ends[at]`.
     Pace { ends: [[f64; 2]; 2], at: usize },
     /// Stands.
     Stand,
-    /// Goes at the other's left (1) or right (-1).
+    /// Walks to the left (1) or right (-1) of the other person.
     Beside { side: f64 },
-    /// Goes after the other at a distance.
+    /// Follows the other person at a distance.
     Behind { gap_m: f64 },
-    /// Goes to a place and waits there for the other.
+    /// Walks to a place and waits there for the other person.
     Meet { at: [f64; 2] },
 }
 
-/// Part of a role that is under way.
+/// Current part of a role.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Errand {
-    /// Walks a way corner by corner, and stops at its end or passes it.
+    /// Walks along a route corner by corner, and stops at its end or passes it.
     Walk { way: Vec<[f64; 2]>, stops: bool, then: Then },
     /// Stands for a time, s.
     Stand { left_s: f64, facing: Facing },
     /// Sits for a time, s.
     Sit { seat: usize, left_s: f64 },
-    /// Keeps to the other.
+    /// Stays with the other person.
     Accompany,
 }
 
-/// Continuation at the end of a way.
+/// Continuation at the end of a route.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Then {
-    /// The next errand of the role.
+    /// Begins the next errand of the role.
     Plan,
-    /// A pause.
+    /// Pauses.
     Pause,
-    /// Waiting for the other.
+    /// Waits for the other person.
     Await,
-    /// A seat.
+    /// Sits down on a seat.
     Sit(usize),
 }
 
-/// Direction in which somebody looks who stands.
+/// Direction in which a standing person looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Facing {
-    /// Posture as before.
+    /// Keeps the direction.
     Same,
-    /// In a direction, rad.
+    /// Looks in a direction, rad.
     Heading(f64),
-    /// At the other, with gestures.
+    /// Looks at the other person, with gestures.
     Other,
 }
 
-/// A person who wanders.
+/// A wandering person.
 #[derive(Debug, Clone)]
 pub(super) struct Walker {
     rng: Xoshiro256PlusPlus,
-    /// Place and motion now.
+    /// Current position and motion.
     pub pose: Pose,
     /// Bounds of the motion.
     pub limits: Limits,
     build: Build,
-    /// Role of this person where two people do nothing together.
+    /// Role of this person when two people do nothing together.
     pub own: Role,
-    /// Role now.
+    /// Current role.
     pub role: Role,
-    /// Errand now.
+    /// Current errand.
     pub errand: Errand,
     /// Mean speed of walks, m/s.
     speed_m_per_s: f64,
-    /// The same for the way at hand.
+    /// Mean speed of the current walk, m/s.
     pub way_m_per_s: f64,
     /// Slow noise of speed and heading, of variance 1.
     pub noise: [f64; 2],
     blocked_s: f64,
     arms: [Arm; 2],
     shift: Stroke,
-    /// Mean time between gestures of somebody who stands alone, s.
+    /// Mean time between gestures when standing alone, s.
     gesture_s: f64,
     down: f64,
     seat: usize,
 }
 
 impl Walker {
-    /// The person of a slot, who stands and begins to wander soon.
+    /// Makes the person of a slot. The person stands at first and soon begins to wander.
     pub fn new(setting: &Setting, slot: usize, pose: Pose) -> Self {
         let identity = setting.identity(slot);
         let person = super::person(setting, identity);
@@ -147,7 +147,7 @@ impl Walker {
         }
     }
 
-    /// Whether the person waits for the other at a meeting place.
+    /// Whether the person waits for the other person at a meeting place.
     pub fn is_waiting(&self) -> bool {
         matches!(self.errand, Errand::Stand { left_s, .. } if left_s == f64::INFINITY)
     }
@@ -163,12 +163,12 @@ impl Walker {
         }
     }
 
-    /// Place of the seat that the person sits on, sits down on or gets up from, m.
+    /// Position of the seat that the person sits on, sits down on or gets up from, m.
     pub fn seat_m(&self, setting: &Setting) -> Option<[f64; 2]> {
         if self.down > 0.0 { setting.seats.get(self.seat).map(|seat| seat.place_m) } else { None }
     }
 
-    /// Takes a role and begins with it; who sits gets up first.
+    /// Assigns a role and begins it. A sitting person gets up first.
     pub fn take(&mut self, role: Role, setting: &Setting) {
         self.role = role;
         if let Errand::Sit { left_s, .. } = &mut self.errand {
@@ -178,7 +178,7 @@ impl Walker {
         }
     }
 
-    /// The next errand of the role.
+    /// Returns the next errand of the role.
     fn plan(&mut self, setting: &Setting) -> Errand {
         let file = &setting.file;
         self.way_m_per_s = self.speed_m_per_s * draw(&mut self.rng, [0.8, 1.2]);
@@ -231,15 +231,15 @@ impl Walker {
         }
     }
 
-    /// Another direction to look, rad.
+    /// Draws another direction in which to look, rad.
     fn elsewhere(&mut self) -> f64 {
         let unit: f64 = StandardNormal.sample(&mut self.rng);
         self.pose.heading_rad + 0.9 * unit
     }
 
-    /// Motions that the person wants in this step: the first one that is safe is made.
+    /// Returns the motions that the person wants in this step, in order of preference. The first safe one is made.
     pub fn decide(&mut self, setting: &Setting, other: Option<Pose>) -> [Command; 3] {
-        /// Times in which noise of speed and heading is forgotten, s.
+        /// Correlation times of the noise of speed and heading, s.
         const FORGETS_S: [f64; 2] = [2.0, 1.5];
         for (noise, forgets_s) in self.noise.iter_mut().zip(FORGETS_S) {
             let unit: f64 = StandardNormal.sample(&mut self.rng);
@@ -304,7 +304,7 @@ impl Walker {
         }
     }
 
-    /// The errand at the end of a way.
+    /// Returns the errand that follows the end of a route.
     fn after(&mut self, setting: &Setting, then: Then, other: Option<Pose>) -> Errand {
         match then {
             Then::Plan => self.plan(setting),
@@ -326,7 +326,7 @@ impl Walker {
         let Some(seat) = setting.seats.get(number) else { return (self.plan(setting), stop) };
         let step = STEP_S / SIT_DOWN_S;
         if left_s > 0.0 && self.down <= 0.0 {
-            // Turns round before the seat, and takes it if nobody is near.
+            // The person turns with the back to the seat, and sits down if nobody is near.
             if !is_clear(seat.place_m, other) {
                 return (self.pause(setting), stop);
             }
@@ -346,7 +346,7 @@ impl Walker {
         if self.down > 0.0 { (Errand::Sit { seat: number, left_s }, stop) } else { (self.plan(setting), stop) }
     }
 
-    /// Goes on to the end of the step.
+    /// Applies the step.
     pub fn apply(&mut self, setting: &Setting, pose: Pose, refused: usize) {
         self.pose = pose;
         let change_s = if refused == 0 { -STEP_S } else { STEP_S };
@@ -365,7 +365,7 @@ impl Walker {
     }
 }
 
-/// Whether a seat can be taken: the other is far from it, the farther the faster.
+/// Whether a seat can be used. The other person must be far from it; the distance grows with that person's speed.
 fn is_clear(seat_m: [f64; 2], other: Option<Pose>) -> bool {
     other.is_none_or(|o| o.distance_m(seat_m) > 1.3 + 1.5 * o.speed_m_per_s)
 }

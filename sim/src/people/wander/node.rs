@@ -1,4 +1,4 @@
-//! Motion at the end of a step, and between two steps.
+//! Motion at the end of a step, and interpolation between steps.
 
 use super::walker::{Limits, Pose, STEP_S};
 use crate::math::quintic;
@@ -13,7 +13,7 @@ pub(super) struct Knot {
 }
 
 impl Knot {
-    /// Cubic through two knots that are a step apart, at a part of the step.
+    /// Cubic through two knots that are one step apart, at a fraction of the step.
     pub fn between(self, next: Knot, part: f64) -> f64 {
         let (square, rest) = (part * part, 1.0 - part);
         let change = (next.value - self.value) * square * (3.0 - 2.0 * part);
@@ -26,11 +26,11 @@ impl Knot {
 pub(super) struct Node {
     /// Place and motion on the ground plan.
     pub pose: Pose,
-    /// Shoulder and elbow flexion beside those of the gait: `[side]`, rad.
+    /// Shoulder and elbow flexion in addition to the gait: `[side]`, rad.
     pub arms_rad: [[Knot; 2]; 2],
-    /// Hips (forward, left) off the middle of the feet, m.
+    /// Displacement of the hips (forward, left) from the middle of the feet, m.
     pub shift_m: [Knot; 2],
-    /// Part of the way down to a seat.
+    /// Fraction of the descent to a seat.
     pub down: f64,
     /// Index of the seat.
     pub seat: usize,
@@ -47,12 +47,12 @@ pub(super) struct Place {
     pub heading_rad: f64,
     /// Rate of the heading, rad/s.
     pub turn_rad_per_s: f64,
-    /// Cycles (two steps) made.
+    /// Number of cycles (two steps each) completed.
     pub phase: f64,
 }
 
 impl Place {
-    /// Motion at a part of a step. Position, velocity and acceleration are continuous from step to step.
+    /// Motion at a fraction of a step. Position, velocity and acceleration are continuous from step to step.
     pub fn between(a: &Pose, b: &Pose, part: f64, limits: &Limits) -> Place {
         let (first, last) = (a.velocity_m_per_s(), b.velocity_m_per_s());
         let (bend, next_bend) = (a.ground_acceleration_m_per_s2(), b.ground_acceleration_m_per_s2());

@@ -1,8 +1,9 @@
-//! Plan of a group, step by step: what two people do together, and in which order everybody takes a step.
+//! Plan of a group, step by step: the activity of two people together, and the order in which people take their steps.
 //!
-//! A person takes a step only if it leaves time to stop before furniture, walls, the radar and the other person. Braking is
-//! simulated by the same dynamics as the step itself; if no step that is wanted passes, the person brakes as was found to be
-//! possible one step earlier. So nobody ever leaves the ground or comes closer to somebody than the scene allows ([`choose`]).
+//! A person takes a step only if it leaves time to stop before furniture, walls, the radar and the other person.
+//! Braking is simulated by the dynamics of the step itself. If no wanted step passes this test, the person brakes; the
+//! previous step made sure that this is possible. So a person never leaves the ground or comes closer to another person
+//! than the scene allows ([`choose`]).
 
 use std::f64::consts::PI;
 
@@ -17,7 +18,7 @@ use super::walker::{Command, Pose, STEP_S};
 use super::{chance, draw, heavy_tailed};
 use crate::random::{Purpose, generator};
 
-/// Activity of two people together for a while.
+/// Activity of two people together for some time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Mode {
     Independent,
@@ -28,7 +29,7 @@ enum Mode {
     StandAndWalk,
 }
 
-/// Everybody at the end of a step.
+/// State of all people at the end of a step.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     walkers: Vec<Walker>,
@@ -38,7 +39,7 @@ pub(super) struct State {
 }
 
 impl State {
-    /// The first state of a group.
+    /// Draws the first state of a group.
     pub fn new(setting: &Setting, slots: usize) -> Self {
         let mut rng = generator(setting.seed, Purpose::Wander, [setting.first_identity, u64::MAX]);
         let mut taken: Vec<[f64; 2]> = Vec::new();
@@ -46,7 +47,7 @@ impl State {
         for slot in 0..slots {
             let place = setting.start(&mut rng, &taken);
             let pose = Pose::standing(place, draw(&mut rng, [-PI, PI]));
-            // Not used: without it, all later draws and so the motion of every seed would be others.
+            // Not used. Without this draw, all later draws would change, and so would the motion of every seed.
             let _: f64 = rng.random();
             taken.push(place);
             walkers.push(Walker::new(setting, slot, pose));
@@ -54,12 +55,12 @@ impl State {
         State { walkers, mode: None, mode_left_s: 0.0, rng }
     }
 
-    /// Everybody's motion, in the order of the slots.
+    /// Returns the motion of all people, in the order of the slots.
     pub fn nodes(&self) -> impl Iterator<Item = Node> {
         self.walkers.iter().map(Walker::node)
     }
 
-    /// Goes on by a step.
+    /// Advances by one step.
     pub fn step(&mut self, setting: &Setting) {
         self.set_mode(setting);
         let seen: Vec<Pose> = self.walkers.iter().map(|walker| walker.pose).collect();
@@ -68,7 +69,8 @@ impl State {
             let other = seen.iter().enumerate().find_map(|(j, pose)| (j != i).then_some(*pose));
             wanted.push(walker.decide(setting, other));
         }
-        // One after the other: those whose step is not yet chosen are taken to brake, which they can.
+        // People choose one after another. A person whose step is not chosen yet is assumed to brake, which is always
+        // possible.
         let mut chosen: Vec<(Pose, usize)> = Vec::with_capacity(wanted.len());
         for (i, (walker, commands)) in self.walkers.iter().zip(&wanted).enumerate() {
             let others: Vec<Braking> = self
@@ -89,13 +91,14 @@ impl State {
         }
     }
 
-    /// Draws the activity of two people, when that is due; one person alone, or more than two, keep to roles of their own.
+    /// Draws the activity of two people when the last one ends. A single person, or more than two people, keep their
+    /// own roles.
     fn set_mode(&mut self, setting: &Setting) {
         let State { walkers, mode, mode_left_s, rng } = self;
         let [a, b] = walkers.as_mut_slice() else { return };
         *mode_left_s -= STEP_S;
         if *mode == Some(Mode::Meet) && a.is_waiting() && b.is_waiting() {
-            // They have met: they talk, and then part.
+            // The two people have met: they talk, and then part.
             let talk_s = heavy_tailed(rng, [3.0, 40.0]);
             for walker in [a, b] {
                 walker.role = Role::Wander;

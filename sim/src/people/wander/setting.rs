@@ -1,4 +1,4 @@
-//! The ground on which people wander: where hips may be, where goals and seats are, and how they are drawn.
+//! The ground on which people wander: free places for hips, goals and seats, and random draws of them.
 
 use std::f64::consts::PI;
 
@@ -11,70 +11,70 @@ use crate::people::body::Build;
 use crate::people::route::Ground;
 use crate::scene_file::{PeopleFile, WanderFile};
 
-/// Draws of a place to go to.
+/// Number of attempts to draw a goal.
 const PLACES: usize = 200;
-/// Draws of a pair of places.
+/// Number of attempts to draw a pair of goals.
 const PAIRS: usize = 12;
-/// People begin at least so far apart, m.
+/// Least distance between people at the beginning, m.
 const BEGIN_APART_M: f64 = 1.0;
 
 /// Part of the ground plan in which the scene lets people wander, as seen from the radar.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct View {
-    /// The radar, m.
+    /// Position of the radar, m.
     pub radar_m: [f64; 2],
-    /// Its boresight, rad.
+    /// Azimuth of its boresight, rad.
     pub azimuth_rad: f64,
 }
 
-/// A seat, and the place to stand before it.
+/// A seat, and the position for standing before it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Seat {
-    /// Place at which the hips come to rest, m.
+    /// Position at which the hips come to rest, m.
     pub place_m: [f64; 2],
-    /// Place to stand before it, m.
+    /// Position for standing before it, m.
     pub before_m: [f64; 2],
-    /// Facing of who sits, rad.
+    /// Heading of a sitting person, rad.
     pub heading_rad: f64,
-    /// Distance from the place before it back to that of the hips, m.
+    /// Distance from `before_m` back to the resting position of the hips, m.
     pub back_m: f64,
     /// Height of the seat, m.
     pub height_m: f64,
 }
 
-/// Ground and habits of people who wander.
+/// Ground and behaviour of wandering people.
 #[derive(Debug)]
 pub(super) struct Setting {
-    /// Habits, as the scene file states them.
+    /// Behaviour, as the scene file states it.
     pub file: WanderFile,
-    /// Keys of the scene for all people.
+    /// The scene's options for all people.
     pub people: PeopleFile,
     /// Seed of all draws.
     pub seed: u64,
-    /// Identity of the first person; those of the others follow.
+    /// Identity of the first person. The identities of the others follow.
     pub first_identity: u64,
     /// Size of the ground plan, m.
     pub size_m: [f64; 2],
     /// Free ground for hips.
     pub ground: Ground,
-    /// Free ground for ways: farther off everything.
+    /// Free ground for planned routes, farther from all obstacles.
     pub planned: Ground,
-    /// Part in which goals lie; all of it if absent.
+    /// Part of the ground that contains the goals; all of it if absent.
     pub view: Option<View>,
     /// Seats that can be used.
     pub seats: Vec<Seat>,
 }
 
 impl Setting {
-    /// Identity of the person of a slot.
+    /// Identity of the person in a slot.
     pub fn identity(&self, slot: usize) -> [u64; 2] {
         [self.first_identity + slot as u64, 0]
     }
 
-    /// Bounds of the motion of a person with such a body and stride.
+    /// Bounds of the motion of a person with this body and stride.
     pub fn limits(&self, build: &Build, stride: f64) -> Limits {
         Limits {
-            // Along and across the way: together no more than the file says.
+            // The accelerations along and across the route together do not exceed the file's value.
             acceleration_m_per_s2: self.file.acceleration_m_per_s2 * 0.5f64.sqrt(),
             turn_rad_per_s: self.people.turn_rate_deg_per_s.unwrap_or(120.0).to_radians(),
             leg_m: build.standing_hip_height_m(),
@@ -82,7 +82,7 @@ impl Setting {
         }
     }
 
-    /// A free place to go to.
+    /// Draws a free place as a goal.
     pub fn goal(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[f64; 2]> {
         for number in 0..2 * PLACES {
             let at = match &self.view {
@@ -103,9 +103,9 @@ impl Setting {
         None
     }
 
-    /// First place of somebody, off others.
+    /// Draws the first position of a person, away from others.
     pub fn start(&self, rng: &mut Xoshiro256PlusPlus, taken: &[[f64; 2]]) -> [f64; 2] {
-        /// Places along each axis where chance finds none.
+        /// Number of grid places along each axis, for rooms where random draws find none.
         const GRID: usize = 40;
         let off = |at: [f64; 2]| taken.iter().map(|other| distance_m(at, *other)).fold(BEGIN_APART_M, f64::min);
         for _ in 0..PLACES {
@@ -125,7 +125,7 @@ impl Setting {
         best.1
     }
 
-    /// Two free places far apart with nothing between them.
+    /// Draws two free places far apart with a free line between them.
     pub fn ends(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[[f64; 2]; 2]> {
         let mut best: Option<(f64, [[f64; 2]; 2])> = None;
         for _ in 0..PAIRS {
@@ -138,11 +138,11 @@ impl Setting {
         best.map(|(_, ends)| ends)
     }
 
-    /// Two free places at talking distance, the first of them the nearer one to a person.
+    /// Draws two free places at talking distance. The first one is nearer to the given person.
     pub fn meeting(&self, rng: &mut Xoshiro256PlusPlus, person: &Pose) -> Option<[[f64; 2]; 2]> {
         for _ in 0..PLACES {
             let middle = self.goal(rng)?;
-            // Who stops may do so a little beyond the place.
+            // A person may stop a little beyond the place.
             let apart_m = self.file.least_distance_m + draw(rng, [0.4, 1.0]);
             let (sine, cosine) = draw(rng, [-PI, PI]).sin_cos();
             let spots =

@@ -1,4 +1,4 @@
-//! Small motions of somebody who stands or walks: sway of the whole body and of its parts, weight shifts and gestures.
+//! Small motions of a standing or walking person: sway of the whole body and of its parts, weight shifts and gestures.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,7 +13,7 @@ use crate::math::smooth_step;
 use crate::people::body::Build;
 use crate::people::moment::Small;
 
-/// Waves of each part's sway, each with a frequency in a band of its own.
+/// Number of sinusoids in each part's sway. Each one has a frequency in its own band.
 const WAVES: usize = 4;
 /// Frequencies of sway, Hz.
 const SWAY_HZ: [f64; 2] = [0.1, 1.0];
@@ -28,16 +28,17 @@ struct Wave {
     phase_rad: f64,
 }
 
-/// Postural sway of a person: sums of sinusoids that never end and hardly ever repeat.
+/// Postural sway of a person: sums of sinusoids that hardly ever repeat.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sway {
     parts: [[Wave; WAVES]; PARTS],
 }
 
 impl Sway {
-    /// Sway whose excursion at the shoulders is so large, rms, m.
+    /// Draws sway with a given rms excursion at the shoulders, m.
     pub fn draw(rng: &mut Xoshiro256PlusPlus, excursion_m: f64) -> Self {
-        // Hips move half as far as shoulders; a trunk is half a metre long, shoulders 0.17 m wide, an arm 0.6 m long.
+        // Hips move half as far as shoulders. A trunk is half a metre long, shoulders are 0.17 m wide, an arm is 0.6 m
+        // long.
         let [forward, left] = [0.5, 0.4].map(|part| part * excursion_m);
         let rms = [forward, left, excursion_m, 3.0 * excursion_m]
             .into_iter()
@@ -49,7 +50,7 @@ impl Sway {
             for (number, wave) in waves.iter_mut().enumerate() {
                 let part = (number as f64 + rng.random::<f64>()) / WAVES as f64;
                 let hz = (low + part * (high - low)).exp();
-                // Slow sway is larger.
+                // Slow sway has a larger amplitude.
                 let amplitude = hz.powf(-0.5);
                 power += 0.5 * amplitude * amplitude;
                 *wave = Wave { amplitude, rad_per_s: TAU * hz, phase_rad: rng.random_range(0.0..TAU) };
@@ -60,7 +61,7 @@ impl Sway {
         Sway { parts }
     }
 
-    /// Displacements by sway alone at a time.
+    /// Displacements by sway alone, at a time.
     pub fn at(&self, time_s: f64) -> Small {
         let sum = |waves: &[Wave; WAVES]| -> f64 {
             waves.iter().map(|w| w.amplitude * (w.rad_per_s * time_s + w.phase_rad).sin()).sum()
@@ -78,7 +79,7 @@ impl Sway {
     }
 }
 
-/// A smooth change of two values at a time, in whole steps.
+/// A smooth change of two values at the same time, over whole steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stroke {
     from: [f64; 2],
@@ -88,7 +89,7 @@ pub(super) struct Stroke {
 }
 
 impl Stroke {
-    /// Values that do not change.
+    /// Makes a constant pair of values.
     pub fn resting(at: [f64; 2]) -> Self {
         Stroke { from: at, to: at, steps: 1, done: 1 }
     }
@@ -103,18 +104,18 @@ impl Stroke {
         self.to
     }
 
-    /// Begins another change where the last one ended.
+    /// Begins another change at the end values of the last one.
     pub fn start(&mut self, to: [f64; 2], duration_s: f64) {
         let steps = (duration_s / STEP_S).ceil().clamp(4.0, 1000.0) as u32;
         *self = Stroke { from: self.to, to, steps, done: 0 };
     }
 
-    /// Goes on by a step.
+    /// Advances by one step.
     pub fn advance(&mut self) {
         self.done = self.steps.min(self.done + 1);
     }
 
-    /// Values and their rates.
+    /// Current values and their rates.
     pub fn knots(&self) -> [Knot; 2] {
         let x = 2.0 * f64::from(self.done) / f64::from(self.steps) - 1.0;
         let share = smooth_step(x);
@@ -126,21 +127,21 @@ impl Stroke {
     }
 }
 
-/// An arm: shoulder and elbow flexion beside those of the gait, rad.
+/// An arm: shoulder and elbow flexion in addition to the gait, rad.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Arm {
-    /// Change under way.
+    /// Current change.
     pub stroke: Stroke,
     rest_rad: [f64; 2],
-    /// Strokes left of the gesture, the one back to rest included.
+    /// Remaining strokes of the gesture, the return to rest included.
     strokes: u32,
 }
 
 impl Arm {
-    /// Share of people who hold an arm up: a telephone, a cup, a bag.
+    /// Share of people that hold an arm up, with a telephone, a cup or a bag.
     const HELD: f64 = 0.2;
 
-    /// An arm at rest.
+    /// Draws an arm at rest.
     pub fn draw(rng: &mut Xoshiro256PlusPlus) -> Self {
         let rest_rad = if chance(rng, Self::HELD) {
             [draw(rng, [0.1, 0.6]), draw(rng, [0.8, 1.7])]
@@ -150,7 +151,8 @@ impl Arm {
         Arm { stroke: Stroke::resting(rest_rad), rest_rad, strokes: 0 }
     }
 
-    /// Goes on by a step. A gesture begins after a mean time at rest; hands move at a peak speed within an interval.
+    /// Advances by one step. At rest, a gesture begins after a random time with this mean. Peak speeds of the hand lie
+    /// within an interval.
     pub fn advance(&mut self, rng: &mut Xoshiro256PlusPlus, build: &Build, idle_s: f64, speed_m_per_s: [f64; 2]) {
         self.stroke.advance();
         if !self.stroke.is_over() {
@@ -169,14 +171,14 @@ impl Arm {
             return;
         };
         self.strokes -= 1;
-        // A hand hangs from the shoulder by 0.40 of the height, from the elbow by 0.215.
+        // The distance of the hand from the shoulder is 0.40 of the height, and from the elbow 0.215.
         let travel_m = build.height_m * (0.40 * (to[0] - now[0]).abs() + 0.215 * (to[1] - now[1]).abs());
-        // The peak of a stroke's speed is twice its mean.
+        // The peak speed of a stroke is twice its mean speed.
         self.stroke.start(to, 2.0 * travel_m / draw(rng, speed_m_per_s));
     }
 }
 
-/// Weight on one leg or the other: the hips' place (forward, left) off the middle, m.
+/// Advances weight shifts between the legs: position of the hips (forward, left) relative to the middle of the feet, m.
 pub(super) fn shift_weight(stroke: &mut Stroke, rng: &mut Xoshiro256PlusPlus, stands: bool) {
     /// Mean time between weight shifts, s.
     const EVERY_S: f64 = 7.0;
@@ -214,7 +216,7 @@ mod tests {
             let rms = (places.iter().map(|x| x * x).sum::<f64>() / places.len() as f64).sqrt();
             assert!((rms / (0.5 * excursion_m) - 1.0).abs() < 0.1, "{rms} m");
             let speed = places.windows(2).map(|w| (w[1] - w[0]).abs() / 0.01).fold(0.0, f64::max);
-            // No faster than 1 Hz.
+            // The frequency is at most 1 Hz.
             assert!(speed < TAU * 4.0 * rms, "{speed} m/s");
         }
     }

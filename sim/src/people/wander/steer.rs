@@ -1,18 +1,18 @@
-//! Motions by which a person goes to a place or keeps to the other: three of each kind, from the one that is wanted to the most
-//! careful one.
+//! Motions by which a person walks to a place or stays with another person. Each function returns three, from the
+//! preferred to the most careful one.
 
 use super::errand::{Facing, Walker};
 use super::setting::Setting;
 use super::walker::{Command, Pose};
 use crate::math::wrapped;
 
-/// People are avoided from this distance on, m.
+/// Distance from which on other people are avoided, m.
 const AVOID_M: f64 = 1.6;
 /// Deceleration before a goal, m/s^2.
 const SOFT_M_PER_S2: f64 = 0.35;
 
 impl Walker {
-    /// Motions of somebody who stands.
+    /// Motions for standing.
     pub(super) fn stand(&self, facing: Facing, other: Option<Pose>) -> [Command; 3] {
         let heading_rad = match (facing, other) {
             (Facing::Heading(heading_rad), _) => Some(heading_rad),
@@ -22,12 +22,13 @@ impl Walker {
         [Command { speed_m_per_s: 0.0, heading_rad }, Command::STOP, Command::STOP]
     }
 
-    /// Fastest that anybody walks, m/s.
+    /// Highest walking speed, m/s.
     fn fastest_m_per_s(setting: &Setting) -> f64 {
         1.3 * setting.file.speed_m_per_s[1]
     }
 
-    /// A walk to a place: at the walker's own speed, slower before stops and in curves, around the other.
+    /// Motions for walking to a place at the walker's own speed. The speed is lower before stops and in curves. The
+    /// other person is avoided.
     pub(super) fn steer(&self, setting: &Setting, goal: [f64; 2], stops: bool, other: Option<Pose>) -> [Command; 3] {
         let (distance_m, bearing_rad) = (self.pose.distance_m(goal), self.pose.bearing_rad(goal));
         let [noise_of_speed, noise_of_heading] = self.noise;
@@ -47,7 +48,7 @@ impl Walker {
             }
         }
         let off_rad = wrapped(heading_rad - self.pose.heading_rad);
-        // The circle on which the goal lies, tangent to the heading, must be wide enough for the speed.
+        // The goal lies on a circle tangent to the heading, whose radius must be large enough for the speed.
         let radius_m = distance_m / (2.0 * off_rad.sin().abs().max(0.05));
         let speed = (speed * turning_share(off_rad))
             .min(0.9 * (self.limits.acceleration_m_per_s2 * radius_m).sqrt())
@@ -59,7 +60,7 @@ impl Walker {
         ]
     }
 
-    /// A walk at the other's side.
+    /// Motions for walking beside the other person.
     pub(super) fn go_beside(&self, setting: &Setting, side: f64, lead: &Pose) -> [Command; 3] {
         let beside_m = setting.file.least_distance_m + 0.25;
         let places = [lead.beside(0.0, side * beside_m), lead.beside(0.0, -side * beside_m), lead.beside(-1.0, 0.0)];
@@ -75,7 +76,7 @@ impl Walker {
         self.head_for(setting, wanted[1].atan2(wanted[0]), wanted[0].hypot(wanted[1]))
     }
 
-    /// A walk after the other.
+    /// Motions for walking behind the other person.
     pub(super) fn go_behind(&self, setting: &Setting, gap_m: f64, lead: &Pose) -> [Command; 3] {
         let off_m = self.pose.distance_m(lead.position_m);
         if lead.speed_m_per_s < 0.05 && off_m < gap_m + 0.2 {
@@ -86,7 +87,7 @@ impl Walker {
         self.head_for(setting, self.pose.bearing_rad(corner), speed)
     }
 
-    /// The next corner on the way to a place so far away.
+    /// Next corner of the route to a place at this distance.
     fn corner_towards(&self, setting: &Setting, to: [f64; 2], off_m: f64) -> [f64; 2] {
         if off_m < 1.0 {
             return to;
@@ -101,7 +102,7 @@ impl Walker {
     }
 }
 
-/// Share of the speed that is left while the heading is off by an angle.
+/// Factor on the speed while the heading is off by an angle.
 fn turning_share(off_rad: f64) -> f64 {
     (0.5 + 0.5 * off_rad.cos()).powi(2)
 }

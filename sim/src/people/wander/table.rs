@@ -1,7 +1,7 @@
-//! The table of a simulated group's motion: steps at fixed times, made in blocks when they are first asked for.
+//! Table of a simulated group's motion: steps at fixed times, computed in blocks when they are first requested.
 //!
-//! The state at the beginning of each block is kept, and the nodes of the blocks that were asked for last: an hour takes little
-//! memory, and every time gives the same answer in whatever order times are asked for.
+//! The table keeps the state at the beginning of each block, and the nodes of the blocks that were requested last. An
+//! hour therefore takes little memory, and a time gives the same result in any order of requests.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,16 +11,16 @@ use super::plan::State;
 use super::setting::Setting;
 use super::walker::STEP_S;
 
-/// Time of the first step, s: at 0 the group has been moving for a while.
+/// Time of the first step, s. At time 0 the group has already moved for a while.
 pub(super) const FIRST_S: f64 = -20.0;
-/// Nobody moves after this, s (46 days).
+/// Time after which nobody moves, s (46 days).
 const LAST_S: f64 = 4e6;
-/// Steps of a block: 32 s.
+/// Number of steps of a block: 32 s.
 const BLOCK_STEPS: usize = 640;
-/// Blocks whose nodes are kept.
+/// Number of blocks whose nodes are kept.
 const KEPT_BLOCKS: usize = 8;
 
-/// Consecutive steps of everybody: `[slot][step]`, the last one also being the next block's first.
+/// Consecutive steps of all people: `[slot][step]`. The last step is also the first of the next block.
 #[derive(Debug)]
 struct Block {
     nodes: Vec<Vec<Node>>,
@@ -35,19 +35,19 @@ pub(super) struct Group {
 
 #[derive(Debug)]
 struct Table {
-    /// State at the beginning of each block that was made, and at the end of the last one.
+    /// State at the beginning of each computed block, and at the end of the last one.
     states: Vec<State>,
     recent: VecDeque<(usize, Arc<Block>)>,
 }
 
 impl Group {
-    /// Creates as many people in a setting.
+    /// Makes a group of `slots` people in a setting.
     pub fn new(setting: Setting, slots: usize) -> Self {
         let states = vec![State::new(&setting, slots)];
         Group { setting, table: Mutex::new(Table { states, recent: VecDeque::new() }) }
     }
 
-    /// The setting.
+    /// Setting of the group.
     pub fn setting(&self) -> &Setting {
         &self.setting
     }
@@ -79,7 +79,7 @@ impl Group {
         table.recent.push_back((index, Arc::clone(block)));
     }
 
-    /// Makes the next block.
+    /// Computes the next block.
     fn extend(&self, table: &mut Table) {
         let Some(state) = table.states.last().cloned() else { return };
         let index = table.states.len() - 1;
@@ -103,7 +103,7 @@ impl Group {
         block
     }
 
-    /// The nodes before and after a time, and the part of the step that has passed.
+    /// Returns the nodes before and after a time, and the elapsed fraction of the step.
     pub fn around(&self, slot: usize, time_s: f64) -> Option<(Node, Node, f64)> {
         let steps = (time_s.clamp(FIRST_S, LAST_S) - FIRST_S) / STEP_S;
         let whole = steps.floor();
@@ -113,7 +113,7 @@ impl Group {
         Some((*nodes.get(at)?, *nodes.get(at + 1)?, steps - whole))
     }
 
-    /// Blocks whose nodes are in memory.
+    /// Number of blocks whose nodes are in memory.
     #[cfg(test)]
     pub fn kept_blocks(&self) -> usize {
         self.lock().recent.len()

@@ -1,4 +1,4 @@
-//! Properties of wandering people whatever they do.
+//! Properties of wandering people in every mode.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -58,7 +58,7 @@ fn people(scene: &Scene, seed: u64, count: usize) -> Vec<Arc<Motion>> {
     Scenario::new(scene, seed, Some(count)).between(0.0, 1.0).into_iter().map(|(_, motion)| motion).collect()
 }
 
-/// Keys by which one mode is certain.
+/// Keys of a scene file that make one mode certain.
 fn only(mode: &str) -> String {
     let weight = |name: &&str| format!("{name} = {}", if *name == mode { "1.0" } else { "0.0" });
     let all = ["independent", "together", "follow", "meet", "pass", "stand_and_walk"];
@@ -71,7 +71,7 @@ fn apart([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
     (ax - bx).hypot(ay - by)
 }
 
-/// Velocity is continuous and acceleration bounded at every time, between steps of the table as well.
+/// Velocity is continuous and acceleration is bounded at every time, also between steps of the table.
 #[test]
 fn speeds_never_jump() {
     let scene = scene("sit_probability = 0.3");
@@ -93,7 +93,7 @@ fn speeds_never_jump() {
     }
 }
 
-/// Turning has a bound and never jumps either.
+/// The turning rate is bounded and continuous too.
 #[test]
 fn turns_keep_to_the_bound() {
     let scene = parsed("[people]\nturn_rate_deg_per_s = 100.0\n[people.wander]\n").expect("a scene");
@@ -115,7 +115,7 @@ fn turns_keep_to_the_bound() {
 
 #[test]
 fn hips_keep_off_walls_furniture_and_the_radar() {
-    /// Sway, m.
+    /// Margin for sway, m.
     const SWAY_M: f64 = 0.03;
     for mode in MODES {
         let scene = scene(&format!("sit_probability = 0.0\n{}", only(mode)));
@@ -137,7 +137,7 @@ fn hips_keep_off_walls_furniture_and_the_radar() {
     }
 }
 
-/// Goals lie within the scene's ranges and angles; curves between them go a little beyond.
+/// Goals lie within the scene's ranges and angles. Curves between them go a little beyond.
 #[test]
 fn people_stay_where_the_scene_wants_them() {
     let scene = scene("range_m = [0.8, 3.0]\noff_boresight_deg = 30.0\nsit_probability = 0.0");
@@ -156,7 +156,7 @@ fn people_stay_where_the_scene_wants_them() {
     assert!(beyond * 8 < all, "{beyond} of {all}");
 }
 
-/// Whatever two people do, seated or not, and they do something.
+/// Two people keep their distance in every mode, seated or not, and keep moving.
 #[test]
 fn two_people_never_come_too_close_and_go_on() {
     for mode in MODES {
@@ -183,7 +183,7 @@ fn two_people_never_come_too_close_and_go_on() {
     }
 }
 
-/// People who walk together are together, followers are not far behind, and people who meet stand face to face.
+/// People that walk together stay together, followers are close behind, and people that meet stand face to face.
 #[test]
 fn modes_are_what_they_say() {
     let share = |mode: &str, of: &dyn Fn(&Motion, &Motion, f64) -> bool| {
@@ -216,7 +216,8 @@ fn modes_are_what_they_say() {
     assert!(met > 0.05 && met > by_chance, "{met} face to face, {by_chance} otherwise");
 }
 
-/// At every time some point of a body moves by more than half a millimetre a second, and feet stay where somebody stands.
+/// At every time some point of a body moves faster than half a millimetre a second. The feet of a standing person stay
+/// in place.
 #[test]
 fn nobody_vanishes_while_standing_and_feet_do_not_slide() {
     let scene = scene("stand_probability = 1.0\npace_probability = 0.0");
@@ -248,7 +249,7 @@ fn nobody_vanishes_while_standing_and_feet_do_not_slide() {
     assert!(stood > 4000 && gestures > 100, "{stood} times standing, {gestures} with gestures");
 }
 
-/// Steps are counted by the way, not by time.
+/// Steps are counted by distance, not by time.
 #[test]
 fn steps_go_with_the_way() {
     let scene = scene("stand_probability = 0.0");
@@ -261,14 +262,14 @@ fn steps_go_with_the_way() {
             way_m += apart(a.position_m, b.position_m);
         }
         let cycles = motion.walk(120.0).phase - motion.walk(0.0).phase;
-        // Turning on the spot takes steps, sway takes none.
+        // Turning on the spot takes steps; sway does not.
         let per_cycle_m = way_m / cycles;
         assert!((0.2..1.6).contains(&per_cycle_m), "{per_cycle_m} m in a cycle");
     }
 }
 
-/// Over many people, those who stand included, as it was measured of people who walk in a room: the 90th percentile of the radial
-/// speed is 0.5 to 0.6 m/s there.
+/// The speeds of many people, some of them standing, match measurements of people that walk in a room. There the 90th
+/// percentile of the radial speed is 0.5 to 0.6 m/s.
 #[test]
 fn radial_speeds_are_those_of_people_in_rooms() {
     let scene = scene("");
@@ -291,7 +292,7 @@ fn radial_speeds_are_those_of_people_in_rooms() {
     assert!((1.0..2.8).contains(&middle_m), "{middle_m} m");
 }
 
-/// The same in whatever order times are asked for, and for every program of a seed; other seeds differ.
+/// The motion is the same in any order of requests, and for every scenario of a seed. Other seeds differ.
 #[test]
 fn a_seed_is_one_way_in_any_order() {
     let scene = scene("");
@@ -309,7 +310,7 @@ fn a_seed_is_one_way_in_any_order() {
     assert_ne!(people(&scene, 4, 2)[0].posture(7.77), early[0]);
 }
 
-/// An hour takes a bounded number of blocks in memory, and its end can be asked for at once.
+/// An hour takes a bounded number of blocks in memory, and its end can be requested directly.
 #[test]
 fn an_hour_is_short_work() {
     let scene = scene("");
@@ -327,7 +328,8 @@ fn an_hour_is_short_work() {
     assert!(group.kept_blocks() <= 8, "{} blocks", group.kept_blocks());
 }
 
-/// There are as many people as asked for, or as the seed draws; nobody beyond the wall counts.
+/// The number of people is the requested one, or the one that the seed draws. A passer-by beyond the wall does not
+/// count.
 #[test]
 fn as_many_people_as_drawn() {
     let scene = scene("passer_by_probability = 1.0");
@@ -381,7 +383,7 @@ mod hard_cases {
         }
     }
 
-    /// A room with no place for two people, or for anybody, still has people who move, and times beyond all bounds have answers.
+    /// A room without space for two people, or for any, still has moving people. Times beyond all bounds have results.
     #[test]
     fn rooms_without_place_and_times_without_bounds() {
         for (keep_off_m, size) in [(0.35, "[1.2, 1.2, 2.5]"), (2.0, "[3.0, 3.0, 2.5]")] {

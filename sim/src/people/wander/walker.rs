@@ -1,8 +1,8 @@
-//! Dynamics of a walker on the ground plan: a speed along the heading and a rate of turning, which follow what is wanted smoothly
-//! and within bounds.
+//! Dynamics of a walker on the ground plan: a speed along the heading and a turning rate, which follow the commands
+//! smoothly and within bounds.
 //!
-//! The acceleration along the way is linear in time within a step, and so is the rate of turning: between two steps speed and
-//! heading are cubics that their values and rates at both ends determine exactly.
+//! The acceleration along the heading is linear in time within a step, and so is the turning rate. Between two steps,
+//! speed and heading are cubics that their values and rates at both ends determine exactly.
 
 use crate::math::wrapped;
 use crate::people::gait;
@@ -10,43 +10,44 @@ use crate::people::gait;
 /// Duration of a step, s.
 pub(super) const STEP_S: f64 = 0.05;
 
-/// Time in which the speed approaches the one that is wanted, s. Four times [`LAG_S`] or more: the speed never overshoots.
+/// Time constant with which the speed approaches the commanded one, s. It is at least four times [`LAG_S`], so the
+/// speed never overshoots.
 const SPEED_S: f64 = 0.7;
-/// Time in which the heading approaches the one that is wanted, s.
+/// Time constant with which the heading approaches the commanded one, s.
 const TURN_S: f64 = 0.5;
-/// Lag of accelerations, s.
+/// Time constant of the accelerations, s.
 const LAG_S: f64 = 0.15;
 /// Largest angular acceleration, rad/s^2.
 const MOST_RAD_PER_S2: f64 = 6.0;
-/// Speed that is zero if nothing else is wanted, m/s.
+/// Speed below which a walker that is commanded to stop stands still, m/s.
 const STILL_M_PER_S: f64 = 1e-4;
-/// Speed that is added where steps are counted and measured: slow steps do not become infinitely short, m/s.
+/// Speed added when steps are counted and measured, so that slow steps do not become infinitely short, m/s.
 const LEAST_STEP_M_PER_S: f64 = 0.03;
-/// Speed at which half of a walk's vigour is there, m/s.
+/// Speed at which a walk has half of its vigour, m/s.
 const GOING_M_PER_S: f64 = 0.04;
-/// Turning rate at which half of a march's vigour is there, rad/s.
+/// Turning rate at which steps on the spot have half of their vigour, rad/s.
 const MARCHING_RAD_PER_S: f64 = 0.5;
 /// Speed of a walk of vigour 1, m/s.
 const BRISK_M_PER_S: f64 = 1.3;
 
-/// Place and motion at the end of a step.
+/// Position and motion at the end of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pose {
-    /// Place on the ground plan, m.
+    /// Position on the ground plan, m.
     pub position_m: [f64; 2],
     /// Speed along the heading, never negative, m/s.
     pub speed_m_per_s: f64,
-    /// Rate of the speed, m/s^2.
+    /// Rate of change of the speed, m/s^2.
     pub acceleration_m_per_s2: f64,
     /// Heading from +x towards +y, not wrapped, rad.
     pub heading_rad: f64,
     /// Rate of the heading, rad/s.
     pub turn_rad_per_s: f64,
-    /// Cycles (two steps) made.
+    /// Number of cycles (two steps each) completed.
     pub phase: f64,
 }
 
-/// Motion that is wanted of a walker in a step.
+/// Commanded motion of a walker in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Command {
     /// Speed, m/s.
@@ -63,18 +64,18 @@ impl Command {
 /// Bounds of a walker's motion, and the length of the steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Limits {
-    /// Largest acceleration along the way and, separately, across it, m/s^2.
+    /// Largest acceleration along the heading and, separately, across it, m/s^2.
     pub acceleration_m_per_s2: f64,
-    /// Largest rate of turning, rad/s.
+    /// Largest turning rate, rad/s.
     pub turn_rad_per_s: f64,
     /// Length of the legs, m.
     pub leg_m: f64,
-    /// Stride over the average one.
+    /// Ratio of the stride to the average one.
     pub stride: f64,
 }
 
 impl Limits {
-    /// Cycles in a second at a speed and a rate of turning.
+    /// Cycles per second at a speed and a turning rate.
     pub fn cycles_per_s(&self, speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
         let speed = speed_m_per_s + LEAST_STEP_M_PER_S;
         let cycles_per_m = gait::cycles_per_second(speed, self.leg_m) / (speed * self.stride);
@@ -82,25 +83,25 @@ impl Limits {
     }
 }
 
-/// Share of a walk in what the legs do at a speed, 0 to 1.
+/// Share of walking in the motion of the legs at a speed, 0 to 1.
 fn going(speed_m_per_s: f64) -> f64 {
     let square = speed_m_per_s * speed_m_per_s;
     square / (square + GOING_M_PER_S * GOING_M_PER_S)
 }
 
-/// Vigour of the gait at a speed: its steps are as long as [`Limits::cycles_per_s`] counts them.
+/// Vigour of the gait at a speed. Its steps are as long as [`Limits::cycles_per_s`] assumes.
 pub(super) fn vigour(speed_m_per_s: f64) -> f64 {
     ((speed_m_per_s + LEAST_STEP_M_PER_S) / BRISK_M_PER_S).sqrt().min(1.35) * going(speed_m_per_s)
 }
 
-/// Vigour of steps on the spot.
+/// Vigour of steps on the spot at a speed and a turning rate.
 pub(super) fn march(speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
     let square = turn_rad_per_s * turn_rad_per_s;
     square / (square + MARCHING_RAD_PER_S * MARCHING_RAD_PER_S) * (1.0 - going(speed_m_per_s))
 }
 
 impl Pose {
-    /// A walker who stands.
+    /// Pose of a standing walker.
     pub fn standing(position_m: [f64; 2], heading_rad: f64) -> Self {
         Pose {
             position_m,
@@ -135,7 +136,7 @@ impl Pose {
         (to[0] - self.position_m[0]).hypot(to[1] - self.position_m[1])
     }
 
-    /// Place so far ahead and so far to the left, m.
+    /// Position at a distance ahead and a distance to the left, m.
     pub fn beside(&self, ahead_m: f64, left_m: f64) -> [f64; 2] {
         let (sine, cosine) = self.heading_rad.sin_cos();
         [self.position_m[0] + ahead_m * cosine - left_m * sine, self.position_m[1] + ahead_m * sine + left_m * cosine]
@@ -151,7 +152,7 @@ impl Pose {
         if speed <= 0.0 || (command.speed_m_per_s <= 0.0 && speed < STILL_M_PER_S) {
             (speed, acceleration) = (0.0, 0.0);
         }
-        // Faster walkers turn in wider curves.
+        // Fast walkers turn in wide curves.
         let across = if speed > 0.0 { most / speed } else { f64::INFINITY };
         let most_turn = limits.turn_rad_per_s.min(across);
         let wanted = command
@@ -162,7 +163,7 @@ impl Pose {
         let turn = (self.turn_rad_per_s + change.clamp(-most_change, most_change)).clamp(-most_turn, most_turn);
         let heading = self.heading_rad + 0.5 * STEP_S * (self.turn_rad_per_s + turn);
 
-        // Simpson's rule for the way, with speed and heading in the middle of the step.
+        // The distance is integrated by Simpson's rule, with speed and heading in the middle of the step.
         let middle_speed =
             0.5 * (self.speed_m_per_s + speed) + 0.125 * STEP_S * (self.acceleration_m_per_s2 - acceleration);
         let middle_heading = 0.5 * (self.heading_rad + heading) + 0.125 * STEP_S * (self.turn_rad_per_s - turn);
@@ -215,12 +216,12 @@ mod tests {
         assert_eq!((stood.position_m, stood.speed_m_per_s), (pose.position_m, 0.0));
     }
 
-    /// The length of a stride by the angle of the hips is the ground covered in a cycle, at every speed.
+    /// At every speed, the stride that follows from the angle of the hips equals the ground covered in a cycle.
     #[test]
     fn steps_are_as_long_as_the_way_and_end_where_it_ends() {
         for speed in [0.2, 0.5, 0.9, 1.3] {
             let per_cycle = speed / LIMITS.cycles_per_s(speed, 0.0);
-            // Half a cycle takes a foot from 0.4 rad before the hip to 0.4 rad behind it, at vigour 1.
+            // Half a cycle moves a foot from 0.4 rad before the hip to 0.4 rad behind it, at vigour 1.
             let stepped = 4.0 * LIMITS.leg_m * (0.4 * vigour(speed)).sin();
             assert!((stepped / per_cycle - 1.0).abs() < 0.12, "{stepped} m for {per_cycle} m at {speed} m/s");
         }

@@ -1,17 +1,18 @@
-//! The level of echoes, from what stands still in a recording and in a scene that is a copy of what it shows.
+//! Fit of the echo level, from static echoes in a recording and in a scene that is a copy of the recorded one.
 //!
-//! Where echoes interfere, a single bin says little: it may be off by 6 dB for a millimetre of furniture. The median over many does.
+//! Where echoes interfere, a single bin is unreliable: a displacement of furniture by a millimetre can change it by 6
+//! dB. The median over many bins is reliable.
 
-/// Bins nearer than this hold leakage, m.
+/// Range below which bins contain leakage, m.
 pub const LEAST_RANGE_M: f64 = 0.5;
-/// Least ratio of static echoes to noise and to moving echoes, as power.
+/// Least power ratio of static echoes to noise and to moving echoes.
 pub const LEAST_OVER_NOISE: f64 = 10.0;
-/// With fewer bins than these nothing is fitted: the gain would be off by 2 dB and more.
+/// Least number of bins for a fit. With fewer bins, the error of the gain would be 2 dB and more.
 pub const LEAST_BINS: usize = 9;
-/// Uncertainty by interference within a bin, dB.
+/// Standard deviation due to interference within a bin, dB.
 const BIN_SIGMA_DB: f64 = 6.0;
 
-/// A range bin of one receiver, as powers of one scale.
+/// Powers in a range bin of one receiver, all in the same unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
     /// Range, m.
@@ -22,24 +23,24 @@ pub struct Bin {
     pub moving: f64,
     /// Static power in the scene.
     pub simulated: f64,
-    /// Noise of both.
+    /// Noise power of recording and scene.
     pub noise: f64,
 }
 
-/// By how much a recording's echoes are stronger than a scene's.
+/// Gain of a recording's echoes over those of a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct GainFit {
-    /// Weighted median, dB; `None` where there are fewer than [`LEAST_BINS`] bins.
+    /// Weighted median, dB; `None` for fewer than [`LEAST_BINS`] bins.
     pub gain_db: Option<f64>,
     /// Uncertainty of the gain, dB.
     pub error_db: Option<f64>,
-    /// Bins that bore it.
+    /// Number of bins that were used.
     pub bins: usize,
-    /// Bins that there are beyond [`LEAST_RANGE_M`].
+    /// Number of bins beyond [`LEAST_RANGE_M`].
     pub of: usize,
 }
 
-/// Fits the gain to what stands still in both, far enough above noise.
+/// Fits the gain to static echoes that are far enough above noise in both.
 pub fn fit_gain(bins: &[Bin]) -> GainFit {
     let far = bins.iter().filter(|bin| bin.range_m > LEAST_RANGE_M);
     let bears = |bin: &&Bin| {
@@ -48,7 +49,7 @@ pub fn fit_gain(bins: &[Bin]) -> GainFit {
     };
     let mut points: Vec<(f64, f64)> = (far.clone().filter(bears))
         .map(|bin| {
-            // Noise beside interference: 8.7 dB over the root of twice the ratio, for each of the two.
+            // Noise adds to interference: 8.7 dB over the root of twice the power ratio, for each of the two.
             let noise_db2 = 37.7 * bin.noise * (1.0 / bin.measured + 1.0 / bin.simulated);
             (10.0 * (bin.measured / bin.simulated).log10(), 1.0 / (BIN_SIGMA_DB.powi(2) + noise_db2))
         })
@@ -75,7 +76,7 @@ mod tests {
     use super::*;
     use crate::random::{Purpose, generator};
 
-    /// Bins of echoes that interfere anew, of which some hold what moves, or leakage, or only noise.
+    /// Bins of echoes with random interference. Some of them contain moving echoes, leakage, or only noise.
     fn bins(count: usize, gain_db: f64) -> Vec<Bin> {
         let mut rng = generator(11, Purpose::Furniture, [0, 0]);
         let bin = |i: usize| {

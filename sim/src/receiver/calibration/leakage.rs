@@ -1,16 +1,16 @@
-//! The mean chirp as an offset, two settlings and a few slow tones.
+//! Model of the mean chirp: an offset, two settling exponentials and a few slow tones.
 
 use radome_dsp::Waveform;
 
 use crate::receiver::{Leakage, Transient};
 
-/// Cycles a chirp of the tones.
+/// Frequencies of the tones, cycles a chirp.
 const CYCLES: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
-/// Time constants that are tried, s: a fast and a slow one.
+/// Time constants that are tried, s: a fast and a slow one of each pair.
 const FAST_S: [f64; 3] = [1e-6, 2e-6, 4e-6];
 const SLOW_S: [f64; 4] = [6e-6, 8e-6, 12e-6, 20e-6];
 
-/// Weight of every part's level in the fit: misses of some LSB beside levels of some hundreds.
+/// Regularisation weight of every component's level: errors of a few LSB against levels of a few hundred.
 const MODERATION: f64 = 0.0125;
 
 /// A fitted mean chirp.
@@ -24,7 +24,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// The tones alone in every sample, LSB.
+    /// Sum of the tones in every sample, LSB.
     pub(super) fn leakage_lsb(&self, samples: usize, waveform: &Waveform) -> Vec<f64> {
         let at = |i: usize| {
             let time_s = i as f64 / waveform.sample_rate_hz;
@@ -38,7 +38,7 @@ impl Shape {
     }
 }
 
-/// Fits a chirp, by the pair of time constants that leaves the least.
+/// Fits a chirp with the pair of time constants that has the least error.
 pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
     let n = chirp_lsb.len() as f64;
     let sample_s = 1.0 / waveform.sample_rate_hz;
@@ -54,7 +54,8 @@ pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
             row
         };
         let rows: Vec<Vec<f64>> = (0..chirp_lsb.len()).map(row).collect();
-        // Slow tones and settlings are much alike: of all sums that fit, one of moderate parts.
+        // Slow tones and settling exponentials are nearly dependent. Regularisation selects a solution with moderate
+        // components.
         let (mut all, mut values) = (rows.clone(), chirp_lsb.to_vec());
         for k in 1..rows.first().map_or(0, Vec::len) {
             let mut row = vec![0.0; rows[0].len()];
@@ -84,7 +85,7 @@ pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
     best
 }
 
-/// Least squares by Householder's reflections; `None` where columns depend on each other.
+/// Least squares by Householder reflections; `None` if columns are linearly dependent.
 fn least_squares(rows: &[Vec<f64>], values: &[f64]) -> Option<Vec<f64>> {
     let columns = rows.first()?.len();
     if rows.len() < columns {

@@ -1,4 +1,4 @@
-//! The ground plan of a room from files in cells: where there is a floor that leads to the radar without a wall between.
+//! Ground plan of a room from files, in cells: the floor that leads to the radar without a wall between.
 
 use std::collections::VecDeque;
 
@@ -10,14 +10,14 @@ use crate::material::OPEN;
 use crate::scene::Scene;
 use crate::scene::room::WELD_M;
 
-/// Largest side of a cell, m: cells divide a room evenly.
+/// Largest side of a cell, m. Cells divide a room evenly.
 const MOST_CELL_M: f64 = 0.1;
-/// Planes are walls that begin below this and end above people's heads, m; floors lie below it.
+/// Height below which walls begin and floors lie, m. Walls also end above people's heads.
 const FOOT_M: f64 = 0.3;
-/// Largest vertical part of a wall's unit normal, and least one of a floor's.
+/// Largest vertical component of a wall's unit normal, and least one of a floor's.
 const UPRIGHT: f64 = 0.05;
 const LEVEL: f64 = 0.95;
-/// Walls so near to the sides of the box around the room are these sides, m.
+/// Distance from the sides of the box around the room within which walls are these sides, m.
 const ON_SIDE_M: f64 = 0.05;
 
 /// A cell of the ground plan.
@@ -37,12 +37,12 @@ pub(crate) struct Cells {
     size_m: DVec2,
     cell_m: DVec2,
     count: [usize; 2],
-    /// Along x, then y.
+    /// Kinds of the cells; x is the fastest index.
     kinds: Vec<Kind>,
 }
 
 impl Cells {
-    /// The cells of a scene's meshes; `None` where all of the box around the room is floor, or none of it.
+    /// Finds the cells of a scene's meshes; `None` if the whole box around the room is floor, or none of it.
     pub fn of(scene: &Scene) -> Option<Self> {
         let [width_m, depth_m, _] = scene.file.room.size_m;
         let size_m = DVec2::new(width_m, depth_m);
@@ -65,7 +65,7 @@ impl Cells {
         (cells.kinds.iter().any(is_inside) && !cells.kinds.iter().all(is_inside)).then_some(cells)
     }
 
-    /// All of a room outside.
+    /// Makes cells that are all outside the room.
     fn new(size_m: DVec2, count: [usize; 2]) -> Self {
         let cell_m = size_m / DVec2::new(count[0] as f64, count[1] as f64);
         Cells { size_m, cell_m, count, kinds: vec![Kind::Outside; count[0] * count[1]] }
@@ -77,12 +77,12 @@ impl Cells {
         is_within.then(|| i as usize + self.count[0] * j as usize)
     }
 
-    /// Kind of the cell at a place.
+    /// Kind of the cell at a position.
     pub fn kind(&self, at: DVec2) -> Kind {
         self.cell(at).and_then(|cell| self.kinds.get(cell)).copied().unwrap_or(Kind::Outside)
     }
 
-    /// Takes a plane of a mesh for a wall or a floor where it is one.
+    /// Adds a plane of a mesh if it is a wall or a floor.
     fn add(&mut self, mesh: &Mesh, plane: &Plane, has_floor: &mut [bool]) {
         let corners = || plane.triangles.iter().filter_map(|&triangle| mesh.corners(triangle as usize));
         let heights = || corners().flatten().map(|corner| corner.z);
@@ -125,7 +125,7 @@ impl Cells {
         }
     }
 
-    /// Marks what lies under a part of an upright plane: from one place along it to another.
+    /// Marks the cells under a part of an upright plane, from one position along it to another.
     fn add_wall(&mut self, on_plane: DVec3, along: DVec3, [from, to]: [f64; 2]) {
         let steps = ((to - from) / (0.25 * self.cell_m.min_element())).ceil().max(1.0) as usize;
         for step in 0..=steps {
@@ -137,7 +137,7 @@ impl Cells {
         }
     }
 
-    /// Marks the floor that leads to the radar: to the first floor that is before it.
+    /// Marks the floor that leads to the radar. The search begins at the first floor cell ahead of the radar.
     fn flood(&mut self, radar: DVec2, ahead: DVec2, has_floor: &[bool]) {
         let is_free = |kinds: &[Kind], cell: usize| {
             kinds.get(cell) == Some(&Kind::Outside) && has_floor.get(cell).copied().unwrap_or(false)
@@ -166,10 +166,10 @@ impl Cells {
         }
     }
 
-    /// Boxes over all that is no floor of the room: runs along x, those of the same extent in one.
+    /// Returns boxes that cover all cells outside the room's floor. Equal runs along x in consecutive rows share a box.
     pub fn boxes(&self) -> Vec<GroundBox> {
         let mut boxes: Vec<GroundBox> = Vec::new();
-        // Runs of the row before with the row in which they began.
+        // Runs of the previous row, with the row in which they began.
         let mut open: Vec<([usize; 2], usize)> = Vec::new();
         for (j, row) in self.kinds.chunks(self.count[0]).enumerate() {
             let runs = runs(row);
@@ -184,14 +184,14 @@ impl Cells {
         boxes
     }
 
-    /// The box of a run of columns over rows, each from the first to behind the last.
+    /// Returns the box of a range of columns and rows. The second number of a range is one past its last index.
     fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> GroundBox {
         let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
         [at(left, first), at(right, end)]
     }
 }
 
-/// Where in a row there is no floor: first columns and those behind the last.
+/// Runs of columns without floor in a row: first column, and one past the last.
 fn runs(row: &[Kind]) -> Vec<[usize; 2]> {
     let mut runs: Vec<[usize; 2]> = Vec::new();
     for (column, _) in row.iter().enumerate().filter(|(_, kind)| **kind != Kind::Inside) {
@@ -203,7 +203,7 @@ fn runs(row: &[Kind]) -> Vec<[usize; 2]> {
     runs
 }
 
-/// Along a direction, the part of a triangle that is at the heights at which people walk, m.
+/// Part of a triangle at the heights at which people walk, as an interval along a direction, m.
 fn span_m([a, b, c]: &[DVec3; 3], along: DVec3) -> Option<[f64; 2]> {
     let mut span = [f64::INFINITY, f64::NEG_INFINITY];
     for (from, to) in [(a, b), (b, c), (c, a)] {
@@ -230,20 +230,20 @@ fn span_m([a, b, c]: &[DVec3; 3], along: DVec3) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
 
-    /// A triangle of a wall counts where people are, not over their heads.
+    /// A triangle of a wall counts at the height of people, not above their heads.
     #[test]
     fn walls_are_in_the_way_at_walking_height() {
         let at = |x: f64, z: f64| DVec3::new(x, 2.0, z);
         let span = |triangle: [DVec3; 3]| span_m(&triangle, DVec3::X);
         let [_, to] = span([at(1.0, 0.0), at(3.0, 0.0), at(3.0, 2.5)]).expect("a part");
         assert!((to - 3.0).abs() < 1e-12, "{to}");
-        // Over a door of 2 m.
+        // Triangle above a door of 2 m.
         assert_eq!(span([at(1.0, 2.0), at(3.0, 2.0), at(3.0, 2.5)]), None);
         let [from, to] = span([at(0.0, 1.0), at(4.0, 5.0), at(0.0, 5.0)]).expect("a part");
         assert!(from.abs() < 1e-12 && (to - 0.9).abs() < 1e-12, "{from} {to}");
     }
 
-    /// Rows of the same extent are one box.
+    /// Equal runs in consecutive rows form one box.
     #[test]
     fn boxes_cover_what_is_no_floor() {
         let mut cells = Cells::new(DVec2::new(0.6, 0.4), [6, 4]);

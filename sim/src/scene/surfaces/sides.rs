@@ -1,23 +1,24 @@
-//! Sides of faces on which there is air.
+//! Sides of faces that have air.
 
 use glam::DVec3;
 
 use super::touch::Touch;
 use super::{Draft, Sides};
 
-/// Direction of the rays that tell in from out: along no edge of what people build.
+/// Direction of the rays that distinguish inside from outside. It is unlikely to be parallel to any edge.
 const PROBE: DVec3 = DVec3::new(0.537_71, 0.318_83, 0.780_49);
 
-/// Faces that close a volume.
+/// Faces that enclose a volume.
 struct Shell {
-    /// The faces, and whether each must be turned to face the way of the first.
+    /// Indices of the faces, and whether each must be reversed to match the first one.
     faces: Vec<(usize, bool)>,
-    /// Volume, m^3; negative when the first faces inwards.
+    /// Volume, m^3; negative if the first face points inwards.
     volume_m3: f64,
 }
 
-/// Turns faces that close a volume towards the air: inwards where the volume holds the radar, outwards otherwise. All others have
-/// air on both sides, and are turned towards the radar. Of faces that others of their group cover (`covered_by`), no volume is made.
+/// Reverses faces that enclose a volume so that they point to the air: inwards if the volume contains the radar,
+/// outwards otherwise. All other faces have air on both sides, and are turned towards the radar. Faces that others of
+/// their group cover (`covered_by`) enclose no volume.
 pub(super) fn resolve(
     drafts: &mut [Draft],
     touches: &[Touch],
@@ -31,7 +32,7 @@ pub(super) fn resolve(
     };
     let is_twice: Vec<bool> = (0..drafts.len()).map(is_twice).collect();
     let shells = shells(drafts, touches, &is_twice);
-    // Of nested ones, as the outer faces of a building's walls around the inner ones, every other has air within.
+    // Of nested volumes, such as the outer and inner faces of a building's walls, every second one has air inside.
     let mut around: Vec<usize> = (0..shells.len()).filter(|&s| holds(drafts, &shells[s], radar)).collect();
     around.sort_by(|&s, &t| shells[s].volume_m3.abs().total_cmp(&shells[t].volume_m3.abs()));
     for (number, shell) in shells.iter().enumerate() {
@@ -52,7 +53,7 @@ pub(super) fn resolve(
     sides
 }
 
-/// Faces of a group that hang together by edges of exactly two, and leave none open.
+/// Returns the sets of faces of a group that are connected by edges of exactly two faces and have no open edge.
 fn shells(drafts: &[Draft], touches: &[Touch], is_twice: &[bool]) -> Vec<Shell> {
     let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); drafts.len()];
     let mut is_open = is_twice.to_vec();

@@ -10,7 +10,7 @@ use crate::scene::plan;
 use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M};
 use crate::scene_file::{SceneFile, SurfaceFile};
 
-/// Furniture thinner than this is a sheet, m.
+/// Thickness up to which furniture is a sheet, m.
 const SHEET_M: f64 = 1e-6;
 
 pub(in crate::scene) fn surfaces(
@@ -37,7 +37,7 @@ pub(in crate::scene) fn surfaces(
     Surfaces::assemble(drafts, small, DVec3::from_array(file.radar.position_m))
 }
 
-/// The box `0..size` seen from within.
+/// Returns the box `0..size`, with faces that point inwards.
 fn room_box(size_m: DVec3, walls: &[Wall; 6]) -> Vec<Draft> {
     let named = WALLS.iter().zip(walls).filter(|(_, wall)| **wall != Wall::Open);
     named
@@ -48,7 +48,7 @@ fn room_box(size_m: DVec3, walls: &[Wall; 6]) -> Vec<Draft> {
         .collect()
 }
 
-/// A side of a box, which faces outwards; `None` where it has no area.
+/// Returns a side of a box, which points outwards; `None` if it has no area.
 fn box_side([low, high]: [DVec3; 2], axis: usize, is_high: bool) -> Option<PlanarPolygon> {
     let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
     let corner = |at_i: f64, at_j: f64| {
@@ -61,7 +61,7 @@ fn box_side([low, high]: [DVec3; 2], axis: usize, is_high: bool) -> Option<Plana
     Some(if is_high { polygon } else { polygon.flipped() })
 }
 
-/// Sides of the furniture that the scene file has itself and gives a material: a group for each piece.
+/// Returns the sides of the scene file's own furniture that has a material. Each piece is a group.
 fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f64) -> Vec<Draft> {
     let mut drafts = Vec::new();
     for (furniture, group) in file.furniture.iter().take(count).zip(first_group..) {
@@ -71,7 +71,7 @@ fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f
         let low = DVec3::from_array(furniture.position_m);
         let size_m = DVec3::from_array(furniture.size_m);
         for (name, axis, is_high) in WALLS {
-            // What has no depth has one side for both ends of it.
+            // Furniture without depth has a single side for both ends.
             if size_m[axis] <= SHEET_M && is_high {
                 continue;
             }
@@ -88,7 +88,7 @@ fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f
     drafts
 }
 
-/// The planes of a part of a file as faces; the rest of it as triangles.
+/// Adds the planes of a part of a file as faces, and its other triangles as a small part.
 fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, small: &mut Vec<SmallPart>) {
     let mut mesh = oriented(&piece.mesh);
     mesh.vertices.iter_mut().for_each(|vertex| *vertex -= corner);
@@ -106,7 +106,7 @@ fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, 
     }
 }
 
-/// Some triangles of a mesh, with the vertices that they need.
+/// Returns a mesh of some triangles, with only the vertices that they use.
 fn compact(mesh: &Mesh, triangles: &[[u32; 3]]) -> Mesh {
     let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
     let mut made = Mesh::default();

@@ -1,51 +1,52 @@
-//! Edges of faces, and what else meets them there.
+//! Edges of faces, and the surfaces that meet them.
 
 use glam::DVec3;
 
 use crate::geometry::PlanarPolygon;
 
-/// Faces this near to each other touch, m: what vertices of meshes are welded by.
+/// Distance within which faces touch, m: the distance within which vertices of meshes are welded.
 pub(super) const TOUCH_M: f64 = 1e-4;
-/// Polygons no wider than this along x are looked up by their place, m.
+/// Largest width along x of polygons that are found by their position, m.
 const NARROW_M: f64 = 1.0;
 
-/// A part of a face's edge along which the same others meet it.
+/// A part of a face's edge along which the same other surfaces meet it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Touch {
-    /// The face.
+    /// Index of the face.
     pub face: usize,
     /// Ends of the part, m.
     pub ends: [DVec3; 2],
     /// Unit vector from the edge into the face.
     pub inwards: DVec3,
-    /// Other sheets there.
+    /// Other sheets at the edge.
     pub sheets: Vec<Sheet>,
 }
 
 /// A half-plane that begins at an edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Sheet {
-    /// The face that it is of; `None` for a small triangle.
+    /// Index of the face to which it belongs; `None` for a small triangle.
     pub face: Option<usize>,
-    /// Unit vector from the edge into it.
+    /// Unit vector from the edge into the sheet.
     pub towards: DVec3,
-    /// True if its polygon ends here, too, and its own edge runs the other way. `None` where it goes on beyond the edge.
+    /// True if its polygon also ends at the edge, and its own edge runs in the opposite direction. `None` if it
+    /// continues beyond the edge.
     pub ends_opposed: Option<bool>,
 }
 
 /// A polygon and the box around it.
 pub(super) struct Placed<'a> {
     pub polygon: &'a PlanarPolygon,
-    /// The face that it is; `None` for a small triangle.
+    /// Index of the face; `None` for a small triangle.
     pub face: Option<usize>,
     low: DVec3,
     high: DVec3,
 }
 
-/// Polygons by place.
+/// Polygons, indexed by position.
 pub(super) struct Index<'a> {
     wide: Vec<Placed<'a>>,
-    /// By their low x.
+    /// Polygons up to [`NARROW_M`] wide, sorted by their lowest x.
     narrow: Vec<Placed<'a>>,
 }
 
@@ -61,7 +62,7 @@ impl<'a> Index<'a> {
         Index { wide, narrow }
     }
 
-    /// Polygons whose boxes touch a box.
+    /// Returns polygons whose bounding boxes touch a box.
     pub fn near(&self, low: DVec3, high: DVec3) -> impl Iterator<Item = &Placed<'a>> {
         let (low, high) = (low - TOUCH_M, high + TOUCH_M);
         let first = self.narrow.partition_point(|p| p.low.x < low.x - NARROW_M);
@@ -70,7 +71,7 @@ impl<'a> Index<'a> {
     }
 }
 
-/// All edges of all faces, cut where what meets them changes.
+/// Returns all edges of all faces, cut where the set of touching surfaces changes.
 pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
     let mut all = Vec::new();
     for (face, polygon) in faces.iter().enumerate() {
@@ -96,7 +97,8 @@ pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
     all
 }
 
-/// Adds the places along an edge at which a polygon of a plane through it begins, ends or has a corner, m.
+/// Adds the positions along an edge at which a polygon begins, ends or has a corner, m. The polygon's plane contains
+/// the edge.
 fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, cuts: &mut Vec<f64>) {
     let across = polygon.normal.cross(along);
     let place = |p: DVec3| ((p - from).dot(along), (p - from).dot(across));
@@ -115,7 +117,7 @@ fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, c
     }
 }
 
-/// Sheets that a polygon of a plane through an edge has at a point of it.
+/// Returns the sheets of a polygon at a point of an edge. The polygon's plane contains the edge.
 fn sheets(of: &Placed, point: DVec3, along: DVec3) -> Vec<Sheet> {
     let (polygon, face) = (of.polygon, of.face);
     let clearance = polygon.clearance(point);
