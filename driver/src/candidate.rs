@@ -23,7 +23,7 @@ pub enum Belief {
     KitProg3,
     /// Another CMSIS-DAP debug probe.
     DebugProbe,
-    /// Serial port of an unknown device: a board answers only when asked.
+    /// Serial port of an unknown device: only a request can tell whether it is a board.
     SerialPort,
 }
 
@@ -134,7 +134,7 @@ impl Candidate {
         self.usb.as_ref().zip(other.usb.as_ref()).is_some_and(|(a, b)| a.socket == b.socket)
     }
 
-    /// Returns whether both belong to one kit: one USB device, or two with one serial number.
+    /// Returns whether both belong to one kit: one USB device, or two devices with one serial number.
     pub(crate) fn is_beside(&self, other: &Candidate) -> bool {
         let serial_number = |c: &Candidate| c.usb.as_ref().and_then(|usb| usb.serial_number.clone());
         self.is_of_device(other) || serial_number(self).is_some_and(|serial| Some(serial) == serial_number(other))

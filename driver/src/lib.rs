@@ -1,10 +1,10 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
 //!
 //! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`Mcu7Stream`], a recording
-//! ([`recording::open`]), either of them paced by [`RealTime`], a recording that can be paused and sought ([`Player`]),
-//! and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function over bytes beside its
-//! encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The library never prints: it
-//! reports errors and `tracing` events.
+//! ([`recording::open`]), and either of them paced by [`RealTime`]. So are a recording that can be paused and sought
+//! ([`Player`]), and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function over
+//! bytes beside its encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The library
+//! never prints: it reports errors and `tracing` events.
 //!
 //! A recording is written and read back:
 //!

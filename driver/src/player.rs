@@ -51,13 +51,13 @@ pub struct Transport {
 /// State of a player.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Playback {
-    /// Whether the player plays, and is not paused.
+    /// Whether the player is playing and not paused.
     pub playing: bool,
     /// Speed as a multiple of real time; 0 is as fast as possible.
     pub speed: f64,
-    /// The frame that was handed out last.
+    /// Position of the frame that was handed out last.
     pub position: Option<Position>,
-    /// Whether that was the last one.
+    /// Whether the frame that was handed out last is the last one of the recording.
     pub at_end: bool,
 }
 
@@ -65,7 +65,7 @@ pub struct Playback {
 struct State {
     playback: Playback,
     sought: Option<Place>,
-    /// Frames to step forwards, or backwards.
+    /// Frames to step forwards, or backwards if negative.
     steps: i64,
     closed: bool,
     /// Whether the clock has to be read anew.
@@ -256,14 +256,14 @@ impl Player {
         self.frame_alone(frame)
     }
 
-    /// Reads the frame at a place, or the first one of those that are to come before it.
+    /// Reads the frame at a place, or the first frame of its preroll.
     fn seek(&mut self, place: Place, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         let Some(found) = self.find(place, frame)? else { return Ok(None) };
         let preroll_s = self.transport.state().preroll_s;
         if preroll_s > 0.0 {
             self.find(Place::Time(found.time_s() - preroll_s), frame)?;
         }
-        // A clock that has started again leads to another frame.
+        // If the recording's clock has restarted, the seek leads to another frame.
         if frame.sequence > found.sequence {
             self.find(Place::Frame(found.sequence), frame)?;
         }
@@ -274,7 +274,7 @@ impl Player {
         Ok(Some(position(frame)))
     }
 
-    /// The last frame before the one that was handed out last; the first one if there is none before it.
+    /// Reads the last frame before the one that was handed out last; the first frame if there is none before it.
     fn step_back(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         let now = self.transport.state().playback.position.map_or(0, |position| position.sequence);
         let mut back = 1;
@@ -282,7 +282,7 @@ impl Player {
             let from = now.saturating_sub(back).max(self.extent.first.sequence);
             let Some(mut found) = self.find(Place::Frame(from), frame)? else { return Ok(None) };
             if found.sequence < now || from <= self.extent.first.sequence {
-                // Numbers may be missing between: the last one before.
+                // Numbers may be missing in between: the last frame before the current one is taken.
                 while let Some(next) = self.frame_alone(frame)?.filter(|next| next.sequence < now) {
                     found = next;
                 }

@@ -1,4 +1,4 @@
-//! CMSIS-DAP debug probes, such as the KitProg3 of a PSoC 6 kit: who they are, and the reset of a kit that hangs.
+//! CMSIS-DAP debug probes, such as the KitProg3 of a PSoC 6 kit: their identity, and the reset of a kit that hangs.
 
 mod packets;
 
@@ -60,7 +60,7 @@ pub struct ProbeIdentity {
     pub serial_number: String,
     /// Version of its firmware, or of the protocol if it reports no other.
     pub firmware_version: String,
-    /// Whether it supports SWD, the debug interface of PSoC chips.
+    /// Whether the probe supports SWD, the debug interface of PSoC chips.
     pub has_swd: bool,
 }
 
@@ -215,7 +215,7 @@ mod tests {
         use super::*;
         use crate::candidate::{Access, Belief, UsbIdentity};
 
-        /// A probe that answers every packet with these bytes.
+        /// Probe that answers every packet with these bytes.
         struct Stubborn(&'static [u8]);
 
         impl Packets for Stubborn {

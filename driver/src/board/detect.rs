@@ -1,5 +1,5 @@
-//! Detection of the kind of board on a serial port. Boards have no common way to report it: the port is listened to,
-//! then asked in one protocol after the other.
+//! Detection of the kind of board on a serial port. Boards have no common request for it: the driver listens to the
+//! port, then tries one protocol after the other.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -43,8 +43,8 @@ pub enum Detected {
 }
 
 impl Detected {
-    /// Opens a port and detects the board on it. A board that prints measures one waveform: the one given, or else the
-    /// one that it states.
+    /// Opens a port and detects the board on it. A board that prints its frames has one fixed waveform: `waveform` if
+    /// given, else the one that the board states.
     ///
     /// # Errors
     /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
@@ -56,7 +56,7 @@ impl Detected {
         asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board)))
     }
 
-    /// Opens what is at an address, on a serial port like [`Detected::open`]; on USB there is one kind of board.
+    /// Opens the board at an address: on a serial port like [`Detected::open`], on USB as the only supported kind.
     ///
     /// # Errors
     /// Those of [`Detected::open`].
@@ -73,7 +73,7 @@ impl Detected {
     }
 }
 
-/// Identity of the board on a serial port, whose chip stays as it was programmed; `None` if it only prints.
+/// Reads the identity of the board on a serial port without reprogramming its chip; `None` if the board only prints.
 ///
 /// # Errors
 /// Those of [`Detected::open`].
@@ -84,7 +84,7 @@ pub(crate) fn identity_on(path: &Path) -> Result<Option<BoardIdentity>, BoardErr
     asked_in_turn(path, Mcu7Board::identity_at, |board| board.identity().clone()).map(Some)
 }
 
-/// Opens a port and listens: the port and what was heard, if that is text.
+/// Opens a port and listens. Returns the port and the received bytes if they are text.
 fn printing(path: &Path) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
     let mut port = open_port(path)?;
     let mut heard = Vec::new();
@@ -100,8 +100,8 @@ fn printing(path: &Path) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
     Ok(None)
 }
 
-/// Asks the board on a port in one protocol after the other. To a DEEPCRAFT board the MCU7 request is the head of a longer one,
-/// whose rest it waits for; the DEEPCRAFT client completes it.
+/// Tries one protocol after the other on a port. A DEEPCRAFT board takes the MCU7 request for the start of a longer one
+/// and waits for its rest; the DEEPCRAFT client completes it.
 fn asked_in_turn<T>(
     path: &Path,
     mcu7: impl FnOnce(&Address) -> Result<T, BoardError>,

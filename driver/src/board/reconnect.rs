@@ -16,13 +16,13 @@ pub struct Reconnect {
     pub first_wait: Duration,
     /// Longest wait: each wait is twice the one before until it is this long.
     pub longest_wait: Duration,
-    /// Time after the loss was noticed at which the stream ends with the error that began it, if no frame has come
-    /// since. The time does not begin earlier for long frame intervals or a consumer that polls seldom.
+    /// Time from the detection of the loss until the stream ends with the error that began it, if no frame has come
+    /// since. Long frame intervals or rare polls do not make it begin earlier.
     pub give_up_after: Duration,
 }
 
 impl Default for Reconnect {
-    /// Waits from 50 ms to 2 s, for 30 s.
+    /// Returns a policy with waits from 50 ms to 2 s that gives up after 30 s.
     fn default() -> Self {
         Reconnect {
             first_wait: Duration::from_millis(50),
@@ -146,8 +146,8 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Frames 10 s apart are missed after half a minute, which is when the stream ended without having looked for
-        /// its board.
+        /// Regression test: the loss of frames 10 s apart is noticed after half a minute. The stream then ended without
+        /// an attempt to reconnect.
         #[test]
         fn a_loss_that_is_noticed_late_is_looked_after_all_the_same() {
             let give_up_after = Duration::from_secs(1);
@@ -156,7 +156,7 @@ mod tests {
             let last_frame = Instant::now();
             thread::sleep(Duration::from_millis(20));
             let (mut outage, mut attempts) = (Outage::default(), 0);
-            // The port opens each time, and no frame comes: that ends too.
+            // The port opens each time but no frame comes: the stream must end too.
             let error = loop {
                 let noticed = outage.noticed(last_frame);
                 assert!(noticed >= last_frame + Duration::from_millis(20));

@@ -1,13 +1,13 @@
-//! Waveform to register list and back.
+//! Conversion of a waveform to the chip's register list and back.
 //!
 //! The list has the vendor's 38 registers in the vendor's order. The vendor's default (58-63 GHz, 64 samples, 64
 //! chirps, three receivers, 2 MS/s, 23 dB) compiles to exactly the list captured on the wire.
 //!
 //! # Derived from the waveform
 //! `ADC_DIV`, `CREF` (from the slice), receivers (`CS1_U_0`, `BBCH_SEL`), `TX1_DAC`, gain and high-pass (`CS1_U_2`),
-//! `FSU`, `RSU`, `RTU`, `APU`, `FRAME_LEN`, `T_SED` (chirp interval) and `TFED` (frame interval). In units of the 80 MHz
-//! clock:
-//! - a ramp starts `8 TMRSTRT + 10 = 90` cycles into the chirp, the transmitter goes on at `8 T_PAEN = 240`: the ramp
+//! `FSU`, `RSU`, `RTU`, `APU`, `FRAME_LEN`, `T_SED` (chirp interval) and `TFED` (frame interval). In units of the
+//! 80 MHz clock:
+//! - a ramp starts `8 TMRSTRT + 10 = 90` cycles into the chirp, the transmitter goes on at `8 T_PAEN = 240`. The ramp
 //!   starts 150 cycles (1.875 us) early, so `FSU` lies `150 RSU` below the requested start. Sampling starts
 //!   `8 T_SSTRT + 1 = 249` cycles after the transmitter;
 //! - `RTU` is the time from ramp start to the last sample, rounded up to 8 cycles;
@@ -16,9 +16,9 @@
 //! - a frame lasts its chirps, less the end delay of the last one, plus `8 TFED 2^TFED_MUL` and the wake-up. This
 //!   gives the captured list's 77.269 ms within 26 us, which is what `TFED` can resolve at that length.
 //!
-//! Both delays are an 8-bit mantissa and an exponent: the nearest representable one is taken, and of equal ones that
-//! with the largest exponent, as the vendor's library does. Chirp intervals are thus coarser than 8 cycles: up to
-//! 0.4 % of the end delay off.
+//! Both delays are stored as an 8-bit mantissa and an exponent. Like the vendor's library, the code takes the nearest
+//! representable delay, and of equal ones the one with the largest exponent. Chirp intervals are thus coarser than 8
+//! cycles: up to 0.4 % of the end delay off.
 //!
 //! # Fixed as in the captured list
 //! Wake-up 1 ms, `INIT0` 45 us, `INIT1` 7 us, PA delay 3 us, ADC delay, baseband reset, post-chirp delay 1.4 us, PLL
@@ -27,8 +27,8 @@
 //! # Not confirmed by any capture
 //! - Receivers that are off get no mixer, no baseband channel and zero gain fields.
 //! - `HP_GAIN` 0 stands for 30 dB (the capture has 7 for 18 dB in all channels).
-//! - If the chirp interval leaves no room for `INIT0` and `INIT1` the chip stays active between chirps (`PD_MODE` 0);
-//!   if the frame interval leaves none for the wake-up it idles between frames (`PD_MODE` 1).
+//! - If the chirp interval leaves no room for `INIT0` and `INIT1`, the chip stays active between chirps (`PD_MODE` 0).
+//!   If the frame interval leaves no room for the wake-up, it idles between frames (`PD_MODE` 1).
 //! - The anti-alias filter is not programmed: the list has no field for it.
 
 use radome_dsp::{
@@ -223,7 +223,7 @@ pub enum ChipError {
         min: f64,
         max: f64,
         unit: &'static str,
-        /// Quantities of the waveform that it comes from.
+        /// Quantities of the waveform that determine the value.
         hint: &'static str,
     },
     /// An interval is too short.
@@ -253,7 +253,7 @@ fn delay(units: f64, max_exponent: u32) -> (u32, u32) {
             best = (mantissa as u32, exponent, error);
         }
     }
-    // A delay of nothing is written as nothing.
+    // A delay of zero has a zero exponent too.
     if best.0 == 0 { (0, 0) } else { (best.0, best.1) }
 }
 
@@ -272,12 +272,12 @@ impl Quantity {
         Quantity { name, unit, origin, step: 1.0, range }
     }
 
-    /// Field with `n` in it, if that lies in the range.
+    /// Returns the field with the value `n`, or an error if `n` is out of range.
     fn in_field(&self, field: Field, n: i64, hint: &'static str) -> Result<(Field, u32), ChipError> {
         let at = |n: i64| self.origin + self.step * n as f64;
         let (least, most) = self.range;
         if n < least || n > most {
-            // A negative step turns the interval around.
+            // A negative step swaps the ends of the interval.
             let (min, max) = (at(least).min(at(most)), at(least).max(at(most)));
             let (field, quantity, unit) = (field.name, self.name, self.unit);
             return Err(ChipError::FieldRange { field, quantity, value: at(n), min, max, unit, hint });
@@ -418,7 +418,7 @@ impl ChipConfiguration {
         active_cycles(rtu) as f64 / REFERENCE_CLOCK_HZ
     }
 
-    /// Returns the waveform as the registers realise it, on their own grids: the nearest to the one requested.
+    /// Returns the waveform that the registers realise: on their grids the nearest to the requested one.
     ///
     /// # Errors
     /// Those of [`ChipConfiguration::compile`].
@@ -454,7 +454,8 @@ impl ChipConfiguration {
         let wake_up = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
         let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
         let frame = chirp * chirps as u64 - end_delay + wake_up + frame_delay;
-        // Where the frame's delay could not make up for the last chirp's end delay the interval is the chirps' own.
+        // If the frame's delay could not make up for the last chirp's end delay, the chirps alone determine the
+        // interval.
         let frame = frame.max(chirp * chirps as u64);
 
         let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
@@ -501,7 +502,7 @@ mod tests {
         }
     }
 
-    /// The list that the vendor's client wrote.
+    /// Compares with the list that the vendor's client wrote.
     #[test]
     fn vendor_default_compiles_to_the_captured_list() {
         let captured = "01:0A0210 04:E967FD 05:0805B4 06:102BFF 07:010D00 08:0 09:0 0A:0 0B:000BE0 0C:0 0D:0 0E:0 \

@@ -12,7 +12,7 @@ pub mod main_bits {
     pub const FSM_RESET: u32 = 1 << 2;
     /// Empties the FIFO.
     pub const FIFO_RESET: u32 = 1 << 3;
-    /// All of them.
+    /// All of these bits.
     pub const ALL: u32 = 0xF;
 }
 
@@ -32,12 +32,12 @@ impl Default for RegisterFile {
 }
 
 impl RegisterFile {
-    /// Content of a register; 0 where there is none.
+    /// Content of a register; 0 if the address does not exist.
     pub fn get(&self, address: u8) -> u32 {
         self.values.get(usize::from(address)).copied().unwrap_or(0)
     }
 
-    /// Sets a register's 24 bits; nothing happens where there is none.
+    /// Sets the 24 bits of a register; does nothing if the address does not exist.
     pub fn set(&mut self, address: u8, value: u32) {
         if let Some(register) = self.values.get_mut(usize::from(address)) {
             *register = value & 0xFF_FFFF;

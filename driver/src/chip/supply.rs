@@ -5,15 +5,15 @@ use super::{ChipConfiguration, ChipError};
 
 /// Supply current in active mode with one transmitter, A (datasheet section 6, typical).
 const ACTIVE_A: f64 = 0.201;
-/// In idle mode, A.
+/// Supply current in idle mode, A.
 const IDLE_A: f64 = 2.8e-3;
-/// In deep sleep, A.
+/// Supply current in deep sleep, A.
 const DEEP_SLEEP_A: f64 = 0.12e-3;
 
 impl ChipConfiguration {
     /// Mean supply current, A: the datasheet's typical currents weighted by the times that frames spend in each mode.
     ///
-    /// Waking up counts as idle. The mode between chirps and between frames is what the registers choose for the time
+    /// Wake-up counts as idle. The registers choose the mode between chirps and between frames according to the time
     /// that is left there.
     ///
     /// # Errors
@@ -50,7 +50,7 @@ mod tests {
     #[test]
     fn the_current_lies_between_its_modes_and_grows_with_the_duty() {
         let paper = WaveformRequest::paper();
-        // 128 chirps that are active for 265 us of their 500: a third of the time.
+        // 128 chirps are active for 265 us of their 500 us each: the chip is active for a third of the time.
         let full = current_a(paper.clone());
         assert!((0.06..0.08).contains(&full), "{full}");
         let sparse = current_a(WaveformRequest { chirps_per_frame: 8, ..paper.clone() });

@@ -1,9 +1,9 @@
-//! Table of the registers of the BGT60TR13C and their fields, the only place that holds them.
+//! Table of the registers of the BGT60TR13C and their fields; no other module holds them.
 //!
-//! Addresses, resets and fields are those of the vendor's library for digital core 3; of names that share bits the
-//! first. CHIP_ID is the content that silicon reads.
+//! Addresses, resets and fields are those of the vendor's library for digital core 3. If several names share bits, the
+//! table has the first one. CHIP_ID is the content that silicon reads.
 
-/// Some bits of a register.
+/// Bit field of a register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {
     /// Address of the register.
@@ -17,23 +17,23 @@ pub struct Field {
 }
 
 impl Field {
-    /// Largest value that it holds.
+    /// Largest value that the field holds.
     pub const fn max(self) -> u32 {
         (1 << (self.high - self.low + 1)) - 1
     }
 
-    /// Its value in a register's content.
+    /// Extracts the value of the field from a register's content.
     pub const fn of(self, content: u32) -> u32 {
         content >> self.low & self.max()
     }
 
-    /// A register's content with this value put in; bits that do not fit are cut off.
+    /// Returns a register's content with the field set to this value; bits that do not fit are cut off.
     pub const fn put(self, content: u32, value: u32) -> u32 {
         content & !(self.max() << self.low) | (value & self.max()) << self.low
     }
 }
 
-/// A register.
+/// Register of the chip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Register {
     /// Address.
@@ -46,7 +46,7 @@ pub struct Register {
     pub fields: &'static [Field],
 }
 
-/// The register at an address.
+/// Returns the register at an address.
 pub fn register(address: u8) -> Option<&'static Register> {
     REGISTERS.get(usize::from(address))
 }

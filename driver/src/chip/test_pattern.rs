@@ -1,14 +1,14 @@
 //! LFSR test pattern of the chip: known words instead of RX1's samples, which test everything behind the ADC.
 //!
 //! A 12-bit register with the polynomial x^12 + x^11 + x^10 + x^4 + 1 (datasheet V2.4.9, section 10.1) starts at 0x001
-//! and steps once a sample. SFCTL's LFSR_EN switches it on. That it runs on from frame to frame is assumed.
+//! and steps once a sample. SFCTL's LFSR_EN switches it on. It is assumed to continue from frame to frame.
 
-/// First word.
+/// First word of the pattern.
 pub const FIRST: u16 = 0x001;
-/// Words until it repeats.
+/// Number of words after which the pattern repeats.
 pub const PERIOD: usize = 4095;
 
-/// The word after this one.
+/// Returns the word that follows `word`.
 pub const fn next(word: u16) -> u16 {
     word >> 1 | ((word << 11 ^ word << 10 ^ word << 9 ^ word << 3) & 0x800)
 }
@@ -16,11 +16,11 @@ pub const fn next(word: u16) -> u16 {
 /// Comparison of received samples with the pattern.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PatternCheck {
-    /// Samples compared.
+    /// Number of samples compared.
     pub samples: u64,
-    /// Bits that were wrong.
+    /// Number of wrong bits.
     pub wrong_bits: u64,
-    /// Next word; unknown after a gap.
+    /// Next expected word; unknown after a gap.
     expected: Option<u16>,
 }
 
@@ -50,10 +50,10 @@ impl PatternCheck {
 mod tests {
     use super::*;
 
-    /// Bit by bit from the polynomial: the bit shifted in is the sum of those at the taps.
+    /// Reference, bit by bit from the polynomial: the bit shifted in is the sum of those at the taps.
     fn by_definition(word: u16) -> u16 {
         let bit = |n: u16| word >> n & 1;
-        // Shifted to the right, the oldest bit is the lowest.
+        // The register shifts to the right: the oldest bit is the lowest.
         word >> 1 | (bit(0) ^ bit(1) ^ bit(2) ^ bit(8)) << 11
     }
 

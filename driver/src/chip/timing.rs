@@ -2,7 +2,7 @@
 
 use radome_dsp::{ADC_START_DELAY_S, Waveform};
 
-/// Delay from the start of a chirp to the transmitter's: the PA delay of the captured configuration, s.
+/// Delay from the start of a chirp to the start of the transmitter: the PA delay of the captured configuration, s.
 const TX_ON_S: f64 = 3e-6;
 
 /// Times of codes in FIFO order, from the start of their acquisition.

@@ -15,7 +15,7 @@ use crate::transport::{Address, PERMISSION_REMEDY};
 pub enum State {
     /// The device has answered with its identity and can be used.
     Ready { identity: Identity },
-    /// The device prints lines by itself, as a board does that takes no requests.
+    /// The device prints lines by itself, like a board that takes no requests.
     Prints,
     /// The device has not been asked.
     NotAsked,
@@ -71,8 +71,8 @@ impl From<ProbeError> for State {
 }
 
 /// Reads the identity of a device. Boards and probes are opened and sent requests, which stops a board that measures
-/// but leaves its chip [as it was programmed](Mcu7Board::identity_at). Serial ports of unknown devices are opened only if
-/// `any_port` is set.
+/// but leaves its chip [as it was programmed](Mcu7Board::identity_at). Serial ports of unknown devices are opened only
+/// if `any_port` is set.
 pub fn ask(candidate: &Candidate, any_port: bool) -> State {
     match candidate.access {
         Access::Denied => return State::PermissionDenied { remedy: PERMISSION_REMEDY },

@@ -1,7 +1,7 @@
 //! Boards and probes on this machine, including those that the user may not open.
 //!
 //! [`candidates`] opens nothing and sends nothing: it reads the kernel's list of devices. [`ask`] sends requests, as
-//! the vendor's client does to find boards; call it for devices whose USB ids are a board's, or when the user asks for
+//! the vendor's client does to find boards. Call it for devices with the USB ids of a board, or when the user asks for
 //! it.
 
 mod ask;
@@ -23,7 +23,7 @@ pub fn candidates() -> Vec<Candidate> {
 pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     let mut found = sysfs::serial_ports(roots);
     found.extend(sysfs::hid_devices(roots));
-    // The USB device itself is listed if it is opened directly, or if no driver has made a node of it.
+    // The USB device itself is listed if it is opened directly, or if no driver has created a node for it.
     let is_of_interest = |(device, is_probe): &(Candidate, bool)| {
         let mut nodes = found.iter().filter(|other| other.is_of_device(device));
         match device.belief {
@@ -51,7 +51,7 @@ mod tests {
         use crate::discover::sysfs::node_access;
         use crate::discover::{Access, Roots, candidates, candidates_in};
 
-        /// With or without USB, a list comes back.
+        /// Listing works on machines with and without USB.
         #[test]
         fn any_machine_can_be_looked_at() {
             candidates();

@@ -68,7 +68,7 @@ fn usb_identity(folder: &Path) -> Option<UsbIdentity> {
     })
 }
 
-/// Finds a device of a class: its folder, and that of its USB device if it has one.
+/// Finds the folder of a device of a class, and the folder of its USB device if it has one.
 fn device_of(roots: &Roots, class: &str, name: &str) -> Option<(PathBuf, Option<UsbIdentity>)> {
     let folder = roots.sys.join("class").join(class).join(name).join("device").canonicalize().ok()?;
     let usb = folder.ancestors().find_map(usb_identity);
@@ -107,7 +107,8 @@ pub(super) fn hid_devices(roots: &Roots) -> Vec<Candidate> {
     names(&roots.sys.join("class/hidraw")).into_iter().filter_map(device).collect()
 }
 
-/// Returns whether a USB device has an interface for a debug probe's bulk transfers: vendor-specific, and named as one.
+/// Returns whether a USB device has a vendor-specific interface whose name marks it as a debug probe with bulk
+/// transfers.
 fn has_bulk_probe(folder: &Path) -> bool {
     let is_one = |name: String| {
         let interface = folder.join(name);
@@ -117,7 +118,7 @@ fn has_bulk_probe(folder: &Path) -> bool {
     names(folder).into_iter().filter(|name| name.contains(':')).any(is_one)
 }
 
-/// Lists USB devices whose ids are known, and debug probes; each with a flag for probes by bulk transfers.
+/// Lists USB devices with known ids, and debug probes. The flag marks probes with bulk transfers.
 pub(super) fn usb_devices(roots: &Roots) -> Vec<(Candidate, bool)> {
     let device = |name: String| {
         let folder = roots.sys.join("bus/usb/devices").join(name);

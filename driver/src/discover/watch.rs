@@ -22,7 +22,8 @@ pub struct Watch {
     known: Vec<Candidate>,
 }
 
-/// Returns whether both are one device that has stayed plugged in: plugged in anew it has another address.
+/// Returns whether both are one device that has stayed plugged in. A device that is plugged in again has another
+/// address.
 fn is_same(a: &Candidate, b: &Candidate) -> bool {
     (&a.path, a.transport) == (&b.path, b.transport)
         && a.usb.as_ref().map(|u| (u.bus, u.address)) == b.usb.as_ref().map(|u| (u.bus, u.address))

@@ -46,7 +46,7 @@ pub struct EmulatedBoard {
     waveform: Waveform,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
-    /// Keeps other emulated boards from the link.
+    /// Claim on the link, which excludes other emulated boards.
     claim: Option<OwnedFd>,
 }
 

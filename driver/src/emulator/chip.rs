@@ -1,14 +1,15 @@
 //! Emulated radar chip as its board sees it: registers, resets, frames and the FIFO.
 //!
-//! After the vendor's library and datasheet:
+//! Behaviour according to the vendor's library and the datasheet:
 //! - a hardware or software reset puts every register back and ends the frames; MAIN's reset bits clear themselves;
 //! - `FSM_RESET` ends the frames, `FIFO_RESET` empties the FIFO; so does the start of frames;
 //! - the interrupt line is high while the FIFO holds more than `FIFO_CREF` words of two codes;
 //! - an overflow is sticky: FSTAT and every answer's GSR0 show it until the FIFO is reset;
 //! - a read past the FIFO's end gives all ones and sets the underflow flag, as sticky;
 //! - `MAX_FRAME_CNT` frames end by themselves, 0 means without end;
-//! - a start in continuous-wave mode (`CW_MODE`) starts no frames: it takes the chip from deep sleep to idle mode, and the next
-//!   one to active mode. The band gap is up and the ADCs are ready then, as far as `CSCI` switches them on;
+//! - a start in continuous-wave mode (`CW_MODE`) starts no frames: the first one takes the chip from deep sleep to idle
+//!   mode, the next one to active mode. The band gap is up and the ADCs are ready then, as far as `CSCI` switches them
+//!   on;
 //! - the slow ADC converts when `START_SADC` is written, and by itself while frames run. Channel 0 is the temperature;
 //!   others read 0.
 //!
@@ -24,12 +25,12 @@ use super::thermometer::Thermometer;
 use super::{EmulatorOptions, Fault, Feed, Shared};
 use crate::chip::{CHIP_ID_BGT60TR13C, ChipConfiguration, Field, RegisterFile, SpiWord, address, field, main_bits};
 
-/// Upper half of GSR0, which always reads so.
+/// Upper half of GSR0, which is constant.
 const GSR0_IDLE: u32 = 0xF0;
 /// Overflow or underflow of the FIFO in GSR0.
 const GSR0_FIFO_ERROR: u32 = 1 << 3;
 
-/// Power modes of the state machine, as STAT0 has them.
+/// Power modes of the state machine, as STAT0 encodes them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Power {
     Active = 1,
@@ -141,7 +142,7 @@ impl Chip {
         answer
     }
 
-    /// Content of a register, the status registers as they are now.
+    /// Returns the content of a register; the status registers show the current state.
     pub fn read(&self, address: u8) -> u32 {
         match address {
             address::FSTAT => self.fifo_status(),
@@ -185,7 +186,7 @@ impl Chip {
         self.power != Power::DeepSleep && self.registers.field(field::CSCI::BG_EN) == 1
     }
 
-    /// Returns whether an ADC is ready that this bit of `CSCI` switches off between chirps.
+    /// Returns whether the ADC is ready that the field `isolated` of `CSCI` switches off between chirps.
     fn is_ready(&self, isolated: Field) -> bool {
         self.has_band_gap() && (self.frames.is_some() || self.registers.field(isolated) == 0)
     }
@@ -277,14 +278,14 @@ impl Chip {
         }
     }
 
-    /// A start in continuous-wave mode: the state machine takes one step towards active mode and stays there.
+    /// Executes a start in continuous-wave mode: the state machine takes one step towards active mode and stays there.
     fn advance_to_wave(&mut self) {
         let next = if self.power == Power::DeepSleep { Power::Idle } else { Power::Active };
         self.sleep();
         self.power = next;
     }
 
-    /// Starts frames. The chip answers normally even if the source does not have frames of the waveform: a client that
+    /// Starts frames. The chip answers normally even if the source does not have frames of the waveform. A client that
     /// gets an error abandons the board, while one that gets no frames may program another waveform.
     fn start_frames(&mut self) {
         self.sleep();
@@ -304,7 +305,7 @@ impl Chip {
         self.source.check(waveform)
     }
 
-    /// Returns whether this many codes are ready for a burst read, which the interrupt line announces.
+    /// Returns the state of the next burst read of this many codes, which the interrupt line announces.
     pub fn poll(&mut self, codes: u64) -> Slice {
         let Some(waveform) = &self.frames else { return Slice::Wait };
         let frames = self.registers.field(field::CCR2::MAX_FRAME_CNT);
@@ -312,11 +313,11 @@ impl Chip {
         if frames > 0 && self.source.taken() + codes > last {
             return Slice::Wait;
         }
-        // The line rises at its own level; firmware that reads more than that reads past the end.
+        // The interrupt line rises at its own level; firmware that reads more than that reads past the end.
         self.source.slice(codes.min(self.interrupt_level() + 2))
     }
 
-    /// A burst read of the FIFO, appended.
+    /// Reads a burst from the FIFO and appends it to `out`.
     pub fn read_fifo(&mut self, codes: usize, out: &mut Vec<u16>) {
         let there = codes.min(self.source.in_fifo() as usize).min(self.source.at_hand());
         out.extend_from_slice(self.source.codes(there));
@@ -495,7 +496,7 @@ mod tests {
             assert_eq!(chip.transfer(SpiWord::read(address::CHIP_ID)), 0xF000_0303);
         }
 
-        /// 16384 codes and not one more: a host that does not read loses the frames after them.
+        /// The FIFO holds exactly 16384 codes: a host that does not read loses the frames after them.
         #[test]
         fn a_fifo_that_nobody_reads_overflows() {
             let request = WaveformRequest { chirps_per_frame: 64, ..waveform().request };
@@ -525,7 +526,7 @@ mod tests {
             assert_eq!(field::FSTAT::FUF_ERR.of(chip.read(address::FSTAT)), 1);
         }
 
-        /// The client is told nothing: it is the emulator that lacks the frames, and no chip would.
+        /// The client gets no error: only the emulator can lack frames, a real chip cannot.
         #[test]
         fn of_another_waveform_nothing_is_measured_and_both_are_named() {
             let shared = Arc::new(Shared::default());
@@ -537,7 +538,7 @@ mod tests {
             assert!(chip.frames().is_some() && matches!(chip.poll(128), Slice::Wait));
             let refusal = shared.refusal().expect("says why");
             assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");
-            // The source's own is measured as if nothing had been.
+            // The source's own waveform is still measured afterwards.
             chip.write(address::MAIN, main_bits::SW_RESET);
             program(&mut chip, &list(waveform(), 128));
             assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
@@ -583,7 +584,7 @@ mod tests {
             chip.write(address::SADC_CTRL, 0x01_0F10);
             assert_eq!(field::SADC_RESULT::SADC_BUSY.of(chip.read(address::SADC_RESULT)), 0);
             assert!((30.0..45.0).contains(&celsius(&chip)), "{}", celsius(&chip));
-            // Who waits for active mode starts again and again.
+            // A client that waits for active mode repeats the start.
             chip.write(address::MAIN, 0x1E_8270 | 1 << 16 | main_bits::FRAME_START);
             assert_eq!(field::STAT0::PM.of(chip.read(address::STAT0)), 1);
             chip.reset();

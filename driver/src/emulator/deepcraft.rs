@@ -17,14 +17,14 @@ use requests::{DEVICE, Requests};
 /// Id of the radar's stream.
 const STREAM: i32 = 0;
 
-/// Firmware, and the frames that it has read from the chip.
+/// State of the firmware, and the frames that it has read from the chip.
 ///
-/// It reads 6144 codes at a time and sends the frames that these complete as one chunk, however many, although the
-/// stream's `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the
-/// comment "Max frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
-/// FIFO goes on filling. At a gap and at the end of the source it sends the frames that it has. The real firmware does
-/// not check for an overflow of the FIFO, so that its behaviour then is unknown; this one counts the frames as dropped
-/// and starts the chip again.
+/// The firmware reads 6144 codes at a time. It sends all frames that a read completes as one chunk, although the
+/// stream's `max_frame_count` says 1. The vendor's firmware 1.2 does the same (`dev_bgt60trxx.c`, where that 1 has the
+/// comment "Max frame_count?" and the loop over the frames read knows no limit). While the host takes no data, the
+/// chip's FIFO goes on filling. At a gap and at the end of the source the firmware sends the frames that it has. The
+/// real firmware does not check for an overflow of the FIFO, so that its behaviour then is unknown. This one counts the
+/// frames as dropped and starts the chip again.
 pub(super) struct Deepcraft {
     requests: Requests,
     /// Starts of the radar when `codes` was begun.
@@ -37,7 +37,7 @@ pub(super) struct Deepcraft {
     /// Codes that have been read and not sent, FIFO order.
     codes: Vec<u16>,
     frame_codes: usize,
-    /// Codes read since chunks were last even with reads, and frames sent since.
+    /// Codes read, and frames sent, since the last start or flush.
     read: usize,
     sent: usize,
     shared: Arc<Shared>,
@@ -73,7 +73,7 @@ impl Deepcraft {
         (read / self.frame_codes).saturating_sub(self.sent)
     }
 
-    /// Frames that will not be sent.
+    /// Counts frames as dropped by the device: they will not be sent.
     fn drop_frames(&mut self, frames: u32) {
         self.number = self.number.wrapping_add(frames);
         self.requests.dropped = self.requests.dropped.wrapping_add(frames as i32);

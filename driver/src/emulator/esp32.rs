@@ -1,6 +1,6 @@
 //! Emulated ESP32 that prints the frames of its chip ([`crate::protocol::ascii`]).
 //!
-//! Such boards reset when their port is opened, by the circuit for flashing them; so does this one.
+//! The circuit for flashing resets such boards when their port is opened; the emulated board resets too.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ const FRAMES_BETWEEN_WAVEFORMS: u64 = 16;
 /// Firmware that measures and prints as soon as it has power. It takes no requests.
 pub(super) struct Esp32 {
     chip: Chip,
-    /// Waveform that it was built for.
+    /// Waveform that the firmware was built for.
     request: WaveformRequest,
     registers: RegisterList,
     slice: SliceLayout,
@@ -183,7 +183,7 @@ impl Firmware for Esp32 {
         true
     }
 
-    /// The firmware starts anew with the next client.
+    /// Does nothing: the firmware starts anew with the next client.
     fn abandon(&mut self) {}
 
     fn power_up(&mut self) {

@@ -34,11 +34,11 @@ pub enum Fault {
     SlowHost { packet: u64, duration: Duration },
     /// CHIP_ID reads this value: another chip, or one that does not answer (0, all ones).
     ForeignChip(u32),
-    /// The firmware reports this major version of its protocol, and speaks as before.
+    /// The firmware reports this major version of its protocol, but its messages do not change.
     WrongVersion(u16),
 }
 
-/// Longest that a board may be unplugged or its host be slow, s.
+/// Longest time for which a board may be unplugged or its host be slow, s.
 const LONGEST_WAIT_S: f64 = 3600.0;
 
 /// Error of a text that is not a fault.
@@ -54,7 +54,7 @@ pub struct FaultError {
 const FORMS: &str = "drop N, double N, reorder N, overflow N, stall N, flip N:BIT, truncate N:BYTES, skip N:BY, \
                      unplug N:SECONDS, slow N:SECONDS, chip ID, version MAJOR";
 
-/// A whole number, decimal or hexadecimal after `0x`.
+/// Parses a whole number, decimal or hexadecimal after `0x`.
 fn number(text: &str) -> Option<u32> {
     match text.strip_prefix("0x") {
         Some(digits) => u32::from_str_radix(digits, 16).ok(),

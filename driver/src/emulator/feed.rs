@@ -25,15 +25,15 @@ pub(super) enum Maker {
 }
 
 impl Feed {
-    /// Creates a feed whose source can be opened again, such as a recording: with
-    /// [`repeat`](super::EmulatorOptions::repeat) it is, each time that it ends.
+    /// Creates a feed whose source can be opened again, such as a recording. With
+    /// [`repeat`](super::EmulatorOptions::repeat) the source is opened again each time that it ends.
     pub fn reopenable(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
         Feed { source, maker: Maker::Again(Box::new(open)) }
     }
 
     /// Creates a feed whose frames can be made for any waveform, such as a simulation's. `source` has frames of the
-    /// waveform that the board is programmed with at the start; `make` is called, on a thread of its own, when a client
-    /// programs another one. It is given the time at which the first frame has to begin.
+    /// waveform that the board is programmed with at the start. `make` is called on a thread of its own when a client
+    /// programs another waveform. It is given the time at which the first frame has to begin.
     pub fn of_any_waveform(
         source: Box<dyn FrameSource>,
         make: impl FnMut(&Waveform, Duration) -> Made + Send + 'static,

@@ -27,7 +27,7 @@ const VENDOR_SPECIFIC: u8 = 0xFF;
 /// Bytes of a USB packet at full speed.
 const FULL_SPEED_PACKET: usize = 64;
 
-/// One vendor-specific interface with bulk endpoints of these addresses.
+/// Returns the descriptors of one vendor-specific interface with bulk endpoints of these addresses.
 fn descriptors(endpoints: &[u8]) -> Vec<u8> {
     let at_speed = |packet: usize| {
         let interface = [9, 4, 0, 0, endpoints.len() as u8, VENDOR_SPECIFIC, 0, 0, 1];
@@ -72,7 +72,7 @@ fn describe(mount: &Path, endpoints: &[u8], interface: &str) -> io::Result<File>
 /// # Errors
 /// No FunctionFS is mounted there, or another program serves it.
 pub fn serve_probe(mount: &Path, probe: &mut EmulatedProbe, ready: impl FnOnce()) -> io::Result<()> {
-    // Kept open: the function ends with it. Control transfers are the kernel's own.
+    // Kept open: closing it ends the function. The kernel itself serves the control transfers.
     let _control = describe(mount, &[1, 0x80 | 2], "CMSIS-DAP v2")?;
     let mut from_host = OpenOptions::new().read(true).open(mount.join("ep1"))?;
     let mut to_host = OpenOptions::new().write(true).open(mount.join("ep2"))?;
@@ -126,7 +126,7 @@ fn serve_board(control: &mut File, endpoint: &Path, folder: &Path) -> io::Result
     }
 }
 
-/// One control transfer. An error of the endpoint alone means that the host has begun another.
+/// Serves one control transfer. An error of the endpoint alone means that the host has begun another one.
 fn transfer(control: &mut File, board: &mut HostSockets, setup: &Setup) -> io::Result<()> {
     let length = usize::from(u16::from_le_bytes([setup[6], setup[7]]));
     let mut data = vec![0; if is_in(setup) { 0 } else { length }];
@@ -147,7 +147,7 @@ fn transfer(control: &mut File, board: &mut HostSockets, setup: &Setup) -> io::R
     Ok(())
 }
 
-/// Bulk transfers from the board to the host.
+/// Passes bulk transfers on from the board to the host.
 fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
     let mut endpoint = OpenOptions::new().write(true).open(endpoint)?;
     let mut message = vec![0; MAX_BULK];
@@ -167,7 +167,7 @@ fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// The lengths in the headers are the lengths of what follows.
+    /// Each header states the length of the data that follow it.
     #[test]
     fn descriptors_say_their_length() {
         for bytes in [descriptors(&[0x81]), descriptors(&[1, 0x82]), strings("Radar")] {

@@ -2,13 +2,13 @@
 //! [`FrameSource`](radome_dsp::FrameSource), or frames made for the waveform that a client programs ([`Feed`]).
 //!
 //! It answers and sends as the firmware does, so that any client of the board can open [`EmulatedBoard::path`]
-//! ([`Mcu7Board::open_at`](crate::Mcu7Board::open_at) at [`EmulatedBoard::address`]). Differences: no frames come of a waveform
-//! that the source does not have ([`EmulatedBoard::refusal`] holds the reason), and a slice that would trigger a known
-//! firmware bug is refused. Frames that the source itself lacks appear as lost packets. The size of the board's buffer
-//! beyond the chip's FIFO is assumed from its memory (192 KiB).
+//! ([`Mcu7Board::open_at`](crate::Mcu7Board::open_at) at [`EmulatedBoard::address`]). There are two differences. The
+//! board sends no frames for a waveform that the source does not have ([`EmulatedBoard::refusal`] holds the reason). It
+//! also refuses a slice that would trigger a known firmware bug. Frames that the source itself lacks appear as lost
+//! packets. The size of the board's buffer beyond the chip's FIFO is assumed from its memory (192 KiB).
 //!
-//! On a pseudo-terminal the board detects that its last client has closed the port or was killed: it stops, and
-//! discards half a request and unread data, so that the next client finds an idle board.
+//! On a pseudo-terminal the board detects that its last client has closed the port or was killed. It then stops and
+//! discards an incomplete request and unread data, so that the next client finds an idle board.
 
 mod board;
 mod chip;

@@ -11,7 +11,7 @@ const LATENCY: Duration = Duration::from_micros(1500);
 /// Pace of the emulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// The source's time stamps, this many times as fast.
+    /// Follows the source's time stamps, this many times as fast.
     RealTime(f64),
     /// Sends as fast as the host reads: the back-pressure of the pseudo-terminal sets the pace, and nothing overflows.
     AsFastAsRead,
@@ -43,16 +43,16 @@ pub struct EmulatorOptions {
     /// Faults to inject.
     pub faults: Vec<Fault>,
     /// Delay of a request to the firmware over the serial port: no answer comes sooner after the request's last byte.
-    /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that
-    /// come within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
+    /// Frames are not delayed. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that
+    /// come within a fraction of that. Control transfers are not delayed, because their host waits for the answers.
     pub latency: Duration,
     /// Whether a source that ends is opened again, if it [can be](super::Feed::reopenable). Counters and time go on.
     pub repeat: bool,
     /// Seed of the random properties of the board: its temperature.
     pub seed: u64,
-    /// Symbolic link to the pseudo-terminal, which is made anew each time the board is plugged in, since the terminal
-    /// then has another name. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is created. Only one emulated
-    /// board can have it.
+    /// Symbolic link to the pseudo-terminal. It is made anew each time the board is plugged in, since the terminal then
+    /// has another name. For [`Kind::Mcu7Bulk`] the folder of the board's endpoints, which is created. Only one
+    /// emulated board can have it.
     pub link: Option<PathBuf>,
     /// Terminal to serve on instead of a pseudo-terminal: the board's end of an existing line, such as `/dev/ttyGS0` of
     /// a USB gadget. A hang-up counts as unplugging.

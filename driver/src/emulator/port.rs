@@ -60,7 +60,7 @@ impl Place {
 pub(super) enum Port {
     Terminal(Terminal),
     Endpoints(DeviceSockets),
-    /// Unplugged.
+    /// The board is unplugged.
     Gone,
 }
 
@@ -224,8 +224,9 @@ impl Terminal {
         }
     }
 
-    /// See [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a read of
-    /// the line tells whether a client has the terminal open: it fails if nobody has and nothing is left to read.
+    /// Implements [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a
+    /// read of the line tells whether a client has the terminal open. The read fails if no client has it open and
+    /// nothing is left to read.
     fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         let Terminal { line, slave, closings: Some(closings), path, .. } = self else { return Ok(false) };
         if !closings.any() {
@@ -251,14 +252,15 @@ impl Terminal {
         };
         *slave = match open_slave(path) {
             Ok(slave) => Some(slave),
-            // A client that came meanwhile has exclusive use: the board opens its own handle again when that client
-            // leaves.
+            // A client that has opened the port meanwhile has exclusive use. The board opens its own handle again when
+            // that client leaves.
             Err(Errno::BUSY) => None,
             Err(e) => return Err(e.into()),
         };
         if let Some(slave) = slave.as_ref().filter(|_| is_abandoned) {
             received.clear();
-            // Nothing has been written for a client that came meanwhile: all unread data were for former clients.
+            // Nothing has been written yet for a client that has opened the port meanwhile: all unread data were for
+            // former clients.
             tcflush(slave, QueueSelector::IFlush)?;
         }
         Ok(is_abandoned)
@@ -339,12 +341,12 @@ pub(super) fn link(terminal: &Path, link: &Path) -> io::Result<()> {
     }
 }
 
-/// Returns whether a link leads to a pseudo-terminal, or to nothing.
+/// Returns whether a link points to a pseudo-terminal, or to nothing.
 fn is_left_behind(link: &Path) -> bool {
     std::fs::read_link(link).is_ok_and(|target| target.starts_with("/dev/pts") || !link.exists())
 }
 
-/// Removes the link if it leads to this terminal.
+/// Removes the link if it points to this terminal.
 pub(super) fn unlink(terminal: &Path, link: &Path) -> io::Result<()> {
     match std::fs::read_link(link) {
         Ok(target) if target == terminal => std::fs::remove_file(link),
@@ -423,7 +425,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("board");
         let claimed = claim(&path).expect("free");
-        // By whatever way the folder is named.
+        // The claim holds for every path to the same folder.
         let other = folder.path().join(".").join("board");
         for link in [&path, &other] {
             assert!(matches!(claim(link), Err(EmulatorError::LinkTaken { .. })), "{}", link.display());

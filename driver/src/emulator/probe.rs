@@ -13,7 +13,7 @@ use crate::protocol::cmsis_dap::{Answer, Command, HID_PACKET, INVALID, Info, NRE
 pub struct EmulatedProbe {
     /// Number of resets of its target.
     pub resets: Arc<AtomicU64>,
-    /// Whether it has a reset sequence for the target.
+    /// Whether the probe has a reset sequence for the target.
     pub has_sequence: bool,
     /// Whether the reset line stays low.
     pub is_line_stuck: bool,

@@ -25,7 +25,7 @@ enum Message {
     End,
     /// The source has failed.
     Failed(String),
-    /// Frames of this waveform cannot be had.
+    /// Frames of this waveform are not available.
     Refused(String),
 }
 
@@ -54,7 +54,7 @@ pub(super) struct SampleSource {
     source: Waveform,
     /// Set if frames of that waveform cannot be made.
     is_refused: bool,
-    /// The chip was started with a waveform that the source does not have.
+    /// Whether the chip was started with a waveform that the source does not have.
     is_silent: bool,
     shared: Arc<Shared>,
     shape: FrameShape,
@@ -81,7 +81,7 @@ pub(super) struct SampleSource {
     missing: u64,
     has_begun: bool,
     ended: bool,
-    /// Wall-clock time at which the source's time was this many nanoseconds.
+    /// Wall-clock time that corresponds to this source time, ns.
     clock: Option<(Instant, u64)>,
     /// Time at which the chip started again, ns: earlier frames are discarded.
     started_ns: Option<u64>,
@@ -154,7 +154,7 @@ impl SampleSource {
     }
 
     /// Starts frames with this waveform, with the test pattern as RX1 if it is switched on. If the source has no such
-    /// frames, sets the refusal, and none come.
+    /// frames, sets the refusal and starts none.
     pub fn restart(&mut self, waveform: &Waveform, has_test_pattern: bool) {
         self.is_silent = false;
         self.shared.accept();
@@ -256,7 +256,7 @@ impl SampleSource {
             self.upcoming = Some(frame);
             return;
         }
-        // A frame with one chirp counts as measured; the start ended it.
+        // A frame with at least one sampled chirp counts as measured; the start ended it.
         let had_begun =
             |started: u64| self.timing.chirps_after(started.saturating_sub(frame.time_ns) as f64 * 1e-9) > 0;
         if self.started_ns.is_some_and(had_begun) {
@@ -281,7 +281,7 @@ impl SampleSource {
     fn receive(&mut self) -> Option<Frame> {
         let message = match self.incoming.try_recv() {
             Ok(message) => message,
-            // It ends with a message unless it panics.
+            // The producer sends a message when it ends, unless it panics.
             Err(TryRecvError::Disconnected) => {
                 Message::Failed(self.producer.take().map_or_else(String::new, panic_message))
             }
@@ -306,7 +306,7 @@ impl SampleSource {
         None
     }
 
-    /// Notes when the frame behind this one begins. A late source delays the clock; the host does not count as slow.
+    /// Notes when the next frame begins. A late source delays the clock; the host does not count as slow.
     fn set_clock(&mut self, frame: &Frame) {
         self.next_ns = frame.time_ns.saturating_add((self.source.frame_interval_s() * 1e9) as u64);
         let is_late = self.now_ns().is_none_or(|now| now > frame.time_ns) && self.started_ns.is_none();
@@ -350,14 +350,14 @@ impl SampleSource {
         !self.waits() && self.in_fifo() > self.fifo_limit()
     }
 
-    /// Codes that the FIFO holds before it overflows. Faster than real time the FIFO is larger by the speed, since the
-    /// delays of the host do not shrink.
+    /// Codes that the FIFO holds before it overflows. Above real time the FIFO is larger by the speed, since the delays
+    /// of the host do not shrink.
     fn fifo_limit(&self) -> u64 {
         (FIFO_SAMPLES as f64 * self.speed()) as u64
     }
 
     /// Codes sampled since the frames started, including those not yet taken from the source. If sampling waits for the
-    /// reader, all codes that are there are sampled.
+    /// reader, all available codes count as sampled.
     pub fn sampled(&self) -> u64 {
         let Some(now) = self.stopped_ns.or(self.now_ns()) else { return self.put };
         let sampled = |(first, time_ns): &(u64, u64)| {
@@ -370,7 +370,7 @@ impl SampleSource {
         self.frames.iter().map(sampled).chain(last).max().unwrap_or(self.taken)
     }
 
-    /// Codes sampled and not taken out.
+    /// Codes sampled and not yet taken out.
     pub fn in_fifo(&self) -> u64 {
         self.sampled().saturating_sub(self.taken)
     }
@@ -380,7 +380,7 @@ impl SampleSource {
         self.taken
     }
 
-    /// Codes taken from the source and not taken out.
+    /// Codes taken from the source and not yet taken out.
     pub fn at_hand(&self) -> usize {
         self.codes.len() - self.sent
     }
@@ -404,7 +404,7 @@ impl SampleSource {
         }
     }
 
-    /// Returns whether slices end where frames do: the codes taken so far are whole frames.
+    /// Returns whether the codes taken so far are whole frames, so that slices end where frames do.
     pub fn at_frame_boundary(&self) -> bool {
         self.taken.is_multiple_of(self.codes_per_frame.max(1))
     }
@@ -418,7 +418,7 @@ fn panic_message(thread: JoinHandle<()>) -> String {
     format!("the source panicked: {}", words.unwrap_or("without a word"))
 }
 
-/// Checks that frames of a source can stand for those of a waveform; the error names the quantity that differs.
+/// Checks that frames of a source can replace those of a waveform; the error names the quantity that differs.
 fn compare(source: &Waveform, wanted: &Waveform) -> Result<(), String> {
     source.check_compatible(wanted).map_err(|mismatch| {
         let (what, expected, got) = (mismatch.what, mismatch.expected, mismatch.got);
@@ -505,7 +505,7 @@ impl Producer {
         let _ = self.outgoing.send(message);
     }
 
-    /// Passes on all frames of a source. If there was one before it, its first frame begins at `seam_ns`.
+    /// Passes on all frames of a source. If another source came before it, its first frame begins at `seam_ns`.
     fn pass_on(&self, source: &mut dyn FrameSource, seam_ns: Option<u64>) -> Option<Pass> {
         let shape = self.waveform.shape();
         let interval_ns = (self.waveform.frame_interval_s() * 1e9) as u64;

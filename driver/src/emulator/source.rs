@@ -12,7 +12,7 @@ use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream};
 /// Emulated board with a client attached. It ends with its source. The ground truth of the source's frames, which the
 /// protocol cannot carry, bypasses the board and is put back by sequence number.
 pub struct EmulatedSource {
-    // Fields are dropped in this order: the client stops the board before the board goes.
+    // Fields are dropped in this order: the client stops the board before the board is dropped.
     stream: Mcu7Stream,
     identity: BoardIdentity,
     board: EmulatedBoard,

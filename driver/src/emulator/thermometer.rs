@@ -1,9 +1,8 @@
 //! Temperature sensor of the emulated chip behind its slow ADC (SADC).
 //!
-//! A code stands for a voltage, and the voltage for a temperature, by the formula that the vendor's library applies
-//!: `V = code 1.21 V / 1023`, `T = (V - 0.78984 V) / 0.00286 V/C`, so that a code is 0.41 C.
-//! The temperature is synthetic: an offset by the seed, a warm-up over some minutes, a slow drift, and noise below a
-//! code.
+//! A code stands for a voltage, and the voltage for a temperature, by the formula that the vendor's library applies:
+//! `V = code 1.21 V / 1023`, `T = (V - 0.78984 V) / 0.00286 V/C`, so that a code is 0.41 C. The temperature is
+//! synthetic: an offset by the seed, a warm-up over some minutes, a slow drift, and noise below a code.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -44,13 +43,13 @@ impl Thermometer {
     }
 }
 
-/// The code that stands for a temperature.
+/// Converts a temperature to its code.
 fn code(celsius: f64) -> u32 {
     let volts = OFFSET_V + SLOPE_V_PER_C * celsius;
     (volts / REFERENCE_V * LARGEST_CODE).round().clamp(0.0, LARGEST_CODE) as u32
 }
 
-/// A number from 0 to 1 that follows from seed and index (SplitMix64).
+/// Computes a number from 0 to 1 from a seed and an index (SplitMix64).
 fn unit(seed: u64, index: u64) -> f64 {
     let mut z = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15)).wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -36,8 +36,8 @@ pub(super) trait Firmware {
     fn is_within_data(&self) -> bool {
         false
     }
-    /// Returns whether the firmware starts anew each time that a client opens the port, and sends nothing while none
-    /// has.
+    /// Returns whether the firmware restarts each time that a client opens the port, and sends nothing while no client
+    /// has it open.
     fn restarts_when_opened(&self) -> bool {
         false
     }
@@ -103,7 +103,7 @@ impl Wire {
         }
     }
 
-    /// Removes the link, unless another board's has replaced it.
+    /// Removes the link, unless the link of another board has replaced it.
     fn remove_link(&self) -> std::io::Result<()> {
         match &self.place {
             Place::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
@@ -205,8 +205,8 @@ impl Wire {
         self.finish(firmware)
     }
 
-    /// Returns whether a host reads: a client has the port open, and no fault makes it slow. Firmware
-    /// that restarts when the port is opened does so for a new client.
+    /// Returns whether a host reads: a client has the port open, and no fault makes it slow. Firmware that restarts
+    /// when the port is opened does so for a new client.
     fn has_reader(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<bool> {
         if firmware.restarts_when_opened() {
             let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
@@ -350,7 +350,7 @@ impl Wire {
 }
 
 impl Drop for Wire {
-    /// The terminal's name will be used again: no link must lead there.
+    /// The system will use the terminal's name again: no link may point to it.
     fn drop(&mut self) {
         if let Err(error) = self.remove_link() {
             tracing::warn!(%error, place = %self.place.description(), "the link could not be removed");

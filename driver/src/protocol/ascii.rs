@@ -1,6 +1,6 @@
 //! Lines of ESP32 firmware (nichonaugle/esp32-bgt60tr13c-driver): `Frame N: [a, b, ...]`, one radar frame a line, codes
-//! in decimal in FIFO order. No checksum: a digit that is changed into another is not noticed; a code beyond 12 bits, a
-//! line cut short and a wrong number of codes are. Other lines are the firmware's log.
+//! in decimal in FIFO order. Lines have no checksum: a digit that is changed into another is not detected. A code
+//! beyond 12 bits, a line cut short and a wrong number of codes are detected. Other lines are the firmware's log.
 //!
 //! Firmware may state its waveform at its start and from time to time: `Waveform: {...}`, a [`WaveformRequest`] in
 //! JSON. The driver named above does not send this line; its clients must be given the waveform.
@@ -8,7 +8,7 @@
 use radome_dsp::{MAX_CODE, WaveformRequest};
 use thiserror::Error;
 
-/// Longest code in decimal, a comma and a space.
+/// Bytes of the longest code in decimal, a comma and a space.
 const BYTES_PER_CODE: usize = 6;
 const PREFIX: &[u8] = b"Frame ";
 const WAVEFORM_PREFIX: &[u8] = b"Waveform: ";
@@ -100,7 +100,7 @@ pub struct LineParser {
     begin: usize,
     /// Number of bytes from `begin` on that hold no end of line.
     searched: usize,
-    /// The rest of a line that is being skipped comes next.
+    /// Whether the next bytes are the rest of a line that is being skipped.
     skipping: bool,
     codes: Vec<u16>,
 }
@@ -168,7 +168,7 @@ impl LineParser {
     }
 }
 
-/// Number and codes of a line that begins with [`PREFIX`].
+/// Parses the number and the codes of a line that begins with [`PREFIX`].
 fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, LineError> {
     codes.clear();
     let mut at = PREFIX.len();
@@ -200,12 +200,12 @@ fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, Line
     if got == expected { Ok(number) } else { Err(LineError::Length { number, got, expected }) }
 }
 
-/// Position behind a literal that stands at `at`.
+/// Returns the position behind a literal that stands at `at`.
 fn literal(line: &[u8], at: usize, text: &[u8]) -> Option<usize> {
     line.get(at..)?.starts_with(text).then_some(at + text.len())
 }
 
-/// A decimal number at `at`, which moves behind it; `None` if there is none or it does not fit.
+/// Parses a decimal number at `at` and moves `at` behind it; `None` if there is no number or it exceeds `most`.
 fn decimal(line: &[u8], at: &mut usize, most: u64) -> Option<u64> {
     let begin = *at;
     let mut value = 0u64;
@@ -302,12 +302,12 @@ mod tests {
             }
         }
 
-        /// Found by fuzzing: a line that came at once was read, however long; in pieces it was given up.
+        /// Found by fuzzing: a line of any length was read if it came at once, but was given up if it came in pieces.
         #[test]
         fn a_line_is_too_long_whatever_pieces_it_comes_in() {
             let line = |zeros: usize| [b"Frame 1: [1, ", &[b'0'; 1100][..zeros], b"2]\nFrame 9: [1, 2]\n"].concat();
             for piece in [1, 60, 1024, 1025, 4000] {
-                // 1024 bytes and 1025.
+                // Lines of 1024 bytes and of 1025 bytes.
                 assert_eq!(frames(2, &line(1009), piece), [Ok((1, vec![1, 2])), Ok((9, vec![1, 2]))]);
                 assert_eq!(
                     frames(2, &line(1010), piece),

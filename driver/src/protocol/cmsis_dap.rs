@@ -10,7 +10,7 @@ use thiserror::Error;
 pub const NRESET: u8 = 1 << 7;
 /// Bytes of a report of a full-speed HID probe.
 pub const HID_PACKET: usize = 64;
-/// Longest packet: what a high-speed probe may send in one bulk transfer.
+/// Longest packet: the most that a high-speed probe may send in one bulk transfer.
 pub const MAX_PACKET: usize = 512;
 
 /// Property of a probe that DAP_Info reads.
@@ -78,19 +78,20 @@ const PINS: u8 = 0x10;
 pub const INVALID: u8 = 0xFF;
 const OK: u8 = 0;
 
-/// An answer, its data borrowed.
+/// Answer of a probe, with borrowed data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum Answer<'a> {
-    /// To [`Command::Info`]: a text, with or without its NUL, or numbers.
+    /// Answer to [`Command::Info`]: a text, with or without its NUL, or numbers.
     Info(&'a [u8]),
-    /// To [`Command::Connect`]: 1 SWD, 2 JTAG, 0 failed.
+    /// Answer to [`Command::Connect`]: 1 SWD, 2 JTAG, 0 failed.
     Port(u8),
-    /// To [`Command::Disconnect`]: whether it has been done.
+    /// Answer to [`Command::Disconnect`]: whether the probe has disconnected.
     Disconnected(bool),
-    /// To [`Command::ResetTarget`]: whether the probe has not failed, and knows how to reset its target at all.
+    /// Answer to [`Command::ResetTarget`]: whether the probe has not failed, and whether it has a reset sequence for
+    /// its target.
     Reset { is_ok: bool, is_implemented: bool },
-    /// To [`Command::Pins`]: the levels of all pins.
+    /// Answer to [`Command::Pins`]: the levels of all pins.
     Pins(u8),
 }
 
@@ -120,7 +121,7 @@ impl Command {
         }
     }
 
-    /// The packet.
+    /// Encodes the packet.
     pub fn encode(self) -> Vec<u8> {
         let mut bytes = vec![self.code()];
         match self {
@@ -135,7 +136,7 @@ impl Command {
         bytes
     }
 
-    /// Decodes a packet and ignores what follows it; `None` if it is not one of these commands.
+    /// Decodes a packet and ignores bytes behind it; `None` if it is not one of these commands.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         match *bytes {
             [INFO, code, ..] => Info::ALL.into_iter().find(|info| info.code() == code).map(Command::Info),
@@ -205,7 +206,7 @@ mod tests {
         Info::ALL.into_iter().map(Command::Info).chain(others).collect()
     }
 
-    /// Bytes of the specification's examples.
+    /// Compares with the bytes of the specification's examples.
     #[test]
     fn commands_are_as_specified() {
         assert_eq!(Command::Info(Info::FirmwareVersion).encode(), [0, 9]);

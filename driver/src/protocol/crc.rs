@@ -28,7 +28,8 @@ static TABLES: [[u16; 256]; 8] = {
     tables
 };
 
-/// CRC of these bytes, a table look-up each. Eight bytes at a time: their look-ups do not wait for each other.
+/// Computes the CRC of these bytes, with one table look-up per byte. It takes eight bytes at a time, because their
+/// look-ups do not depend on each other.
 pub fn crc16(bytes: &[u8]) -> u16 {
     let (blocks, rest) = bytes.as_chunks::<8>();
     let at = |n: usize, byte: u8| TABLES[n][usize::from(byte)];
@@ -44,7 +45,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// CRC of these bytes, bit by bit from the definition.
+    /// Computes the CRC of these bytes, bit by bit from the definition.
     fn crc16_bitwise(bytes: &[u8]) -> u16 {
         bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
     }

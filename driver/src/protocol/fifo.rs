@@ -29,7 +29,7 @@ pub fn deinterleave(fifo: &[u16], shape: FrameShape, codes: &mut [u16]) {
     }
 }
 
-/// Appends codes in FIFO order from frame order; `channels` are the indices on the frame's first axis to take, in
+/// Appends codes in FIFO order from frame order. `channels` are the indices on the frame's first axis to take, in
 /// order.
 pub fn interleave(codes: &[u16], shape: FrameShape, channels: &[usize], fifo: &mut Vec<u16>) {
     let plane = shape.chirps * shape.samples;

@@ -1,5 +1,5 @@
-//! The operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through
-//! these functions only, so that tests can fail, forget and tear each of them.
+//! Operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through these
+//! functions only. Tests can therefore make each operation fail, be lost or be incomplete.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -12,7 +12,7 @@ pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io:
     if let Err(error) =
         trial::before(path, || trial::Change::Write { inode: trial::inode(file), at, bytes: bytes.into() })
     {
-        // A full disk takes what it has room for.
+        // A full disk stores as much as it has room for.
         file.write_all(bytes.get(..bytes.len() / 2).unwrap_or(&[]))?;
         return Err(error);
     }
@@ -25,7 +25,7 @@ pub(super) fn overwrite(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> 
     append(file, path, at, bytes)
 }
 
-/// Cuts a file, or extends it with zeros.
+/// Shortens a file, or extends it with zeros.
 pub(super) fn set_length(file: &File, path: &Path, length: u64) -> io::Result<()> {
     let _ = path;
     #[cfg(test)]
@@ -69,21 +69,21 @@ fn folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Creates an empty file without a name, to write and to read, in the folder of `path`, or among the system's temporary
-/// files if
-/// `file`, which has that path, is a device or a pipe. It is gone when it is closed, and with its process.
+/// Creates an empty file without a name, for writing and reading, in the folder of `path`. If `file`, which has that
+/// path, is a device or a pipe, the new file is among the system's temporary files. It vanishes when it is closed or
+/// its process ends.
 pub(super) fn unnamed(file: &File, path: &Path) -> io::Result<File> {
     if file.metadata()?.is_file() { tempfile::tempfile_in(folder(path)) } else { tempfile::tempfile() }
 }
 
-/// Renames; a file of the new name is replaced.
+/// Renames a file and replaces a file of the new name.
 pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(to, || trial::Change::Rename { from: from.into(), to: to.into() })?;
     std::fs::rename(from, to)
 }
 
-/// Renames, or fails with [`io::ErrorKind::AlreadyExists`].
+/// Renames a file, or fails with [`io::ErrorKind::AlreadyExists`].
 pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(to, || trial::Change::Rename { from: from.into(), to: to.into() })?;
@@ -103,7 +103,7 @@ pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     std::fs::rename(from, to)
 }
 
-/// Removes a file; one that is absent already is no error.
+/// Removes a file; an absent file is no error.
 pub(super) fn remove(path: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(path, || trial::Change::Remove { path: path.into() })?;
@@ -123,24 +123,24 @@ pub(super) mod trial {
     use std::sync::{Arc, Mutex, PoisonError};
     use std::time::Duration;
 
-    /// An operation.
+    /// Disk operation.
     #[derive(Debug, Clone)]
     pub enum Change {
-        /// A file that has this name now, empty.
+        /// Creation of an empty file with this name.
         Create { inode: u64, path: PathBuf },
-        /// Bytes at a place.
+        /// Write of bytes at an offset.
         Write { inode: u64, at: u64, bytes: Vec<u8> },
-        /// A new length.
+        /// Change of a file's length.
         SetLength { inode: u64, length: u64 },
-        /// All changes of a file so far are on the disk.
+        /// Sync of a file: all its changes so far are on the disk.
         Sync { inode: u64 },
-        /// All names of the folder so far are on the disk.
+        /// Sync of the folder: all its names so far are on the disk.
         SyncFolder,
-        /// Another name.
+        /// Change of a name.
         Rename { from: PathBuf, to: PathBuf },
-        /// No name.
+        /// Removal of a name.
         Remove { path: PathBuf },
-        /// The test has got this far; no operation.
+        /// Progress mark of the test; no operation.
         Mark(u64),
     }
 
@@ -153,7 +153,7 @@ pub(super) mod trial {
     /// Plan of the injected faults.
     #[derive(Debug, Clone, Copy)]
     pub enum Plan {
-        /// Not at all.
+        /// No operation fails.
         Work,
         /// The operation with this number fails with an input/output error.
         Fail(usize),
@@ -163,7 +163,7 @@ pub(super) mod trial {
         Slow(Duration),
     }
 
-    /// Operations below the folder so far.
+    /// Operations below a folder so far, and the faults to inject.
     pub struct Trial {
         folder: PathBuf,
         plan: Plan,
@@ -185,11 +185,11 @@ pub(super) mod trial {
         }
     }
 
-    /// A folder that is watched.
+    /// Handle of a watched folder.
     pub struct Watched(Arc<Trial>);
 
     impl Watched {
-        /// All operations so far.
+        /// Returns all operations so far.
         pub fn changes(&self) -> Vec<Change> {
             self.0.changes.lock().unwrap_or_else(PoisonError::into_inner).clone()
         }
@@ -206,12 +206,12 @@ pub(super) mod trial {
         }
     }
 
-    /// Number of a file that stays when it is renamed.
+    /// Number of a file, which stays the same when the file is renamed.
     pub fn inode(file: &File) -> u64 {
         file.metadata().map_or(0, |metadata| metadata.ino())
     }
 
-    /// Called before each operation; an error takes its place.
+    /// Records an operation before it is executed. An error is returned instead of the execution.
     pub fn before(path: &Path, change: impl FnOnce() -> Change) -> io::Result<()> {
         let found = trials().iter().find(|trial| path.starts_with(&trial.folder)).cloned();
         let Some(trial) = found else { return Ok(()) };
@@ -225,7 +225,7 @@ pub(super) mod trial {
                 Plan::Full(from) => number >= from && change.needs_room(),
                 Plan::Work | Plan::Slow(_) => false,
             };
-            // A failed operation counts, so that one alone fails.
+            // A failed operation counts too, so that only one operation fails.
             changes.push(if fails { Change::SetLength { inode: 0, length: 0 } } else { change });
             if fails {
                 let full = matches!(trial.plan, Plan::Full(_));

@@ -2,8 +2,8 @@
 //! ifxdaq write it. Older recorders call the band `lower_frequency_Hz` and `upper_frequency_Hz`, leave the filters out,
 //! write numbers as `60.5e9` and add time stamps and temperatures; all are read.
 //!
-//! `radar_timestamp.csv` holds the time of each frame in seconds, one per line: Unix time, or the board's own clock if the stamp
-//! is before 1980.
+//! `radar_timestamp.csv` holds the time of each frame in seconds, one per line: Unix time, or the board's own clock if
+//! the stamp is before 1980.
 
 mod writer;
 
@@ -308,7 +308,7 @@ fn parse_time_ns(text: &str) -> Option<u64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
     if whole.is_empty() || !digits(whole) || !digits(fraction) {
-        // Exponents.
+        // The text has an exponent.
         let seconds: f64 = text.parse().ok()?;
         return (0.0..1e10).contains(&seconds).then_some((seconds * 1e9).round() as u64);
     }

@@ -1,7 +1,7 @@
 //! Label spans in the text formats of other tools: Audacity's label track and DEEPCRAFT Studio's `.label` file.
 //!
 //! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a
-//! span, by start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end
+//! span, by start and length. Fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end
 //! of a label are not part of it. Times are written to the nanosecond, the resolution of frames' clocks, and with six
 //! decimals at least.
 
@@ -170,7 +170,7 @@ mod tests {
     }
 
     proptest! {
-        /// To the nanosecond, with every character that the format has a place for.
+        /// Round trips are exact to the nanosecond, with every character that the format can hold.
         #[test]
         fn what_is_written_is_read(
             parts in prop::collection::vec((0u64..1 << 45, 0u64..1 << 45, "\\PC{0,12}|[ -~\n]{0,12}", 0u8..=100, "[ -~\n]{0,8}"), 0..8),

@@ -22,14 +22,14 @@ impl Locked {
 }
 
 impl Drop for Locked {
-    /// A thread that still holds a copy of the file does not hold the lock.
+    /// Unlocks the file, so that a thread that still holds a copy of the file does not hold the lock.
     fn drop(&mut self) {
         let _ = self.0.unlock();
     }
 }
 
 /// Opens and locks the file of this name, and waits up to `patience` for another writer. The lock belongs to the file
-/// and not to its name: if the file was renamed or replaced before it was locked, the new one is opened.
+/// and not to its name. If the file was renamed or replaced before it was locked, the new one is opened.
 ///
 /// # Errors
 /// [`RecordingError::Locked`] if another writer holds the file for longer; [`RecordingError::Io`] otherwise. On a file
@@ -61,7 +61,7 @@ pub(super) fn lock(
     }
 }
 
-/// Returns whether a name still stands for an open file.
+/// Returns whether a name still refers to an open file.
 #[cfg(unix)]
 fn leads_to(path: &Path, file: &File) -> bool {
     use std::os::unix::fs::MetadataExt;

@@ -11,16 +11,18 @@
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
 //! chirps u16 | samples u16 | 0 u16 | sequence u64 | board time ns u64 | host time ns u64 | temperature i32
 //! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes. The schema of the channel
-//! says the same as text, so that a file can be read without this program; recordings of earlier versions lack it.
+//! says the same as text, so that a file can be read without this program. Recordings of earlier versions lack it.
 //! Messages in JSON have no schema, as MCAP allows.
 //!
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
-//! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]),
-//! so that a recording can be read up to its last chunk whenever its writer dies. Results stand in chunks of their own,
-//! so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
+//! written as a whole every second of board time or 4 MB, and every half second by a recorder that syncs
+//! ([`SyncOptions`]). A recording can therefore be read up to its last chunk whenever its writer ends. Results stand in
+//! chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames
+//! give the same bytes.
 //!
-//! A recorder needs the same memory however long its recording is. The index of chunks, which the summary at the end of
-//! the file holds, is in a file without a name meanwhile, in the folder of the recording: some 90 bytes for each chunk.
+//! A recorder needs the same memory however long its recording is. The summary at the end of the file holds the index
+//! of chunks. Until then the index is in a file without a name, in the folder of the recording: some 90 bytes for each
+//! chunk.
 
 mod chunk_indexes;
 mod encode;
@@ -86,16 +88,16 @@ u16[rx][chirps][samples] codes: 0 to 4095
 pub struct RecordingHeader {
     /// Waveform of every frame.
     pub waveform: Waveform,
-    /// The board, if one was there.
+    /// Board, if there was one.
     pub board: Option<BoardIdentity>,
-    /// Registers of its chip; empty if there was none.
+    /// Registers of the board's chip; empty if there was none.
     pub registers: RegisterList,
     /// Classifier of the frames; with one, the recording has a channel for results.
     pub judge: Option<Judge>,
 }
 
 impl RecordingHeader {
-    /// A recording without a board.
+    /// Creates the header of a recording without a board.
     pub fn new(waveform: Waveform) -> Self {
         RecordingHeader { waveform, board: None, registers: RegisterList::new(), judge: None }
     }
@@ -126,18 +128,18 @@ pub struct LabelSpan {
 }
 
 impl LabelSpan {
-    /// A label by nobody in particular.
+    /// Creates a label without an author, confidence, time or note.
     pub fn new(start_s: f64, end_s: f64, label: impl Into<String>) -> Self {
         LabelSpan { start_s, end_s, label: label.into(), who: None, confidence: None, made_ns: None, note: None }
     }
 
-    /// The class that the label names; none if it is free text.
+    /// Returns the class that the label names; `None` if the label is free text.
     pub fn occupancy(&self) -> Option<Occupancy> {
         Occupancy::from_name(&self.label)
     }
 }
 
-/// Takes a message of the channel of labels: one more, or all of them anew.
+/// Takes a message of the channel of labels, which adds one label or replaces all of them.
 fn take_labels(message: &[u8], labels: &mut Vec<LabelSpan>) -> serde_json::Result<()> {
     if message.first() == Some(&b'[') {
         *labels = serde_json::from_slice(message)?;
@@ -162,7 +164,7 @@ fn encode_frame(frame: &Frame, out: &mut Vec<u8>) {
     out.extend(frame.codes.iter().flat_map(|code| code.to_le_bytes()));
 }
 
-/// Fills a frame from a message; what is wrong otherwise.
+/// Fills a frame from a message; the error describes the defect.
 fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result<(), String> {
     let (header, codes) = bytes
         .split_first_chunk::<FRAME_HEADER>()

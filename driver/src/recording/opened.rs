@@ -102,7 +102,7 @@ impl Recording {
 
     /// Seeks the first frame with this sequence number or a later one, without reading the frames between. The next
     /// events are those that a reader from the start finds behind the last earlier frame, without the gaps that end
-    /// before `sequence`: a gap that contains the number is reported. Numbers are taken to increase through the
+    /// before `sequence`. A gap that contains the number is reported. Numbers are taken to increase through the
     /// recording.
     ///
     /// # Errors

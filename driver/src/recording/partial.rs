@@ -188,7 +188,7 @@ fn claim(target: &Path, existing: Existing) -> Result<Option<Locked>, RecordingE
         return Err(RecordingError::Occupied { path: target.to_owned() });
     }
     match lock(target, Duration::ZERO, || File::open(target)) {
-        // One that may not be read may still be replaced.
+        // A file that may not be read may still be replaced.
         Err(RecordingError::Io { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => Ok(None),
         locked => locked.map(Some),
     }
@@ -245,7 +245,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a.bin");
         let early = Partial::file(&path, Existing::Refuse).expect("starts");
-        // Somebody else was faster.
+        // Another writer takes the name first.
         std::fs::write(&path, "old").expect("writes");
         assert!(matches!(early.finish(), Err(RecordingError::Occupied { .. })));
         assert!(matches!(Partial::file(&path, Existing::Refuse), Err(RecordingError::Occupied { .. })));

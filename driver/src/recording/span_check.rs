@@ -82,7 +82,7 @@ mod tests {
     use crate::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
     use proptest::prelude::*;
 
-    /// One behind the other, with holes, in any order.
+    /// Spans one behind the other, with holes, in any order.
     fn spans() -> impl Strategy<Value = Vec<LabelSpan>> {
         let one = (0u32..4_000_000, 1u32..4_000_000, "empty|one|two|\\PC{0,8}");
         prop::collection::vec(one, 0..12).prop_map(|parts| {
@@ -108,7 +108,7 @@ mod tests {
             }
         }
 
-        /// Against the definition: any two classes that share more than a rounding.
+        /// Compares with the definition: any two spans of different classes that share more than a rounding.
         #[test]
         fn overlaps_are_found_as_pairs_would_find_them(parts in prop::collection::vec((0u8..40, 0u8..12, 0usize..4), 0..8)) {
             let names = ["empty", "one", "two", "sofa"];
@@ -136,7 +136,7 @@ mod tests {
             assert!(said(&[(9.0, 10.5, "two")]).contains("'two' from 9 to 10.5 s is out of range"));
             assert!(said(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
             assert!(said(&[(f64::NAN, 1.0, "one")]).contains("finite"));
-            // A long one covers several; the one in between does not hide it.
+            // A long span covers several others; the one in between does not hide it.
             let text = said(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);
             assert!(text.contains("'empty' (0 to 8 s) and 'one' (2 to 3 s) overlap"), "{text}");
             let text = said(&[(0.0, 8.0, "one"), (2.0, 3.0, "sofa"), (5.0, 6.0, "one")]);

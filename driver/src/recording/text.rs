@@ -1,5 +1,5 @@
 //! Text recording of the vendor's SDK application (`-r NAME`): one code per line, divided by 4095 and with six
-//! decimals, in the order receiver, chirp, sample; an empty line after each chirp. `NAME_config.json` beside it holds
+//! decimals, in the order receiver, chirp, sample. An empty line follows each chirp. `NAME_config.json` beside it holds
 //! the waveform. The format holds no times, numbers, gaps, labels or truth.
 //!
 //! All values have the same width, so that frames are found by offset.
@@ -18,7 +18,7 @@ use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, firs
 
 /// Characters of a value: `0.123456`.
 const VALUE: usize = 8;
-/// One, in the last decimal.
+/// Units of the last decimal in the value one.
 const SCALE: u32 = 1_000_000;
 
 /// `NAME_config.json`.
@@ -201,7 +201,7 @@ pub(super) struct TextWriter {
     file: BufWriter<File>,
     path: PathBuf,
     header: RecordingHeader,
-    /// Every code as a line.
+    /// Text line of every code, by code.
     lines: Vec<[u8; VALUE + 1]>,
     /// Counts of the frames, and of the items that the format cannot hold.
     pub tally: Tally,
@@ -278,7 +278,7 @@ impl TextWriter {
         if !self.header.registers.is_empty() {
             omitted.push(format!("{} registers of the chip", self.header.registers.len()));
         }
-        // The samples last: without them there is no recording.
+        // The samples get their name last: without them there is no recording.
         self.partial_config.finish()?;
         self.partial.finish()?;
         Ok(WriteReport { bytes, omitted, ..self.tally.report() })
@@ -289,7 +289,7 @@ impl TextWriter {
 mod tests {
     use super::*;
 
-    /// Against the formula, in f64 and in the single precision of a C program.
+    /// Compares with the formula, in f64 and in the single precision of a C program.
     #[test]
     fn every_code_survives_six_decimals() {
         for code in 0..=MAX_CODE {

@@ -30,7 +30,7 @@ pub fn file_stamp(unix_s: u64) -> String {
 mod tests {
     use super::*;
 
-    /// `date -u -d @SECONDS +%FT%T+0000`
+    /// Compares with `date -u -d @SECONDS +%FT%T+0000`.
     #[test]
     fn dates_are_those_of_the_calendar() {
         for (unix_s, date) in [

@@ -1,10 +1,10 @@
 //! `fmcw_scene`: a configuration by metrics, from which the vendor's SDK derives a waveform.
 //!
-//! The SDK derives a bandwidth of `c / 2 range_resolution_m` about the centre, a chirp interval of `lambda / 4
-//! max_speed_m_s`,
-//! `2 max_range_m / range_resolution_m` samples and `2 max_speed_m_s / speed_resolution_m_s` chirps. Its recorder rounds both
-//! counts up to powers of two, other tools do not; the data beside the file tell which. Sample rate and centre may be
-//! left to the SDK. The file does not hold the derived values, so that the reader logs that they were derived again.
+//! The SDK derives a bandwidth of `c / 2 range_resolution_m` about the centre and a chirp interval of
+//! `lambda / 4 max_speed_m_s`. It derives `2 max_range_m / range_resolution_m` samples and
+//! `2 max_speed_m_s / speed_resolution_m_s` chirps. Its recorder rounds both counts up to powers of two, other tools do
+//! not; the data beside the file tell which. Sample rate and centre may be left to the SDK. The file does not hold the
+//! derived values, so that the reader logs that they were derived again.
 
 use radome_dsp::{FrameShape, SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
 
@@ -20,7 +20,7 @@ const HIGH_PASS_HZ: f64 = 80e3;
 const ANTI_ALIAS_HZ: f64 = 500e3;
 
 /// Derives the waveform of metrics, with the numbers of samples and chirps of the data if rounding allows them. The
-/// caller has to refuse data that no rounding explains, by their shape.
+/// caller has to compare the shapes and refuse data that no rounding explains.
 pub(super) fn request(fields: &Fields, data: Option<FrameShape>) -> Result<WaveformRequest, RecordingError> {
     let positive = |field: &str| -> Result<f64, RecordingError> {
         let value = fields.number(field, None)?;
@@ -71,7 +71,7 @@ pub(super) fn request(fields: &Fields, data: Option<FrameShape>) -> Result<Wavef
 
 /// Derives a number of samples or chirps: the data's if some rounding gives it, otherwise the power of two.
 fn count(exact: f64, data: Option<usize>) -> usize {
-    // Limit beyond any waveform, which is refused later.
+    // The limit is beyond any waveform; such a waveform is refused later.
     let exact = exact.min(1e6);
     // 4.8 m over 0.15 m are 64 samples, not 65.
     let up = (exact - 1e-6).ceil().max(1.0) as usize;

@@ -21,8 +21,8 @@ pub enum Format {
 }
 
 impl Format {
-    /// Chooses the format by the name of an output: `.mcap`, `.txt`, or a folder: one that exists, or a name without
-    /// extension or with a slash at its end.
+    /// Chooses the format by the name of an output: `.mcap`, `.txt`, or a folder. A folder is one that exists, or a
+    /// name without extension or with a slash at its end.
     pub fn of_output(path: &Path) -> Option<Self> {
         let is_folder = path.is_dir() || path.as_os_str().to_string_lossy().ends_with('/');
         match path.extension().and_then(|e| e.to_str()) {

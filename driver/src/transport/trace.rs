@@ -6,7 +6,7 @@ use std::fmt;
 use crate::protocol::mcu7::{BoardEvent, Packet, Response};
 
 /// Target of the events. Each has one field: `opened` names the port or device; `sent` and `received` show bytes as on
-/// the wire but without check sums, and headers alone of measurements. `identity` is the unique identifier of the
+/// the wire but without check sums, and only the headers of measurements. `identity` is the unique identifier of the
 /// board; remove its bytes before a trace is published.
 pub const TARGET: &str = "radome_driver::wire";
 /// Most bytes shown of a message.

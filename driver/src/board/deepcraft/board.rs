@@ -132,7 +132,7 @@ impl DeepcraftBoard {
         Ok(Setting { waveform: custom.waveform, registers: custom.registers, options: vec![blob, use_case] })
     }
 
-    /// Stops and configures the radar, and checks the stream that it states.
+    /// Stops and configures the radar, then checks the stream that the radar reports.
     pub(super) fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
         let device = self.device;
         let answer = self
@@ -197,7 +197,7 @@ fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, Deepcr
     if got != expected {
         return differ("shape", format!("{expected:?}"), format!("{got:?}"));
     }
-    // The firmware rounds it to a whole number, halves to either side.
+    // The firmware rounds the frame rate to a whole number; it may round halves up or down.
     let rate_hz = 1.0 / waveform.frame_interval_s();
     if (f64::from(stream.frequency) - rate_hz).abs() > 0.5 + 1e-3 * rate_hz {
         let expected = stated_frequency_hz(waveform);

@@ -27,14 +27,14 @@ const DRAINED: Duration = Duration::from_millis(30);
 /// read. A device that sends for longer is not a board of this kind.
 const DRAIN_LIMIT: Duration = Duration::from_millis(500);
 const FIRST_DRAIN_LIMIT: Duration = Duration::from_millis(150);
-/// Empty requests that complete a request that the board may wait for. A program that takes the port for a modem (`AT`)
-/// has announced 65 bytes to the board.
+/// Empty requests that complete an unfinished request on the board. A program that mistakes the port for a modem sends
+/// `AT`, which announces a request of 65 bytes to the board.
 const UNBLOCK: [u8; 128] = [0; 128];
-/// First tag. With a tag of four bytes a request for the capabilities has ten bytes, which firmware with headers of
-/// eight bytes refuses at once instead of waiting for more.
+/// First tag. A tag of four bytes makes a request for the capabilities ten bytes long. Firmware with headers of eight
+/// bytes refuses such a request at once instead of waiting for more bytes.
 const FIRST_TAG: i32 = 1 << 24;
 
-/// [`Command::WatchdogReset`], written out: a running stream sends it without allocating.
+/// Encoded [`Command::WatchdogReset`]: a running stream sends it without allocating.
 const WATCHDOG_RESET: [u8; 3] = [2, 5 << 3 | 2, 0];
 
 pub(super) struct Link {
@@ -139,7 +139,7 @@ impl Link {
         Err(BoardError::NoAnswer { path: self.path.clone(), command: "configuration" })
     }
 
-    /// Returns a tag that no request has had.
+    /// Returns a tag that no earlier request has used.
     pub fn next_tag(&mut self) -> i32 {
         self.tag += 1;
         self.tag

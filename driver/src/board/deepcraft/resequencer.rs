@@ -1,4 +1,5 @@
-//! Resequencer of DEEPCRAFT streams. Pure: chunks and the host's clock in, frames and gaps in order out.
+//! Resequencer of DEEPCRAFT streams. It does no I/O: it turns chunks and times of the host into ordered frames and
+//! gaps.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -10,24 +11,25 @@ use crate::protocol::fifo;
 
 pub(super) struct Resequencer {
     waveform: Waveform,
-    /// Sequence number of the next frame: frames handed out, lost or queued before it.
+    /// Sequence number of the next frame: the number of earlier frames that were handed out, lost or queued.
     next_sequence: u64,
-    /// Firmware's number of that frame, modulo 2^32.
+    /// Firmware's number of the next frame, modulo 2^32.
     next_number: u32,
-    /// Set after a restart of the stream: only the host's clock tells how many frames were lost.
+    /// Reason of the last restart of the stream, until the next chunk. After a restart only the host's clock tells how
+    /// many frames were lost.
     restarted: Option<GapReason>,
     damaged: bool,
     /// Gaps that come before the queued frames.
     gaps: VecDeque<Gap>,
-    /// Frames that the device has dropped since it was configured, as far as gaps account for them.
+    /// Number of frames that the device has dropped since it was configured and that gaps already account for.
     dropped: u64,
-    /// Codes of the queued frames, each in FIFO order; the first ones have been handed out.
+    /// Codes of the queued frames, each in FIFO order; the first `gone` frames have been handed out.
     codes: Vec<u16>,
     gone: usize,
 }
 
 impl Resequencer {
-    /// Resequencer of a stream whose first frame has this number.
+    /// Creates a resequencer of a stream whose first frame has the number `next_number`.
     pub fn new(waveform: &Waveform, next_number: u32) -> Self {
         Resequencer {
             waveform: waveform.clone(),
@@ -37,7 +39,7 @@ impl Resequencer {
             damaged: false,
             gaps: VecDeque::new(),
             dropped: 0,
-            // As many frames as reads of the firmware complete at once.
+            // Room for the frames that one read of the firmware can complete.
             codes: Vec::with_capacity(FIFO_LEVEL_CODES + waveform.shape().codes()),
             gone: 0,
         }
@@ -55,11 +57,11 @@ impl Resequencer {
         self.dropped = 0;
     }
 
-    /// Takes a chunk; all before it must have been popped. `elapsed` is the host's time since the chunk before.
+    /// Takes a chunk. All earlier events must have been popped. `elapsed` is the host's time since the previous chunk.
     pub fn take(&mut self, frame_number: u32, frame_count: usize, codes: &[[u8; 2]], elapsed: Duration) {
         let missing = match self.restarted.take() {
             Some(reason) => {
-                // Both chunks came when their last frames were complete.
+                // A chunk arrives when its last frame is complete.
                 let intervals = elapsed.as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
                 // At least the frame that was cut short is lost.
                 let missing = (intervals.round() as u64).saturating_sub(frame_count as u64).max(1);
@@ -91,14 +93,15 @@ impl Resequencer {
         self.gaps.back().is_some_and(|gap| gap.reason == GapReason::PacketLost)
     }
 
-    /// Takes the number of frames that the device has dropped since it was configured: those were not lost on the line.
+    /// Sets the number of frames that the device has dropped since it was configured. Those frames were not lost on the
+    /// line.
     pub fn set_dropped(&mut self, dropped: u64) {
         let by_device = dropped.saturating_sub(self.dropped);
         let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
             return;
         };
         let frames = by_device.min(gap.frames);
-        // Dropped frames beyond this gap are missing later on the line.
+        // Dropped frames beyond this gap belong to later gaps.
         self.dropped += frames;
         let rest = Gap { first_sequence: gap.first_sequence + frames, frames: gap.frames - frames, ..*gap };
         *gap = Gap { frames, reason: GapReason::FifoOverflow, ..*gap };
@@ -119,7 +122,7 @@ impl Resequencer {
         frame.codes.resize(shape.codes(), 0);
         fifo::deinterleave(codes, shape, &mut frame.codes);
         frame.sequence = self.next_sequence;
-        // Chunks carry no time: frames come at their interval.
+        // Chunks carry no time stamps: the times of frames follow from the frame interval.
         frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
         (frame.truth, frame.temperature_millicelsius) = (None, None);
         self.gone += 1;
@@ -145,7 +148,7 @@ mod tests {
         (Resequencer::new(&waveform, 5), frame)
     }
 
-    /// Codes of so many frames, in FIFO order: the codes of the first receiver are even, those of the second odd.
+    /// Codes of `frames` frames in FIFO order: the codes of the first receiver are even, those of the second odd.
     fn codes(frames: usize) -> Vec<[u8; 2]> {
         (0..frames * 32).map(|i| (i as u16).to_le_bytes()).collect()
     }
@@ -181,7 +184,7 @@ mod tests {
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 2);
         resequencer.take(13, 1, &codes(1), NOW);
-        // Five are missing; of the six that the board has dropped by now some are missing only later.
+        // Five frames are missing, but the board has dropped six: the sixth belongs to a later gap.
         resequencer.set_dropped(6);
         assert_eq!(resequencer.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
@@ -204,8 +207,8 @@ mod tests {
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
     }
 
-    /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the
-    /// new one holds two.
+    /// A chunk arrives when its last frame is complete. 1.2 s are twelve frame intervals: ten frames are missing if the
+    /// new chunk holds two.
     #[test]
     fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
         let (mut resequencer, mut frame) = resequencer();
@@ -217,7 +220,7 @@ mod tests {
         assert_eq!(resequencer.pop(&mut frame), gap(1, 10, GapReason::Crc));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 11);
-        // What led to the restart is missing at least.
+        // At least the frame that the restart cut short is missing.
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         resequencer.restart(GapReason::Disconnected);
         resequencer.take(0, 2, &codes(2), NOW);

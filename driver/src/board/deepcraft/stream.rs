@@ -19,7 +19,7 @@ use crate::transport::trace;
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
 const SILENCE: Duration = Duration::from_millis(5);
-/// Silence after which the rest of a message will not come. Later bytes are told from it by their form.
+/// Silence after which the rest of a message will not come. Later bytes differ from that rest in their form.
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
 /// Longest wait for the number of frames that the board has dropped.
@@ -55,8 +55,8 @@ pub struct DeepcraftStream {
 }
 
 impl DeepcraftBoard {
-    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset; any
-    /// other is sent as registers, and the stream's waveform then has the chirp interval that they realise.
+    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset. Any
+    /// other waveform is sent as registers; the stream's waveform then has the chirp interval that they realise.
     ///
     /// # Errors
     /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold

@@ -1,4 +1,4 @@
-//! Resequencer of lines. Pure: numbered lines and their times in, frames and gaps in order out.
+//! Resequencer of lines. It does no I/O: it turns numbered lines and their times into ordered frames and gaps.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -21,7 +21,7 @@ pub(super) struct Resequencer {
     unconfirmed: Option<(u64, Vec<u16>, Instant)>,
     /// Whether a damaged line came since the last good one.
     pub(super) damaged: bool,
-    /// The port was opened anew: the firmware may have started anew too.
+    /// Whether the port was opened again: the firmware may have restarted too.
     reopened: bool,
     ready: VecDeque<Ready>,
     spare: Vec<Vec<u16>>,
@@ -50,7 +50,7 @@ impl Resequencer {
         }
     }
 
-    /// Notes that the port was opened again: earlier lines tell nothing about the next ones.
+    /// Notes that the port was opened again. Earlier lines then say nothing about the next ones.
     pub(super) fn reopened(&mut self) {
         self.unconfirmed = None;
         self.reopened = true;
@@ -66,14 +66,14 @@ impl Resequencer {
         let follows = |number: u64, other: u64| number == other.wrapping_add(1);
         if number == next {
             match self.unconfirmed.take() {
-                // The last number with other codes and its successor: the firmware has started anew at its first
-                // number.
+                // A line with the last number and other codes, then its successor: the firmware has restarted at its
+                // first number.
                 Some((before, other, came)) if follows(next, before) => {
                     self.begin_anew(before, came);
                     self.accept(&other, came);
                     self.accept(codes, now);
                 }
-                // The line before has overtaken this one.
+                // The previous line arrived before this one, out of order.
                 Some((later, other, _)) if follows(later, number) => {
                     self.accept(codes, now);
                     self.accept(&other, now);
@@ -84,7 +84,7 @@ impl Resequencer {
             tracing::debug!(number, "a line came twice");
         } else {
             match self.unconfirmed.take() {
-                // Two lines with one number: one of them is wrong, and it is unknown which.
+                // Two lines have one number: one of them is wrong, and it is unknown which.
                 Some((before, other, came)) if before == number => {
                     if other == codes {
                         self.unconfirmed = Some((before, other, came));
@@ -92,7 +92,8 @@ impl Resequencer {
                         self.damaged = true;
                     }
                 }
-                // Either both are ahead, perhaps with losses between them, or the firmware counts from its start.
+                // Either both lines are ahead, perhaps with losses between them, or the firmware has restarted its
+                // count.
                 Some((before, other, came))
                     if follows(number, before) || (is_ahead(before, next) && is_ahead(number, before)) =>
                 {
@@ -134,9 +135,9 @@ impl Resequencer {
         self.ready.push_back(Ready::Gap(Gap { first_sequence: 0, frames, reason }));
     }
 
-    /// Notes a gap after a restart of the firmware. Firmware that has started anew counts from its start, so that only
-    /// the host's clock tells the length of the gap. Firmware that has run on has a number ahead: by no more than that
-    /// clock allows, and further than it could have counted from its start.
+    /// Notes a gap after a restart of the firmware. Firmware that has restarted counts from its start, so that only the
+    /// host's clock tells the length of the gap. Firmware that has kept running has a number ahead. It is ahead by no
+    /// more than the host's clock allows, and further than a count from the firmware's start could be.
     fn begin_anew(&mut self, number: u64, came: Instant) {
         let Some(next) = self.next_number.replace(number) else { return };
         let intervals =
@@ -171,7 +172,7 @@ impl Resequencer {
         frame.codes.resize(shape.codes(), 0);
         fifo::deinterleave(codes, shape, &mut frame.codes);
         frame.sequence = self.next_sequence;
-        // Lines carry no time: frames are taken to come at their interval.
+        // Lines carry no time stamps: the times of frames follow from the frame interval.
         frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
         frame.host_time_ns = now_ns();
         (frame.truth, frame.temperature_millicelsius) = (None, None);
@@ -184,7 +185,7 @@ fn digest(codes: &[u16]) -> u64 {
     codes.iter().fold(0xCBF2_9CE4_8422_2325, |hash, code| (hash ^ u64::from(*code)).wrapping_mul(0x100_0000_01B3))
 }
 
-/// Returns whether a number comes after another, by no more than boards lose.
+/// Returns whether `number` comes after `of`, by at most as many frames as a board can lose.
 fn is_ahead(number: u64, of: u64) -> bool {
     (1..=u64::from(u32::MAX)).contains(&number.wrapping_sub(of))
 }
@@ -202,8 +203,8 @@ mod tests {
         Resequencer::new(&Waveform::realise(request).expect("valid"))
     }
 
-    /// Numbers of lines as they come; each line's codes are all as its number, or as told. Gives the numbers that the
-    /// frames' codes tell, and the gaps.
+    /// Feeds lines, given as number and code; all codes of a line are equal. Returns the codes of the resulting frames,
+    /// and the gaps.
     fn ordered(resequencer: &mut Resequencer, lines: &[(u64, u16)]) -> Vec<Result<u16, (u64, GapReason)>> {
         let mut frame = Frame::zeroed(resequencer.waveform.shape());
         let (mut found, mut next) = (Vec::new(), resequencer.next_sequence);
@@ -261,7 +262,7 @@ mod tests {
         fn a_line_that_comes_twice_is_taken_once() {
             let found = ordered(&mut resequencer(), &lines(&[1, 2, 2, 3, 3, 4]));
             assert_eq!(found, [Ok(1), Ok(2), Ok(3), Ok(4)]);
-            // The doubled one is the first behind a gap.
+            // The doubled line is the first one behind a gap.
             assert_eq!(ordered(&mut resequencer(), &lines(&[1, 3, 3, 4])), [Ok(1), Err((1, LOST)), Ok(3), Ok(4)]);
         }
 
@@ -270,8 +271,8 @@ mod tests {
             assert_eq!(ordered(&mut resequencer(), &lines(&[1, 3, 2, 4])), [Ok(1), Ok(2), Ok(3), Ok(4)]);
         }
 
-        /// 12 as 92, as 8, as 13 and as 11, each a flipped bit or two: the line is lost and no other, and no frame has
-        /// another's number.
+        /// One or two inverted bits turn the number 12 into 92, 8, 13 or 11. Only that line is lost, and no frame gets
+        /// the number of another.
         #[test]
         fn a_wrong_number_costs_its_line() {
             let lost = |frames| Err((frames, GapReason::Crc));
@@ -282,12 +283,12 @@ mod tests {
             }
             let found = ordered(&mut resequencer(), &[(10, 10), (11, 11), (11, 12), (13, 13), (14, 14)]);
             assert_eq!(found, [Ok(10), Ok(11), lost(1), Ok(13), Ok(14)]);
-            // Two lines of one number: neither is believed.
+            // Two lines have one number: both are discarded.
             let found = ordered(&mut resequencer(), &[(10, 10), (11, 11), (13, 12), (13, 13), (14, 14), (15, 15)]);
             assert_eq!(found, [Ok(10), Ok(11), lost(2), Ok(14), Ok(15)]);
         }
 
-        /// After its first line, or its second, a firmware that begins anew repeats numbers that were the last ones.
+        /// Firmware that restarts after its first or second line repeats its last numbers.
         #[test]
         fn a_firmware_that_starts_anew_at_once_is_no_doubled_line() {
             for first in [&[(0, 7)][..], &[(0, 7), (1, 8)]] {
@@ -299,12 +300,12 @@ mod tests {
             }
         }
 
-        /// Returns whether it has begun anew only its second line says; it began with the first.
+        /// Only the second line shows that the firmware has restarted; the restart began with the first line.
         #[test]
         fn what_was_lost_before_a_new_beginning_ends_with_its_first_line() {
             let began = Instant::now();
-            // Numbers and when they come, in frame intervals: one that begins at another number, and one at the last
-            // again.
+            // Numbers and arrival times of lines, in frame intervals: a restart at another number, and one at the last
+            // number.
             for lines in [&[(10, 0), (11, 1), (0, 6), (1, 7)][..], &[(0, 0), (0, 5), (1, 6)]] {
                 let mut resequencer = resequencer();
                 let interval_s = resequencer.waveform.frame_interval_s();

@@ -23,7 +23,7 @@ const MAX_HEARD_BYTES: usize = 1 << 22;
 /// Frame stream of a board that prints lines, from the next whole line on.
 ///
 /// Lines have no check sum: a digit of a code that becomes another digit is not detected. Lines that are lost, doubled,
-/// cut, out of order or wrongly numbered are detected: a number that does not follow its predecessor counts when the
+/// cut, out of order or wrongly numbered are detected. A number that does not follow its predecessor counts when the
 /// next line confirms it.
 pub struct Esp32Stream {
     path: PathBuf,
@@ -60,7 +60,7 @@ impl Esp32Stream {
             None => read_waveform_line(path, &mut port, &mut heard)?,
         };
         let codes = waveform.shape().codes();
-        // Six characters a code, ten bits a character.
+        // A code takes six characters, a character ten bits.
         let line_s = codes as f64 * 60.0 / f64::from(BAUD_RATE);
         let mut parser = LineParser::new(codes);
         parser.push(&heard);
@@ -147,7 +147,8 @@ impl Reconnectable for Esp32Stream {
             if began.elapsed() > self.deadline {
                 let path = self.path.clone();
                 return Err(match unfit {
-                    // Once a frame has come the waveform is right, and a damaged line only the last before a silence.
+                    // After a first frame the waveform is known to be right: a damaged line is then only the last one
+                    // before a silence.
                     Some(source) if self.resequencer.next_number.is_none() => BoardError::Line { path, source },
                     _ => BoardError::Stalled { path, waited: self.deadline },
                 });

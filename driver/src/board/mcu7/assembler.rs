@@ -1,8 +1,8 @@
-//! Assembler of frames from data packets. Pure: packets in, frames and gaps out.
+//! Assembler of frames from data packets. It does no I/O: it turns packets into frames and gaps.
 //!
-//! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. Since the slice
-//! and so the size of every packet is fixed, a packet's counter says exactly which bytes of the stream it carries. Lost
-//! packets therefore cost the frames that they belong to and no others: the next whole frame is known.
+//! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. The slice and so
+//! the size of every packet is fixed. A packet's counter therefore says exactly which bytes of the stream it carries.
+//! Lost packets cost only the frames that they belong to: the next whole frame is known.
 //!
 //! A counter can be wrong without a byte being lost, or right although the firmware has left slices out. After each
 //! jump the slices' time stamps must therefore agree with their positions until a whole frame has been seen; otherwise
@@ -128,8 +128,8 @@ impl Assembler {
         }
     }
 
-    /// Notes that the board may have been without power: the host's clock tells the number of lost frames unless the
-    /// board's has run on.
+    /// Notes that the board may have been without power. The host's clock then tells the number of lost frames, unless
+    /// the board's clock has kept running.
     pub fn reconnected(&mut self) {
         self.restart(GapReason::Disconnected);
         self.restart_reason = GapReason::Disconnected;
@@ -143,8 +143,8 @@ impl Assembler {
         }
     }
 
-    /// First byte of the stream that holds codes of this frame. With an odd number of codes it holds its neighbour's
-    /// too.
+    /// Offset of the pair of codes in which this frame starts, bytes. With an odd number of codes that pair may also
+    /// hold a code of the neighbouring frame.
     fn start_byte(&self, frame: u64) -> u64 {
         frame * self.shape.codes() as u64 / 2 * 3
     }
@@ -163,7 +163,7 @@ impl Assembler {
         self.timing.in_stream_s((slice + 1) * self.slice.samples as u64 - 1) * 1e6
     }
 
-    /// Returns whether a slice has come as long after its predecessor as their positions say, to half the time between
+    /// Returns whether the time since the previous slice agrees with the positions of both, to half the time between
     /// slices. The two clocks differ by far less.
     fn is_on_time(&self, slice: u64, time_us: u64) -> bool {
         let Some((before, before_us)) = self.last_stamp else { return true };
@@ -171,7 +171,7 @@ impl Assembler {
         let to_previous_us = self.nominal_us(slice) - self.nominal_us(slice.saturating_sub(1).max(before));
         let to_next_us = self.nominal_us(slice + 1) - self.nominal_us(slice);
         let measured_us = time_us as f64 - before_us as f64;
-        // Over a long gap the error of the frame interval adds up, which the registers hold to a thousandth.
+        // Over a long gap the error of the frame interval adds up. The registers hold the interval to a thousandth.
         let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
         let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
         if !agrees {
@@ -192,7 +192,7 @@ impl Assembler {
             }
             tracing::debug!(counter = packet.counter, "a packet came twice");
             self.duplicates += 1;
-            // The packet may also be another one after the counter was set back.
+            // The packet may also be a new one, sent after the counter was set back.
             self.check_until = self.end_slice(self.next_frame) + 1;
             return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Taken };
         }
@@ -299,8 +299,8 @@ impl Assembler {
     }
 
     /// Board time of a frame's start, from the stamp of the slice that it begins in, or of the next one received. A
-    /// stamp is taken when the slice's last code has been sampled. If the packet with the stamp is lost, whole frames
-    /// of its slice are taken to have come at their interval, if there are others to count from.
+    /// stamp is taken when the slice's last code has been sampled. If the packet with the stamp is lost, the times of
+    /// whole frames follow from the frame interval and an earlier frame, if there is one.
     fn start_us(&self, frame: u64) -> Option<f64> {
         let first_slice = frame * self.shape.codes() as u64 / self.slice.samples as u64;
         if let Some((slice, stamp_us)) = self.stamps.iter().find(|(slice, _)| *slice >= first_slice) {
@@ -317,8 +317,8 @@ impl Assembler {
             return base.wrapping_add(frame);
         }
         let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
-        // A clock that agrees with the host's to a frame has run on; otherwise the board was without power. It was also
-        // without power if this frame would not be later than the last one.
+        // If the board's clock agrees with the host's to one frame, it has kept running; otherwise the board was
+        // without power. The board was also without power if this frame would not be later than the last one.
         let by_board_us = start_us - self.last_time_us;
         let has_run_on = |host_us: f64| {
             by_board_us > 0.5 * self.frame_interval_us && (by_board_us - host_us).abs() < self.frame_interval_us
@@ -385,15 +385,16 @@ mod tests {
         Assembler::new(&waveform, SliceLayout::for_frame(waveform.shape().codes()))
     }
 
-    /// Two frames of an odd number of codes in a slice of two packets, the first frame whole in the first packet.
+    /// Assembler of frames with an odd number of codes. A slice holds two frames in two packets; the first packet holds
+    /// the whole first frame.
     fn two_frames_a_slice() -> Assembler {
         let assembler = assembler(45, 45);
         assert_eq!((assembler.slice.samples, assembler.slice.packets()), (2 * 45 * 45, 2));
         assembler
     }
 
-    /// A slice, complete at this time by the board's clock, of which only these packets come: what comes out. Frames as
-    /// their sequence number and time.
+    /// Feeds the packets `indices` of a slice that is complete at `time_us` by the board's clock. Returns the gaps, and
+    /// the frames as sequence number and time.
     fn packets(assembler: &mut Assembler, slice: u64, indices: &[usize], time_us: u64) -> Vec<Result<(u64, u64), Gap>> {
         let layout = assembler.slice;
         let bytes = [vec![0; layout.data_bytes()], time_us.to_le_bytes().to_vec()].concat();
@@ -420,7 +421,7 @@ mod tests {
         found
     }
 
-    /// The first slice since a start, of which nothing is lost.
+    /// Feeds the first slice after a start, without losses.
     fn first_slice(assembler: &mut Assembler, time_us: u64) -> Vec<SourceEvent> {
         let indices: Vec<usize> = (0..assembler.slice.packets()).collect();
         let events = packets(assembler, 0, &indices, time_us);
@@ -431,20 +432,20 @@ mod tests {
         use super::*;
 
         const FRAME_NS: u64 = FRAME_US * 1000;
-        /// An hour after it was switched on.
+        /// Board time one hour after power-up, microseconds.
         const HOUR_US: u64 = 3_600_000_000;
 
         fn lost(first_sequence: u64, frames: u64, reason: GapReason) -> Result<(u64, u64), Gap> {
             Err(Gap { first_sequence, frames, reason })
         }
 
-        /// Frame at its time since the first.
+        /// Expected frame, with its time since the first frame.
         fn frame(sequence: u64) -> Result<(u64, u64), Gap> {
             Ok((sequence, sequence * FRAME_NS))
         }
 
-        /// A frame that came whole while its slice's stamp was lost stood for the board's clock: the time of every
-        /// later frame was an hour off, and so were the frames counted at the next overflow.
+        /// Regression test: a whole frame whose slice had lost its stamp set the board's clock. The times of all later
+        /// frames were an hour off, and so was the number of frames counted at the next overflow.
         #[test]
         fn a_first_frame_without_time_does_not_set_the_clock() {
             let mut assembler = two_frames_a_slice();
@@ -456,7 +457,7 @@ mod tests {
             assert_eq!(found, [lost(4, 6, GapReason::FifoOverflow), frame(10), frame(11)]);
         }
 
-        /// After an overflow, a frame counted as the very next one.
+        /// Regression test: after an overflow, a frame without a time counted as the very next one.
         #[test]
         fn a_frame_without_time_after_a_restart_does_not_count_what_was_lost() {
             let mut assembler = two_frames_a_slice();
@@ -468,7 +469,7 @@ mod tests {
             assert_eq!(found, [lost(2, 10, GapReason::FifoOverflow), frame(12), frame(13)]);
         }
 
-        /// Behind a gap it is later than the last frame by the gap.
+        /// A frame without a time behind a gap is later than the last frame by the length of the gap.
         #[test]
         fn a_frame_without_time_behind_a_gap_comes_at_its_place() {
             let mut assembler = two_frames_a_slice();
@@ -479,12 +480,12 @@ mod tests {
             assert_eq!(found, [gap(2, 4), frame(6), gap(7, 1), frame(8), frame(9)]);
         }
 
-        /// Found by the campaign: twice without power, and each time measuring at once. The second time the clock stood
-        /// where it had stood the first time, which passed for a clock that had run on; every later count was one
-        /// short.
+        /// Regression test, found by the test campaign: the board lost power twice and measured at once each time. The
+        /// second time its clock had the same value as the first time, which was mistaken for a clock that had kept
+        /// running. Every later count was one short.
         #[test]
         fn a_clock_that_stands_where_it_stood_has_not_run_on() {
-            // A frame is a slice.
+            // A slice holds one frame.
             let mut assembler = assembler(64, 128);
             assert_eq!(first_slice(&mut assembler, 31_626), [SourceEvent::Frame]);
             for (away_ms, first_sequence) in [(30, 1), (11, 3)] {

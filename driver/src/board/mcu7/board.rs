@@ -36,8 +36,8 @@ pub struct Mcu7Board {
 
 impl Mcu7Board {
     /// Reads the identity of a board and leaves the registers of its chip as they are, so that the next client still
-    /// finds the programmed waveform. Only a chip that cannot be read before its SPI is set up is written to: register
-    /// SFCTL alone. A board that measures stops sending.
+    /// finds the programmed waveform. Only register SFCTL is written, and only if the chip cannot be read before its
+    /// SPI is set up. A board that measures stops sending.
     ///
     /// # Errors
     /// [`BoardError`] if the port cannot be opened, if the board does not answer or answers with an error, or if its
@@ -65,8 +65,8 @@ impl Mcu7Board {
         Mcu7Board::reset(link, handshake)
     }
 
-    /// Opens a board like [`Mcu7Board::open_at`], and reads the waveform that the chip was programmed with before; `None`
-    /// if it has not been programmed since it has power.
+    /// Opens a board like [`Mcu7Board::open_at`], and reads the waveform that the chip was programmed with before;
+    /// `None` if it has not been programmed since power-up.
     ///
     /// # Errors
     /// Those of [`Mcu7Board::identity_at`].
@@ -94,7 +94,7 @@ impl Mcu7Board {
         &self.link.path
     }
 
-    /// Address under which the board is found when it has been plugged in anew.
+    /// Address under which the board is found when it has been plugged in again.
     pub fn address(&self) -> &Address {
         &self.link.address
     }

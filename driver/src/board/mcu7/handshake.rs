@@ -39,7 +39,7 @@ impl Handshake {
         if major != link.protocol.major() {
             return Err(BoardError::Protocol { path, major, minor });
         }
-        // A program that ended without stopping the board has left it measuring.
+        // An earlier program may have ended without stopping the board.
         link.request(&Command::StopData)?;
         let has_chip = match link.protocol {
             Protocol::V4 => {
@@ -57,7 +57,7 @@ impl Handshake {
         Ok(Handshake { info, version })
     }
 
-    /// Reads the whole identity: the board's further names, then CHIP_ID by the function given.
+    /// Reads the whole identity: the further fields of the board, then CHIP_ID by the given function.
     pub fn identity(
         self,
         link: &mut Link,
@@ -97,8 +97,8 @@ fn content(answer: &[u8]) -> u32 {
     answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF)
 }
 
-/// Reads CHIP_ID and leaves the chip as it is. A chip that has not been programmed may answer on another edge; the
-/// setting of SFCTL that the vendor's client makes first then loses nothing, since the register holds no part of a
+/// Reads CHIP_ID and leaves the waveform in the chip as it is. A chip that has not been programmed may answer on
+/// another clock edge. SFCTL is then set as the vendor's client sets it first; that register holds no part of a
 /// waveform.
 pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     let read = Command::ReadRegisters { address: register::CHIP_ID, count: 1 };

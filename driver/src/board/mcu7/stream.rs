@@ -64,7 +64,8 @@ impl Mcu7Stream {
             let lfsr = field::SFCTL::LFSR_EN;
             registers.iter_mut().filter(|r| r.address == lfsr.address).for_each(|r| r.value = lfsr.put(r.value, 1));
         }
-        // The registers hold the chirp interval only roughly: what they make of it is the truth.
+        // The registers hold the chirp interval only approximately: the stream's waveform has the interval that they
+        // realise.
         let mut realised = waveform.clone();
         realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
         let assembler = Assembler::new(&realised, slice);
@@ -104,8 +105,8 @@ impl Mcu7Stream {
     }
 
     /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
-    /// for it. The frames lost meanwhile become a gap, counted by the board's clock where that has run on, otherwise by
-    /// the host's clock to about one frame.
+    /// for it. The frames lost meanwhile become a gap, counted by the board's clock if it has kept running, otherwise
+    /// by the host's clock to about one frame.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.recovery.policy = Some(policy);
         self

@@ -85,7 +85,7 @@ impl Requests {
         Ok(requests)
     }
 
-    /// Resets everything after a loss of power but the number of starts.
+    /// Resets all state except the number of starts, after a loss of power.
     pub fn power_up(&mut self) {
         self.parser.clear();
         (self.use_case, self.blob) = self.power_up.clone();
@@ -194,7 +194,7 @@ impl Requests {
         }
     }
 
-    /// Sets options and configures the chip; the answer says how everything stands now.
+    /// Sets options and configures the chip; the response holds the resulting state.
     fn set_options(&mut self, request: &ConfigureRequest) -> Result<ConfigureResponse, ErrorCode> {
         is_ours(request.device)?;
         request.options.iter().try_for_each(|option| self.set(option))?;
@@ -231,7 +231,7 @@ impl Requests {
         }
     }
 
-    /// Waveform and registers that the options stand for.
+    /// Waveform and registers that the options select.
     fn wanted(&self) -> Result<(Waveform, RegisterList), String> {
         match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
             Some(preset) => {

@@ -55,7 +55,7 @@ impl Requests {
         }
     }
 
-    /// Resets everything after a loss of power but the numbers of starts.
+    /// Resets all state except the numbers of starts, after a loss of power.
     pub fn power_up(&mut self) {
         self.chip.reset();
         self.slice = None;
@@ -68,7 +68,7 @@ impl Requests {
         self.data_started = false;
     }
 
-    /// Slice, while data run.
+    /// Layout of the slices, while data run.
     pub fn streaming(&self) -> Option<SliceLayout> {
         self.slice.filter(|_| self.data_started && self.chip.frames().is_some())
     }
@@ -161,7 +161,7 @@ impl Requests {
     }
 
     fn write_burst(&mut self, address: u8, values: &[u32]) -> Result<(), Status> {
-        // The burst's GSR0 is that from before it.
+        // The GSR0 of a burst shows the state from before the burst.
         let failed = self.chip.fifo_failed();
         for (offset, value) in values.iter().enumerate() {
             self.write(address.wrapping_add(offset as u8), *value)?;
@@ -184,7 +184,7 @@ impl Requests {
         Ok(())
     }
 
-    /// Refuses with an error to start frames with a slice for which the real firmware sends garbage.
+    /// Refuses a start of frames with a slice for which the real firmware sends garbage.
     fn check_start(&mut self, word: &SpiWord) -> Result<(), Status> {
         let starts = word.write && word.address == address::MAIN && word.value & main_bits::FRAME_START != 0;
         let has_frames = field::MAIN::CW_MODE.of(word.value) == 0;

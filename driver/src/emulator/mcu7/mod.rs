@@ -41,7 +41,7 @@ pub(super) struct Mcu7 {
     counter: u16,
     /// Starts of frames and of data when the buffer was begun.
     starts: (u64, u64),
-    /// Codes of slices sent since then.
+    /// Codes of slices sent since the buffer was begun.
     sent: u64,
     codes: Vec<u16>,
     shared: Arc<Shared>,

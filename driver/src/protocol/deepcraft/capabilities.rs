@@ -25,7 +25,7 @@ pub struct BoardSerial {
     pub uuid: Vec<u8>,
 }
 
-/// A board.
+/// Description of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Board {
     #[prost(message, optional, tag = "1")]
@@ -36,8 +36,8 @@ pub struct Board {
     pub firmware_version: Option<Version>,
     #[prost(message, optional, tag = "4")]
     pub protocol_version: Option<Version>,
-    /// The board stops after so many milliseconds without [`WatchdogReset`](super::request::Command::WatchdogReset); 0
-    /// is never.
+    /// Time without [`WatchdogReset`](super::request::Command::WatchdogReset) after which the board stops, ms; 0 means
+    /// never.
     #[prost(int32, tag = "5")]
     pub watchdog_timeout: i32,
     #[prost(message, repeated, tag = "6")]
@@ -46,21 +46,21 @@ pub struct Board {
 
 /// Types of [`Device`].
 pub mod device_type {
-    /// Measures.
+    /// Device that measures.
     pub const SENSOR: i32 = 1;
 }
 
 /// Status of a [`Device`].
 pub mod device_status {
-    /// Can be started.
+    /// The device can be started.
     pub const READY: i32 = 0;
-    /// Sends frames.
+    /// The device sends frames.
     pub const ACTIVE: i32 = 1;
-    /// Cannot be used; its message says why.
+    /// The device cannot be used; its message gives the reason.
     pub const ERROR: i32 = 3;
 }
 
-/// A device of a board.
+/// Device of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Device {
     #[prost(int32, tag = "1")]
@@ -92,7 +92,7 @@ pub struct DeviceOption {
     pub name: String,
     #[prost(string, tag = "3")]
     pub description: String,
-    /// Its kind and value. Kinds that a radar does not have are skipped.
+    /// Kind and value of the option. Kinds that a radar does not have are skipped.
     #[prost(oneof = "OptionKind", tags = "7, 8")]
     pub kind: Option<OptionKind>,
 }
@@ -100,32 +100,32 @@ pub struct DeviceOption {
 /// Kinds of option.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum OptionKind {
-    /// One of several items.
+    /// Choice of one of several items.
     #[prost(message, tag = "7")]
     OneOf(OptionOneOf),
-    /// Bytes.
+    /// Byte string.
     #[prost(message, tag = "8")]
     Blob(OptionBlob),
 }
 
-/// One of several items.
+/// Option that is one of several items.
 #[derive(Clone, PartialEq, Message)]
 pub struct OptionOneOf {
-    /// Index at power-up.
+    /// Index of the item at power-up.
     #[prost(int32, tag = "1")]
     pub default_index: i32,
-    /// Index now.
+    /// Index of the current item.
     #[prost(int32, tag = "2")]
     pub current_index: i32,
-    /// Names.
+    /// Names of the items.
     #[prost(string, repeated, tag = "3")]
     pub items: Vec<String>,
 }
 
-/// Bytes.
+/// Option that is a byte string.
 #[derive(Clone, PartialEq, Message)]
 pub struct OptionBlob {
-    /// Value now.
+    /// Current value.
     #[prost(bytes = "vec", tag = "1")]
     pub current_value: Vec<u8>,
     /// Value at power-up.
@@ -156,13 +156,13 @@ pub struct StreamConfig {
     /// See [`data_type`].
     #[prost(int32, tag = "3")]
     pub data_type: i32,
-    /// Axes of a frame, which need not be in their order: see the [module](super).
+    /// Axes of a frame. The data need not follow their order: see the [module](super).
     #[prost(message, repeated, tag = "4")]
     pub shape: Vec<Dimension>,
     /// Frames per second, rounded to a whole number.
     #[prost(float, tag = "5")]
     pub frequency: f32,
-    /// Most frames in a chunk. The radar says 1 and sends more.
+    /// Most frames in a chunk. The radar states 1 and sends more.
     #[prost(int32, tag = "6")]
     pub max_frame_count: i32,
     #[prost(string, tag = "7")]
@@ -183,15 +183,15 @@ pub struct StreamConfig {
     pub shift: i32,
 }
 
-/// An axis.
+/// Axis of a frame.
 #[derive(Clone, PartialEq, Message)]
 pub struct Dimension {
     #[prost(string, tag = "1")]
     pub name: String,
-    /// Its length.
+    /// Length of the axis.
     #[prost(int32, tag = "2")]
     pub size: i32,
-    /// Names along it.
+    /// Names of the elements along the axis.
     #[prost(string, repeated, tag = "3")]
     pub labels: Vec<String>,
 }

@@ -45,20 +45,20 @@ pub struct ChunkLayout {
 /// Header of a chunk and the positions of its parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChunkHeader {
-    /// Number of its first frame, modulo 2^32.
+    /// Number of the chunk's first frame, modulo 2^32.
     pub frame_number: u32,
-    /// Number of its frames.
+    /// Number of frames in the chunk.
     pub frame_count: usize,
-    /// Start of its payload, from the length of the message on.
+    /// Start of the payload, counted from the length of the message.
     pub payload_start: usize,
-    /// End of its payload.
+    /// End of the payload.
     pub payload_end: usize,
     /// End of the chunk.
     pub end: usize,
 }
 
 impl ChunkHeader {
-    /// Number of the frame after it.
+    /// Number of the frame after the chunk.
     fn next_number(&self) -> u32 {
         self.frame_number.wrapping_add(self.frame_count as u32)
     }
@@ -69,9 +69,9 @@ impl ChunkHeader {
 pub enum Beginning {
     /// A chunk of the stream, up to its payload at least.
     Chunk(ChunkHeader),
-    /// Too few bytes to say.
+    /// The bytes are too few to decide.
     Incomplete,
-    /// No chunk of the stream.
+    /// The bytes are no chunk of the stream.
     No,
 }
 
@@ -103,7 +103,7 @@ impl ChunkLayout {
         must(length <= MAX_RESPONSE as u64 && self.can_be(length as usize))?;
         let end = cursor.at + length as usize;
         must(cursor.varint()? == DATA)?;
-        // The chunk is all there is in the response.
+        // The response holds nothing but the chunk.
         let inner = cursor.varint()?;
         must(end.checked_sub(cursor.at).is_some_and(|rest| inner == rest as u64))?;
         let [mut device, mut stream, mut count, mut number] = [0; 4];
@@ -125,7 +125,7 @@ impl ChunkLayout {
             must(cursor.at < end)?;
         }
         let payload = cursor.varint()?;
-        // Negative numbers are written as if they had 64 bits.
+        // Negative numbers are encoded as if they had 64 bits.
         must((device as i32, stream as i32) == (self.device, self.stream))?;
         must((1..=MAX_RESPONSE as u64).contains(&count) && payload == count * self.frame_bytes() as u64)?;
         let (payload_start, frame_count) = (cursor.at, count as usize);
@@ -159,11 +159,11 @@ impl ChunkLayout {
 pub enum ChunkEvent<'a> {
     /// Consecutive frames, each in FIFO order: 12-bit codes, little-endian.
     Frames {
-        /// Number of the first one, modulo 2^32.
+        /// Number of the first frame, modulo 2^32.
         frame_number: u32,
         /// Number of frames.
         frame_count: usize,
-        /// Their codes.
+        /// Codes of the frames.
         codes: &'a [[u8; 2]],
     },
     /// Chunk whose number agrees neither with the chunk before nor with the one after; it is discarded.
@@ -181,7 +181,7 @@ enum Other {
     Expected(CapabilitiesResponse),
 }
 
-/// Returns whether an error, or the answer with this tag, begins here: it and its length, if it is whole.
+/// Parses an error, or the answer with this tag, that begins here; returns its length and the message if it is whole.
 fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop> {
     let mut cursor = Cursor { bytes, at: 0 };
     let length = cursor.varint()?;
@@ -205,11 +205,11 @@ fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop
 
 /// Parser of the chunks of one stream.
 ///
-/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error, or an answer) begins
-/// right behind it, or when the line is silent there ([`Self::on_silence`]). A chunk that was cut short contains the
-/// head of its successor, so that none begins behind it. More than two bytes of a head are not codes: any four of them,
-/// taken as two codes, have one beyond 4095. Two bytes may be taken for a code: if the last code of a chunk could be
-/// the length of another, silence does not confirm it.
+/// A chunk is handed out when it is *confirmed*. It is confirmed when a chunk of the same stream (or an error, or an
+/// answer) begins right behind it, or when the line is silent there ([`Self::on_silence`]). A chunk that was cut short
+/// contains the header of its successor, so that no chunk begins behind it. More than two bytes of a header cannot be
+/// codes: any four of them, taken as two codes, have one beyond 4095. Two bytes can be mistaken for a code. Silence
+/// therefore does not confirm a chunk whose last code could be the length of another chunk.
 #[derive(Debug)]
 pub struct ChunkParser {
     layout: ChunkLayout,
@@ -334,7 +334,7 @@ impl ChunkParser {
                 false => return None,
             },
             Beginning::Incomplete => return None,
-            // A jump of the number is believed if the successor goes on from there.
+            // A jump of the number is accepted if the successor continues from there.
             Beginning::Chunk(next) => is_next || next.frame_number == header.next_number(),
             Beginning::No => match other(after, self.expected_tag) {
                 Ok(_) => is_next,
@@ -361,8 +361,8 @@ impl ChunkParser {
         Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
     }
 
-    /// Returns whether the last code of a chunk could be the length of its successor, in two bytes: then only the
-    /// successor tells whether the chunk is whole. Fields after the codes could be anything.
+    /// Returns whether the last code of a chunk could be the length of its successor, in two bytes. Then only the
+    /// successor tells whether the chunk is whole. Fields after the codes could hold any bytes.
     fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
         let Some(&[low, high]) = message.last_chunk() else { return false };
         let length = usize::from(low & 0x7F) | usize::from(high) << 7;

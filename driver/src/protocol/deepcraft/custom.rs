@@ -1,9 +1,9 @@
 //! Blob of the option "Custom data": a waveform as the firmware's settings and the chip's registers.
 //!
-//! 32-bit words, little-endian: number of registers; index of the first register's word; start and end frequency in Hz,
-//! 64 bits each; samples, chirps, receivers, transmitters; ADC rate; chirp and frame interval in seconds, 32-bit
-//! floats; and from the index on the registers as words that are written over SPI (address in bits 31:25, write bit 24,
-//! content).
+//! The blob consists of 32-bit words, little-endian: number of registers; index of the first register's word; start and
+//! end frequency in Hz, 64 bits each; samples, chirps, receivers, transmitters; ADC rate; chirp and frame interval in
+//! seconds, 32-bit floats. From the index on follow the registers as words that are written over SPI (address in bits
+//! 31:25, write bit 24, content).
 
 use radome_dsp::{Waveform, WaveformError, WaveformRequest};
 use thiserror::Error;
@@ -189,7 +189,7 @@ mod tests {
             prop_assert_eq!(a.request.rx_antennas, b.request.rx_antennas);
             prop_assert!((a.request.frame_interval_s / b.request.frame_interval_s - 1.0).abs() < 1e-7);
             prop_assert!(a.check_compatible(b).is_ok() && b.check_compatible(a).is_ok());
-            // What came back is what goes out again.
+            // The decoded waveform is the same after another round trip.
             prop_assert_eq!(Custom::decode(&back.encode()).expect("decodes"), back);
         }
 

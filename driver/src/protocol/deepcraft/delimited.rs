@@ -5,7 +5,7 @@ use thiserror::Error;
 /// Longest varint of 64 bits.
 const MAX_VARINT: usize = 10;
 
-/// Reason for which no more of a message can be read.
+/// Reason why no more of a message can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stop {
     /// The bytes end within the message.
@@ -91,7 +91,7 @@ impl MessageParser {
         self.buffer.get(start..end).map(Ok)
     }
 
-    /// Forgets everything received.
+    /// Discards everything received.
     pub fn clear(&mut self) {
         self.buffer.clear();
         self.used = 0;
@@ -118,7 +118,7 @@ mod tests {
             }
         }
 
-        /// However the line cuts them, the same messages come out.
+        /// The same messages come out, however the bytes are split.
         #[test]
         fn messages_come_out_whole(
             messages in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..10),

@@ -1,7 +1,7 @@
 //! DEEPCRAFT streaming protocol 2.3 of PSoC 6 kits, on their CDC serial port.
 //!
-//! Each message is a varint length and so many bytes of protobuf. The host sends a [`Request`], the board answers with
-//! a [`Response`]; while a device is active, the board also sends [`DataChunk`]s on its own account.
+//! Each message is its length as a varint and that many bytes of protobuf. The host sends a [`Request`], the board
+//! answers with a [`Response`]; while a device is active, the board also sends [`DataChunk`]s on its own account.
 //!
 //! # Differences from the stated stream
 //! The radar's stream states that a frame is Antenna x Chirp x Sample. In fact the firmware sends the FIFO as it is,
@@ -10,10 +10,10 @@
 //! 16, 0 to 4095.
 //!
 //! # Error detection
-//! There is no checksum and no mark at the start of a message. A chunk therefore counts only when the bytes behind it confirm it
-//! ([`ChunkParser`]): lost, doubled, shortened and exchanged messages, and inverted bits outside the samples, cost
-//! frames but never falsify one. An inverted bit in a sample is detected only if it makes a code beyond 4095. USB
-//! checks and repeats its packets, so that such errors are not expected there.
+//! There is no checksum and no mark at the start of a message. A chunk therefore counts only when the bytes behind it
+//! confirm it ([`ChunkParser`]). Lost, doubled, shortened and exchanged messages, and inverted bits outside the
+//! samples, cost frames but never falsify one. An inverted bit in a sample is detected only if it makes a code
+//! beyond 4095. USB checks and repeats its packets, so that such errors are not expected there.
 
 mod capabilities;
 mod chunk;

@@ -4,7 +4,7 @@
 
 use prost::{Message, Oneof};
 
-/// An option's value.
+/// Value of an option.
 #[derive(Clone, PartialEq, Message)]
 pub struct OptionValue {
     #[prost(int32, tag = "1")]

@@ -1,13 +1,13 @@
-//! Waveforms that the firmware has built in, and the one that the host gives it.
+//! Waveforms that are built into the firmware, and the item for a custom waveform of the host.
 
 use radome_dsp::{RxMask, Waveform, WaveformError, WaveformRequest};
 
 /// Items of the radar's option "Use case", by index.
 pub const ITEMS: [&str; 5] = ["Default", "Gesture", "Macro Presence", "Micro Presence", CUSTOM];
-/// The item for a waveform of the host's own.
+/// Item for a custom waveform of the host.
 pub const CUSTOM: &str = "Custom";
 
-/// A waveform built into the firmware.
+/// Waveform that is built into the firmware.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
     /// P0: one chirp on RX1, 200 Hz.
@@ -21,27 +21,27 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All of them, in the firmware's order.
+    /// All presets, in the firmware's order.
     pub const ALL: [Preset; 4] = [Preset::Default, Preset::Gesture, Preset::MacroPresence, Preset::MicroPresence];
 
-    /// Name of its item.
+    /// Name of the preset's item.
     pub fn name(self) -> &'static str {
         ITEMS.get(self as usize).copied().unwrap_or(CUSTOM)
     }
 
-    /// The preset with this item.
+    /// Returns the preset with this item.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|preset| preset.name() == name)
     }
 
-    /// The preset that this waveform is, exactly.
+    /// Returns the preset that equals this waveform exactly.
     pub fn of(waveform: &Waveform) -> Option<Self> {
         Self::ALL.into_iter().find(|preset| preset.waveform().is_ok_and(|own| own == *waveform))
     }
 
-    /// Returns the waveform of the preset: figures of the firmware's settings, receivers and
-    /// gains from the registers that it writes. P0 has one chirp a frame; its registers are those of P3 in what makes
-    /// the chirp interval.
+    /// Returns the waveform of the preset. Its figures are those of the firmware's settings; receivers and gains are
+    /// those of the registers that the firmware writes. P0 has one chirp a frame; its registers that determine the
+    /// chirp interval are those of P3.
     ///
     /// # Errors
     /// [`WaveformError`] never in practice: the tests realise all presets.
@@ -90,7 +90,7 @@ impl Preset {
     }
 }
 
-/// The frequency that the firmware states for a stream: frames in a second, rounded.
+/// Returns the frequency that the firmware states for a stream: frames in a second, rounded.
 pub fn stated_frequency_hz(waveform: &Waveform) -> f32 {
     (0.5 + 1.0 / waveform.frame_interval_s()).floor() as f32
 }
@@ -101,7 +101,7 @@ mod tests {
     use crate::chip::ChipConfiguration;
     use radome_dsp::SLOPE_STEP_HZ_PER_S;
 
-    /// Figures captured from the firmware.
+    /// Compares with figures captured from the firmware.
     #[test]
     fn presets_have_the_figures_of_the_reference() {
         let expected = [
@@ -121,7 +121,7 @@ mod tests {
         }
     }
 
-    /// Slopes that the firmware writes to RSU: 164 for 460 MHz, 2333 for 4 GHz.
+    /// Compares with the slopes that the firmware writes to RSU: 164 for 460 MHz, 2333 for 4 GHz.
     #[test]
     fn slopes_are_those_of_the_firmwares_registers() {
         for (preset, rsu) in Preset::ALL.into_iter().zip([164.0, 2333.0, 164.0, 164.0]) {

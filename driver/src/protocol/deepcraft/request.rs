@@ -7,7 +7,7 @@ use prost::{Message, Oneof};
 use super::option::OptionValue;
 use super::response::DataChunk;
 
-/// Device number that stands for all of them where a request allows it.
+/// Device number that stands for all devices where a request allows it.
 pub const ALL_DEVICES: i32 = -1;
 
 /// Request of the host.
@@ -17,7 +17,7 @@ pub struct Request {
     pub command: Option<Command>,
 }
 
-/// Kinds of request. Start, stop and the resets have no answer unless something is wrong with them.
+/// Kinds of request. Start, stop and the resets have no answer unless they fail.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Command {
     #[prost(message, tag = "1")]
@@ -29,48 +29,48 @@ pub enum Command {
     Start(StartRequest),
     #[prost(message, tag = "4")]
     Stop(StopRequest),
-    /// The host is alive.
+    /// Tells the board that the host is alive.
     #[prost(message, tag = "5")]
     WatchdogReset(Empty),
-    /// Data for a device that takes some.
+    /// Data for a device that takes data.
     #[prost(message, tag = "6")]
     Data(DataChunk),
     #[prost(message, tag = "7")]
     Reset(Empty),
 }
 
-/// Asks what a board has.
+/// Request for the capabilities of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct CapabilitiesRequest {
     /// Device, or [`ALL_DEVICES`].
     #[prost(sint32, tag = "1")]
     pub device: i32,
-    /// Comes back in the answer.
+    /// Tag that the answer repeats.
     #[prost(int32, tag = "2")]
     pub tag: i32,
 }
 
-/// Sets options of a device.
+/// Request to set options of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct ConfigureRequest {
     #[prost(int32, tag = "1")]
     pub device: i32,
-    /// Options to set; others stay as they are.
+    /// Options to set; the others stay as they are.
     #[prost(message, repeated, tag = "2")]
     pub options: Vec<OptionValue>,
-    /// Comes back in the answer.
+    /// Tag that the answer repeats.
     #[prost(int32, tag = "3")]
     pub tag: i32,
 }
 
-/// Starts a device.
+/// Request to start a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct StartRequest {
     #[prost(int32, tag = "1")]
     pub device: i32,
 }
 
-/// Stops a device.
+/// Request to stop a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct StopRequest {
     /// Device, or [`ALL_DEVICES`].
@@ -78,7 +78,7 @@ pub struct StopRequest {
     pub device: i32,
 }
 
-/// A message without fields.
+/// Message without fields.
 #[derive(Clone, PartialEq, Message)]
 pub struct Empty {}
 

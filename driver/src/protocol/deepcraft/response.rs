@@ -26,7 +26,7 @@ pub enum Answer {
     Error(ErrorResponse),
     #[prost(message, tag = "4")]
     Data(DataChunk),
-    /// A device wants data.
+    /// Request of a device for data.
     #[prost(message, tag = "5")]
     DataInquire(DataInquire),
 }
@@ -78,13 +78,13 @@ pub struct DataChunk {
     /// Frames in the payload.
     #[prost(int32, tag = "3")]
     pub frame_count: i32,
-    /// Number of the first one; it counts frames, those that the device dropped included.
+    /// Number of the first frame; frames that the device has dropped are counted too.
     #[prost(int32, tag = "4")]
     pub frame_number: i32,
-    /// The frames' elements.
+    /// Elements of the frames.
     #[prost(bytes = "vec", tag = "5")]
     pub payload: Vec<u8>,
-    /// Times of the frames where the stream has no frequency.
+    /// Times of the frames if the stream has no frequency.
     #[prost(message, repeated, tag = "6")]
     pub timestamps: Vec<Timestamp>,
 }
@@ -94,12 +94,12 @@ pub struct DataChunk {
 pub struct Timestamp {
     #[prost(int64, tag = "1")]
     pub timestamp: i64,
-    /// Duration, 0 where it is not told.
+    /// Duration; 0 if it is not stated.
     #[prost(int32, tag = "2")]
     pub duration: i32,
 }
 
-/// A device wants data.
+/// Request of a device for data.
 #[derive(Clone, PartialEq, Message)]
 pub struct DataInquire {
     #[prost(int32, tag = "1")]

@@ -1,5 +1,5 @@
 //! Requests and packets over USB control and bulk transfers, as in firmware built with `COMMUNICATION_LIBUSB` and in
-//! the vendor's host library. No shipped firmware is built so: nothing here has been tested with a board.
+//! the vendor's host library. No shipped firmware is built this way: this module has not been tested with a board.
 //!
 //! A request's header is a control transfer's setup packet, bit for bit.
 //!
@@ -9,10 +9,10 @@
 //!   [`ANSWER`] with the same request, value and index, which fetches the answer or stalls.
 //!
 //! Data packets come on bulk endpoint [`DATA_ENDPOINT`], each a transfer of its own: the six-byte header, then the
-//! payload, no CRC. USB itself checks every packet on the cable and repeats it if necessary, so that a CRC would add a
-//! check of the software at both ends only. Without it these errors are not detected: inverted bits in the memory of
-//! the board or the host, and a payload replaced by another of its length. An inverted flag may turn a data packet into
-//! an error packet; the board is then opened again. These errors are detected: an invalid header, a length that differs
+//! payload, no CRC. USB itself checks every packet on the cable and repeats it if necessary. A CRC would only add a
+//! check of the software at both ends. Without it these errors are not detected: inverted bits in the memory of the
+//! board or the host, and a payload replaced by another of its length. An inverted flag may turn a data packet into an
+//! error packet; the board is then opened again. These errors are detected: an invalid header, a length that differs
 //! from the transfer's, packets that are lost, doubled or out of order (by their counter), and packets of another
 //! length than the slice's.
 
@@ -40,7 +40,7 @@ impl LastError {
     /// Bytes of the answer.
     pub const LENGTH: usize = 4;
 
-    /// Returns the request for it, which the firmware answers in any state and which does not change it.
+    /// Returns the request for the status. The firmware answers it in any state, and the status stays as it is.
     pub fn request() -> Request {
         Request {
             protocol: Protocol::V4,
@@ -130,8 +130,8 @@ impl BulkParser {
         self.ended = !bytes.len().is_multiple_of(Framing::USB_PACKET);
     }
 
-    /// Returns the next packet; `None` until more bytes come. If the bytes do not begin with a header, or the packet is
-    /// longer than its transfer, everything received is discarded: the next transfer begins with a header again.
+    /// Returns the next packet; `None` until more bytes come. Everything received is discarded if the bytes do not
+    /// begin with a header, or if the packet is longer than its transfer. The next transfer begins with a header again.
     pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
         let rest = self.buffer.get(self.used..).filter(|rest| !rest.is_empty())?;
         let header = rest.first_chunk::<{ Packet::HEADER_LENGTH }>();
@@ -194,7 +194,7 @@ mod tests {
         out
     }
 
-    /// Counters and payloads, and how often something was damaged.
+    /// Returns the counters and payloads of the packets, and the number of damaged parts.
     fn parse(reads: &[&[u8]]) -> (Vec<(u16, Vec<u8>)>, usize) {
         let (mut parser, mut packets, mut damaged) = (BulkParser::new(), Vec::new(), 0);
         for read in reads {
@@ -276,7 +276,7 @@ mod tests {
             }
         }
 
-        /// A packet without a check sum is taken as it is.
+        /// A packet without a checksum is accepted as it is.
         #[test]
         fn a_turned_bit_in_a_payload_goes_unseen_one_in_the_type_does_not() {
             let mut bytes = encoded(0, &[0; 30]);
@@ -301,7 +301,7 @@ mod tests {
             assert_eq!(parser.give_up(), 1024);
         }
 
-        /// A packet that fills USB packets exactly is not ended by anything: its successor comes in the same transfer.
+        /// A packet that fills USB packets exactly does not end its transfer: its successor comes in the same transfer.
         #[test]
         fn packets_in_one_transfer_are_told_apart() {
             let both = [encoded(0, &[1; 506]), encoded(1, &[2; 30])].concat();

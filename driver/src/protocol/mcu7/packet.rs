@@ -30,7 +30,7 @@ impl PacketFlags {
     }
 }
 
-/// A piece of a slice, its payload borrowed.
+/// Piece of a slice, with a borrowed payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'a> {
     /// Flags of the packet.
@@ -83,20 +83,20 @@ impl<'a> Packet<'a> {
         }
     }
 
-    /// The header on the wire.
+    /// Encodes the header.
     pub fn header_bytes(&self) -> [u8; Packet::HEADER_LENGTH] {
         let ([c0, c1], [l0, l1]) = (self.counter.to_le_bytes(), (self.payload.len() as u16).to_le_bytes());
         [self.flags.code(), self.channel, c0, c1, l0, l1]
     }
 
-    /// Flags and payload length from a header, if it is one.
+    /// Decodes flags and payload length from a header; `None` if it is not one.
     pub(super) fn header(framing: Framing, header: &[u8; 6]) -> Option<(PacketFlags, usize)> {
         let length = usize::from(u16::from_le_bytes([header[4], header[5]]));
         let flags = PacketFlags::from_code(header[0])?;
         (header[1] == 0 && length <= framing.max_packet_payload()).then_some((flags, length))
     }
 
-    /// Payload without the timestamp, and the timestamp in microseconds of the board's clock.
+    /// Returns the payload without the timestamp, and the timestamp in microseconds of the board's clock.
     pub fn split_timestamp(&self) -> (&'a [u8], Option<u64>) {
         match self.payload.split_last_chunk::<8>() {
             Some((data, stamp)) if self.flags.timestamp => (data, Some(u64::from_le_bytes(*stamp))),

@@ -54,14 +54,15 @@ fn candidate(bytes: &[u8]) -> Candidate {
     }
 }
 
-/// Parser of the messages of a board. A message counts only if its CRC is right; after a wrong CRC the search continues
+/// Parser of the messages of a board. A message counts only if its CRC is right. After a wrong CRC the search continues
 /// at the next byte, so that a message that was cut short does not hide its successor.
 #[derive(Debug, Default)]
 pub struct BoardParser {
     buffer: Vec<u8>,
     /// Bytes of `buffer` that have been handed out.
     used: usize,
-    /// Length of the message after them, if it has been found whole: its CRC need not be computed again.
+    /// Length of the message after them, if it is whole and its CRC has been checked: the CRC need not be computed
+    /// again.
     checked: Option<usize>,
 }
 
@@ -71,8 +72,8 @@ impl BoardParser {
         Self::default()
     }
 
-    /// Creates an empty parser that allocates nothing as long as at most so many bytes at a time are pushed, and taken
-    /// out as far as they are whole.
+    /// Creates an empty parser that allocates nothing more while at most `bytes` bytes at a time are pushed and whole
+    /// messages are taken out in between.
     pub fn with_capacity(bytes: usize) -> Self {
         BoardParser { buffer: Vec::with_capacity(bytes + MAX_MESSAGE), ..Self::default() }
     }
@@ -128,8 +129,8 @@ impl BoardParser {
         }
     }
 
-    /// Notes that the line has been silent: the rest of an incomplete message will not come, and its header may have
-    /// been garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
+    /// Notes that the line has been silent. The rest of an incomplete message will then not come, and its header may
+    /// have been garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
     pub fn on_silence(&mut self) {
         self.checked = None;
         self.used = (self.used + 1).min(self.buffer.len());
@@ -140,7 +141,7 @@ impl BoardParser {
         self.used < self.buffer.len()
     }
 
-    /// Forgets everything received.
+    /// Discards everything received.
     pub fn clear(&mut self) {
         self.buffer.clear();
         self.used = 0;
@@ -148,7 +149,7 @@ impl BoardParser {
     }
 }
 
-/// A message whose length and CRC have been checked.
+/// Decodes a message whose length and CRC have been checked.
 fn decode(message: &[u8]) -> Option<BoardEvent<'_>> {
     let (body, _) = message.split_last_chunk::<2>()?;
     if let Some((header, payload)) = body.split_first_chunk()
@@ -175,7 +176,7 @@ pub enum HostEvent {
     },
 }
 
-/// Parser of requests to a board, which refuses what the firmware refuses.
+/// Parser of requests to a board. It refuses the same bytes as the firmware.
 #[derive(Debug, Default)]
 pub struct HostParser {
     protocol: Protocol,
@@ -188,7 +189,7 @@ impl HostParser {
         HostParser { protocol, buffer: Vec::new() }
     }
 
-    /// Version that it was made for.
+    /// Version of the protocol that the firmware speaks.
     pub fn protocol(&self) -> Protocol {
         self.protocol
     }
@@ -198,8 +199,8 @@ impl HostParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Returns the next request; `None` until more bytes come. What is refused empties the buffer, as the firmware
-    /// flushes its input then.
+    /// Returns the next request; `None` until more bytes come. Refused bytes empty the buffer, because the firmware
+    /// then flushes its input.
     pub fn next_event(&mut self) -> Option<HostEvent> {
         let header: &[u8; REQUEST_HEADER_LENGTH] = self.buffer.first_chunk()?;
         let kind_code = header[0];

@@ -49,7 +49,7 @@ impl RequestKind {
 /// Request as on the wire.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
-    /// Version whose codes it has.
+    /// Version of the protocol whose codes the request has.
     pub protocol: Protocol,
     /// Direction of the payload.
     pub kind: RequestKind,
@@ -71,13 +71,13 @@ impl Request {
         self.kind.code(self.protocol)
     }
 
-    /// The header, which has the form of a USB control transfer's setup packet.
+    /// Encodes the header, which has the form of a USB control transfer's setup packet.
     pub fn header(&self) -> [u8; REQUEST_HEADER_LENGTH] {
         let [[v0, v1], [i0, i1], [l0, l1]] = [self.value, self.index, self.length].map(u16::to_le_bytes);
         [self.kind_code(), self.request, v0, v1, i0, i1, l0, l1]
     }
 
-    /// The bytes on the serial port.
+    /// Encodes the bytes on the serial port.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = self.header().to_vec();
         bytes.extend(&self.payload);
@@ -85,7 +85,7 @@ impl Request {
         bytes
     }
 
-    /// Bytes of payload that follow a header, from the header itself; `None` if the kind is unknown.
+    /// Returns the number of payload bytes that follow a header; `None` if the kind is unknown.
     pub fn payload_length(header: &[u8; REQUEST_HEADER_LENGTH]) -> Option<usize> {
         let length = usize::from(u16::from_le_bytes([header[6], header[7]]));
         RequestKind::from_code(header[0]).map(|(kind, _)| if kind == RequestKind::Read { 0 } else { length })
@@ -163,7 +163,7 @@ impl DataFormat {
 pub enum Command {
     /// USB ids and name.
     BoardInfo,
-    /// The same, cut or filled up with zeros to a length (version 3 only).
+    /// USB ids and name, cut or filled up with zeros to a length (version 3 only).
     BoardInfoFixed { length: u16 },
     /// Versions of firmware and protocol.
     FirmwareVersion,
@@ -187,7 +187,7 @@ pub enum Command {
     HardwareReset,
     /// Level of the chip's interrupt line, one byte.
     InterruptLevel,
-    /// SPI words, verbatim; whether the response is to hold the answers of the chip.
+    /// SPI words, sent verbatim; `answer` says whether the response is to hold the answers of the chip.
     Execute { words: Vec<SpiWord>, answer: bool },
     /// Configures how the FIFO is read: an even number of codes in a slice. Stops a running acquisition.
     ConfigureData { format: DataFormat, slice_samples: u16 },
@@ -215,7 +215,7 @@ const SET_BITS: u16 = function(3, 2);
 const DATA_INDEX_V3: u16 = function(0, 7);
 
 impl Command {
-    /// Encodes the command as a request. A command that the version lacks is encoded as in the other one: the board
+    /// Encodes the command as a request. A command that the version lacks is encoded as in the other version: the board
     /// refuses it.
     pub fn to_request(&self, protocol: Protocol) -> Request {
         use RequestKind::{Read, Transfer, Write};

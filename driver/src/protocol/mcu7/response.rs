@@ -37,9 +37,9 @@ macro_rules! statuses {
 }
 
 statuses! {
-    /// Done.
+    /// The request succeeded.
     Ok = 0x00, "OK";
-    /// Not done, for a reason of the function's own.
+    /// The function failed for a reason of its own.
     Failed = 0x01, "FAILED";
     /// A size is wrong.
     InvalidSize = 0x02, "INVALID_SIZE";
@@ -53,33 +53,33 @@ statuses! {
     OutOfBounds = 0x06, "OUT_OF_BOUNDS";
     /// A buffer is too small.
     Overflow = 0x07, "OVERFLOW";
-    /// Took too long.
+    /// The operation took too long.
     Timeout = 0x08, "TIMEOUT";
-    /// Already at it.
+    /// The board is busy.
     Busy = 0x09, "BUSY";
-    /// Stopped half-way.
+    /// The operation was aborted.
     Aborted = 0x0A, "ABORTED";
-    /// Too little data.
+    /// There are too few data.
     Underflow = 0x0B, "UNDERFLOW";
-    /// No memory.
+    /// There is not enough memory.
     OutOfMemory = 0x0C, "OUT_OF_MEMORY";
-    /// No such address.
+    /// The address does not exist.
     InvalidAddress = 0x0D, "INVALID_ADDRESS";
-    /// The firmware lacks it.
+    /// The firmware does not implement the function.
     NotImplemented = 0x10, "NOT_IMPLEMENTED";
-    /// Cannot be done.
+    /// The operation is not possible.
     NotPossible = 0x11, "NOT_POSSIBLE";
-    /// Is not there.
+    /// The object is not available.
     NotAvailable = 0x12, "NOT_AVAILABLE";
-    /// May not be done.
+    /// The operation is not allowed.
     NotAllowed = 0x13, "NOT_ALLOWED";
-    /// Initialise first.
+    /// The object must be initialised first.
     NotInitialized = 0x14, "NOT_INITIALIZED";
-    /// Configure first.
+    /// The object must be configured first.
     NotConfigured = 0x15, "NOT_CONFIGURED";
-    /// Open first.
+    /// The object must be opened first.
     NotOpen = 0x16, "NOT_OPEN";
-    /// This board does not have it.
+    /// The board does not support the function.
     NotSupported = 0x17, "NOT_SUPPORTED";
     /// The request's header was cut short.
     RequestHeaderIncomplete = 0x80, "REQUEST_HEADER_INCOMPLETE";
@@ -107,13 +107,13 @@ statuses! {
     RequestPayloadInvalid = 0x8B, "REQUEST_PAYLOAD_INVALID";
     /// The object of the request is not available.
     RequestNotAvailable = 0x8C, "REQUEST_NOT_AVAILABLE";
-    /// No such component.
+    /// The component does not exist.
     RequestIdInvalid = 0x8D, "REQUEST_COMMAND_ID_INVALID";
-    /// No such type of component.
+    /// The type of component does not exist.
     RequestComponentInvalid = 0x8E, "REQUEST_COMMAND_TYPE_INVALID";
-    /// No such interface of the component.
+    /// The component does not have the interface.
     RequestInterfaceInvalid = 0x8F, "REQUEST_SUBIF_INVALID";
-    /// No such function of the interface.
+    /// The interface does not have the function.
     RequestFunctionInvalid = 0x90, "REQUEST_FUNCTION_INVALID";
 }
 
@@ -123,7 +123,7 @@ impl std::fmt::Display for Status {
     }
 }
 
-/// An answer, its payload borrowed.
+/// Answer of a board, with a borrowed payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Response<'a> {
     /// Byte that the request began with.
@@ -154,7 +154,7 @@ impl Response<'_> {
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("strata: the answer to {what} has {got} bytes, expected {expected}")]
 pub struct PayloadError {
-    /// Request.
+    /// Name of the request.
     pub what: &'static str,
     /// Bytes received.
     pub got: usize,
@@ -165,9 +165,9 @@ pub struct PayloadError {
 /// Answer to `Command::BoardInfo`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BoardInfo {
-    /// USB vendor.
+    /// USB vendor id.
     pub vendor_id: u16,
-    /// USB product.
+    /// USB product id.
     pub product_id: u16,
     /// Name of the board.
     pub name: String,
@@ -199,7 +199,7 @@ impl BoardInfo {
     }
 }
 
-/// A NUL-terminated text.
+/// Decodes a NUL-terminated text.
 pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes.split(|b| *b == 0).next().unwrap_or(&[])).into_owned()
 }

@@ -8,7 +8,7 @@ use crate::protocol::packed12::packed_length;
 /// Bytes of the board's clock at the end of a slice.
 pub const TIMESTAMP_LENGTH: usize = 8;
 
-/// A slice in Packed12 with timestamp: sizes of its packets.
+/// Slice in Packed12 with timestamp, which determines the sizes of its packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SliceLayout {
     /// Codes in a slice, even.
@@ -25,7 +25,7 @@ impl SliceLayout {
 
     /// Chooses the slice with which frames of this many codes come with the least delay: as few equal parts of a frame
     /// as fit half the FIFO. Slices that the firmware cannot send (see [`Self::is_safe`]) are skipped. Frames with an
-    /// odd number of codes cannot be divided so and share slices with their neighbours.
+    /// odd number of codes cannot be divided equally and share slices with their neighbours.
     pub fn for_frame_as(codes: usize, framing: Framing) -> Self {
         let slice = |samples| SliceLayout { samples, framing };
         let half = FIFO_SAMPLES / 2;
@@ -103,13 +103,13 @@ mod tests {
                 assert!(slice.is_safe(), "{codes} -> {slice:?}");
             }
         }
-        // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6, half of it 4087 + 7: three equal parts
-        // are taken.
+        // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6. Half of it would be 4087 + 7 bytes:
+        // three equal parts are taken.
         assert!(!SliceLayout { samples: 5448, framing: Framing::Serial }.is_safe());
         assert_eq!(SliceLayout::for_frame(5448).samples, 1816);
     }
-    /// 338 samples are 507 bytes and 14 more of header and timestamp: none of that is a multiple of 512, 332 are 498 +
-    /// 14 = 512.
+    /// 338 samples are 507 bytes and 14 more of header and timestamp, which is not a multiple of 512. 332 samples would
+    /// be 498 + 14 = 512 bytes.
     #[test]
     fn a_bulk_slice_is_one_packet_that_a_short_usb_packet_ends() {
         assert!(!SliceLayout { samples: 332, framing: Framing::Bulk }.is_safe());

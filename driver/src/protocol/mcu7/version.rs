@@ -1,6 +1,6 @@
 //! Versions of the protocol: the same messages under other codes.
 
-/// A version of the protocol. Firmware of one version refuses the codes of the other (`REQUEST_TYPE_INVALID`).
+/// Version of the protocol. Firmware of one version refuses the codes of the other (`REQUEST_TYPE_INVALID`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Protocol {
     /// Boards delivered with SDKs up to 3.3.

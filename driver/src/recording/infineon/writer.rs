@@ -31,7 +31,7 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
 /// completed it, and not at all otherwise.
 ///
 /// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures.
-/// It numbers frames without their gaps and holds neither labels nor truth.
+/// The numbers of frames do not include gaps, and the format holds neither labels nor truth.
 #[derive(Debug)]
 pub(in crate::recording) struct InfineonWriter {
     partial: Partial,
@@ -174,7 +174,7 @@ impl InfineonWriter {
                 "uuid": board.map_or("0", |b| b.uuid.as_str()),
             }),
         )?;
-        // Nothing depends on the machine: the same recording gives the same folder.
+        // The folder does not depend on the machine: the same recording gives the same folder.
         write_json(
             &self.partial.path().join("meta.json"),
             &json!({
@@ -187,7 +187,7 @@ impl InfineonWriter {
                 "username": "",
             }),
         )?;
-        // Last: without it the folder is not read.
+        // Written last: without this file the folder is not read.
         write_file(&self.folder.join("format.version"), format!("{SUPPORTED_VERSION}\n").as_bytes())
     }
 }

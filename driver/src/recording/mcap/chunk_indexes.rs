@@ -1,4 +1,4 @@
-//! Index of the chunks of a running recording: on the disk, so that memory does not grow with the recording.
+//! Index of the chunks of a running recording. It is on the disk, so that memory does not grow with the recording.
 
 use std::fs::File;
 use std::io::{self, Read, Seek};
@@ -10,18 +10,18 @@ use super::encode::{chunk_index_body, record};
 use super::records::RECORD_HEADER;
 use crate::recording::disk;
 
-/// Bytes of entries that memory holds at most: some forty.
+/// Most bytes of entries that are held in memory: some forty entries.
 pub(super) const HELD_BYTES: usize = 4096;
-/// Bytes that are read at once at most.
+/// Most bytes that are read at once.
 const BLOCK_BYTES: u64 = 1 << 16;
 
-/// Chunk index records in the order of the chunks. They are in a file without a name, which vanishes when this is
-/// dropped or the process ends: readers find the chunks of an unfinished recording without it.
+/// Chunk index records in the order of the chunks. They are in a file without a name, which vanishes when the list is
+/// dropped or the process ends. Readers find the chunks of an unfinished recording without it.
 pub(super) struct ChunkIndexes {
     file: File,
-    /// The recording.
+    /// Path of the recording.
     path: PathBuf,
-    /// Number of bytes in the file; while they are read, of those left.
+    /// Number of bytes in the file; during reading, number of bytes left.
     stored: u64,
     /// Records that are not in the file yet.
     held: Vec<u8>,
@@ -57,7 +57,7 @@ impl ChunkIndexes {
         self.file.rewind()
     }
 
-    /// Appends the next records to `out`, a block of them at most; returns their length in bytes, 0 behind the last.
+    /// Appends the next records to `out`, at most one block; returns their length in bytes, 0 behind the last.
     pub fn read(&mut self, out: &mut Vec<u8>) -> io::Result<u64> {
         let count = self.file.by_ref().take(BLOCK_BYTES).read_to_end(out)?;
         self.stored = self.stored.checked_sub(count as u64).ok_or(io::ErrorKind::InvalidData)?;

@@ -74,7 +74,7 @@ pub(super) fn channel_body(id: u16, schema: u16, topic: &str, encoding: &str) ->
     let mut out = [id.to_le_bytes(), schema.to_le_bytes()].concat();
     string(&mut out, topic);
     string(&mut out, encoding);
-    // No metadata.
+    // The channel has no metadata.
     out.extend([0u8; 4]);
     out
 }
@@ -127,7 +127,7 @@ impl Chunk {
         Ok(Chunk { encoder, crc: Hasher::new(), length: 0, times: None, messages: BTreeMap::new() })
     }
 
-    /// Returns whether it holds no record yet.
+    /// Returns whether the chunk holds no record yet.
     pub fn is_empty(&self) -> bool {
         self.length == 0
     }

@@ -1,5 +1,5 @@
-//! Every operation on the disk fails in turn, or is forgotten by a power cut, while a recording is made, finished and
-//! labelled.
+//! Tests in which every operation on the disk fails in turn, or is lost by a power cut, while a recording is made,
+//! finished and labelled.
 
 #[path = "../../../tests/common/pattern.rs"]
 mod common;
@@ -20,13 +20,13 @@ use super::{
 use crate::recording::disk::trial::{Change, Plan, Trial, Watched};
 use crate::recording::{Existing, RecordingError};
 
-/// At 10 Hz.
+/// Number of frames, at 10 Hz.
 const FRAMES: u64 = 33;
-/// Frames of a second.
+/// Number of frames in a second.
 const SECOND: u64 = 10;
-/// Labels are staged before this frame.
+/// Frame before which labels are staged.
 const LABELLED: u64 = 17;
-/// Marks of the test, beside the numbers of frames.
+/// Marks of the test, in addition to the numbers of frames.
 const STAGED: u64 = 1_000;
 const FINISHED: u64 = 1_001;
 
@@ -38,7 +38,7 @@ fn labels(count: u32) -> Vec<LabelSpan> {
     (0..count).map(|k| LabelSpan::new(f64::from(k) * 0.1, f64::from(k) * 0.1 + 0.05, "one")).collect()
 }
 
-/// In memory where the system has such: a thousand syncs.
+/// Creates a folder, in memory if the system allows it: a test makes a thousand syncs.
 fn folder() -> TempDir {
     let memory = Path::new("/dev/shm");
     if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.expect("folder")
@@ -65,7 +65,7 @@ fn wait_for_sync(watched: &Watched) {
     }
 }
 
-/// Records; gives the number of frames that were taken, and the first error of frames, labels or end.
+/// Makes a recording; returns the number of frames that were taken, and the first error of frames, labels or end.
 fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<RecordingSummary, RecordingError>) {
     let mut source = pattern();
     let mut recorder = match Recorder::with_options(path, &RecordingHeader::new(source.waveform.clone()), &options()) {
@@ -81,7 +81,7 @@ fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<Recording
             watched.mark(STAGED);
         }
         if let Err(error) = recorder.frame(&frame) {
-            // Whoever asks again hears the same.
+            // A further call returns the same error.
             let again = recorder.flush().expect_err("it has failed");
             assert_eq!(again.to_string(), error.to_string());
             return (taken, Err(error));
@@ -97,8 +97,8 @@ fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<Recording
     (taken, finished.and_then(|summary| label_error.map_or(Ok(summary), Err)))
 }
 
-/// Counts a recording's frames; all are there from the first on, and as they were given. Nothing is wrong with it as far as
-/// it goes.
+/// Counts a recording's frames. Checks that they are complete from the first on and unchanged, and that the readable
+/// part has no defect.
 fn readable(path: &Path) -> u64 {
     let mut reader = McapReader::open(path).unwrap_or_else(|e| panic!("{e}"));
     let pattern = pattern();
@@ -116,7 +116,7 @@ fn labels_of(path: &Path) -> Vec<LabelSpan> {
     McapReader::open(path).and_then(|reader| reader.labels()).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// An error that names a file of the folder and its first cause.
+/// Checks that an error names a file of the folder and its first cause.
 fn assert_says(error: &RecordingError, folder: &Path, code: i32) {
     let RecordingError::Io { path, source, .. } = error else { panic!("{error}") };
     assert!(path.starts_with(folder), "{error}");
@@ -154,11 +154,11 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
     }
 }
 
-/// Frames of a recording whose index of chunks goes to the disk while it is made, and has several blocks when it is
-/// finished.
+/// Number of frames of a recording whose index of chunks goes to the disk while it is made, and has several blocks when
+/// it is finished.
 const MANY: u64 = 1600;
 
-/// Records each frame as a chunk; gives the number of frames that were taken, the outcome and all operations.
+/// Records each frame as a chunk; returns the number of frames that were taken, the outcome and all operations.
 fn record_chunks(folder: &Path, plan: Plan) -> (u64, Result<RecordingSummary, RecordingError>, Vec<Change>) {
     let watched = Trial::start(folder, plan);
     let mut source = Pattern { frames: MANY, ..pattern() };
@@ -233,7 +233,7 @@ fn labels_of_a_finished_recording_survive_whatever_fails() {
             failures += 1;
             assert_says(&error, folder.path(), code);
             assert!([3, 5, 9].iter().any(|count| found == labels(*count)), "operation {at}: {found:?}");
-            // What was interrupted does not keep the next change from being made.
+            // The interrupted change does not block the next one.
             set_labels(&path, &labels(2)).expect("sets");
             assert_eq!((labels_of(&path), readable(&path)), (labels(2), FRAMES));
             assert!(std::fs::read_dir(folder.path()).expect("lists").count() <= 2);
@@ -266,7 +266,7 @@ fn a_disk_that_does_not_answer_ends_the_recording() {
     assert!(matches!(recorder.finish(), Err(RecordingError::Stalled { .. })));
 }
 
-/// Labels that change again and again cost as much the hundredth time as the first, and the file does not grow by them.
+/// The hundredth change of labels costs as much as the first, and the file does not grow by the changes.
 #[test]
 fn a_hundred_changes_of_labels_leave_a_file_as_long_as_one() {
     let folder = folder();
@@ -305,7 +305,7 @@ fn labels_beside_another_recording_of_the_same_name_are_left_out() {
     record(&path, &watched, false).1.expect("records");
     LabelEditor::open(&path).and_then(|editor| editor.stage(&labels(6))).expect("stages");
     assert_eq!(labels_of(&path), labels(6));
-    // Somebody puts another file there.
+    // Another file takes the name.
     let other = RecordingHeader::new(waveform(&[1], 8, 32, 0.1));
     let made = folder.path().join("b.mcap");
     Recorder::create(&made, &other).and_then(Recorder::finish).expect("records");
@@ -321,7 +321,7 @@ struct Disk {
 }
 
 impl Disk {
-    /// All files of a folder.
+    /// Reads all files of a folder.
     fn of(folder: &Path) -> Disk {
         let mut disk = Disk::default();
         for entry in std::fs::read_dir(folder).expect("lists").map(|e| e.expect("an entry")) {
@@ -340,8 +340,8 @@ impl Disk {
         }
     }
 
-    /// After a power cut before the operation `cut`: what was synced is there. Of writes that were not, each is there,
-    /// absent, or there in some sectors; names that were not synced are there up to one of them.
+    /// Returns the content after a power cut before the operation `cut`. Synced changes are kept. Each write that was
+    /// not synced is kept, lost, or kept in some sectors. Names that were not synced are kept up to one of them.
     fn after(&self, changes: &[Change], cut: usize, random: &mut Random) -> Disk {
         let mut disk = self.clone();
         let done = changes.get(..cut).expect("changes");
@@ -389,7 +389,7 @@ impl Disk {
     }
 }
 
-/// Numbers of files are used again; here each file has its own.
+/// Gives each file a number of its own, because the system uses the numbers of files again.
 fn with_own_numbers(changes: Vec<Change>) -> Vec<Change> {
     let (mut numbers, mut next) = (BTreeMap::new(), 1u64 << 60);
     let mut changes = changes;
@@ -409,7 +409,7 @@ fn with_own_numbers(changes: Vec<Change>) -> Vec<Change> {
     changes
 }
 
-/// SplitMix64.
+/// Random generator (SplitMix64).
 struct Random(u64);
 
 impl Random {
@@ -421,7 +421,7 @@ impl Random {
     }
 }
 
-/// Power cuts before every operation, in several ways each: fifty times as many where `RADOME_LONG` is set.
+/// Simulates power cuts before every operation, in several ways each: fifty times as many where `RADOME_LONG` is set.
 fn power_cuts(base: &Disk, changes: &[Change], mut check: impl FnMut(&Path, &[Change])) {
     let ways = if std::env::var_os("RADOME_LONG").is_some() { 400 } else { 8 };
     let mut random = Random(1);
@@ -486,13 +486,13 @@ fn a_power_cut_while_labels_are_written_leaves_the_old_ones_or_the_new() {
         let path = folder.join("a.mcap");
         let last =
             done.iter().rev().find_map(|c| if let Change::Mark(number) = c { Some(*number as u32) } else { None });
-        // The recording's own are three, and each change has one more than the one before.
+        // The recording has three labels of its own, and each change has one more than the one before.
         let (old, new) = (last.map_or(3, |number| number + 4), last.map_or(5, |number| number + 5));
         let found = labels_of(&path);
         assert!(found == labels(old) || found == labels(new), "{old} to {new}: {}", found.len());
         assert_eq!(readable(&path), FRAMES);
         assert!(McapReader::open(&path).expect("opens").is_complete());
-        // And the next change finds nothing in its way.
+        // The next change succeeds.
         set_labels(&path, &labels(1)).expect("sets");
         assert_eq!((labels_of(&path), readable(&path)), (labels(1), FRAMES));
     });

@@ -14,7 +14,7 @@ const UNSYNCED_CHUNKS: usize = 8;
 /// Footer record and magic: the end of every finished file.
 pub(super) const FOOTER: u64 = RECORD_HEADER + 20 + 8;
 
-/// A chunk.
+/// Chunk of a recording.
 #[derive(Debug)]
 pub(super) struct Chunk {
     pub offset: u64,
@@ -22,7 +22,7 @@ pub(super) struct Chunk {
     pub has_results: bool,
     /// Number of frames, where the message indexes were read.
     frames: u64,
-    /// Its first frame, `None` until it has been looked up; `Some(None)` if no frame of it can be read.
+    /// First frame of the chunk, `None` until it has been looked up; `Some(None)` if no frame of the chunk can be read.
     pub first: Option<Option<Position>>,
 }
 
@@ -118,7 +118,7 @@ fn from_summary(
         match records.next(&mut body, |opcode| matches!(opcode, op::CHUNK_INDEX | op::STATISTICS)) {
             Ok(Next::Record(opcode @ (op::CHUNK_INDEX | op::STATISTICS), _)) => match parse_record(opcode, &body) {
                 Ok(Record::ChunkIndex(chunk)) => {
-                    // In order, and none on top of another.
+                    // The chunks must be in order and must not overlap.
                     if chunk.chunk_start_offset < end.max(8) || chunk.chunk_start_offset >= start {
                         return Ok(None);
                     }

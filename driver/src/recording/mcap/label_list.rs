@@ -1,6 +1,6 @@
-//! Replacement of the labels of a finished recording, without a change of its frames: a chunk with the whole list is
-//! written where the data ended, in place of such a chunk from before, and the summary behind it. The recording does
-//! not grow.
+//! Replacement of the labels of a finished recording, without a change of its frames. A chunk with the whole list is
+//! written where the data ended, in place of an earlier chunk of this kind. The summary is written behind it. The
+//! recording does not grow.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -58,8 +58,8 @@ impl LabelEditor {
     }
 
     /// Replaces all labels of the recording by these, in a file beside it until [`LabelEditor::write`] or
-    /// [`LabelEditor::settle`]. The time grows with the labels alone, and every reader finds them. They are on the disk
-    /// when this returns.
+    /// [`LabelEditor::settle`]. The time needed grows with the labels alone. Every reader finds the labels, and they
+    /// are on the disk when this returns.
     ///
     /// # Errors
     /// [`RecordingError::Io`]; the earlier labels are then still there.
@@ -151,7 +151,7 @@ fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, Recording
     Ok(End { at, bytes })
 }
 
-/// The summary of a file, its records in their order.
+/// Summary of a file, with its records in their order.
 struct Summary<'a> {
     records: Vec<(u8, &'a [u8])>,
     statistics: Statistics,
@@ -176,7 +176,7 @@ impl<'a> Summary<'a> {
                     }
                     _ => {}
                 },
-                // Offsets, which will change.
+                // The offsets will change.
                 op::SUMMARY_OFFSET => continue,
                 _ => {}
             }
@@ -202,7 +202,7 @@ impl<'a> Summary<'a> {
             if start.checked_add(length) != Some(end) || start.checked_add(index.chunk_length) != Some(place) {
                 break;
             }
-            // An index may be wrong.
+            // The index may be wrong.
             records.go_to(start)?;
             match records.next(&mut body, |_| false) {
                 Ok(Next::Record(op::CHUNK, _)) if records.offset == place => {}
@@ -237,7 +237,7 @@ impl<'a> Summary<'a> {
         chunk.message(&MessageHeader { channel_id: id, sequence: 0, log_time: time, publish_time: time }, json)?;
         let mut tail = Vec::new();
         let new_index = chunk_index_body(&chunk.finish(&mut tail, end)?);
-        // No CRC over data that were not read.
+        // The record has no CRC, because the data were not read.
         record(&mut tail, op::DATA_END, &[0; 4]);
 
         let mut statistics = self.statistics;
@@ -245,7 +245,7 @@ impl<'a> Summary<'a> {
         statistics.chunk_count += 1;
         *statistics.channel_message_counts.entry(id).or_default() += 1;
         let statistics = statistics_body(&statistics);
-        // Behind the last record of its kind, or behind all.
+        // The new entry goes behind the last record of its kind, or behind all records.
         let last = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX);
         let place = last.map_or(self.records.len(), |last| last + 1);
         let (before, after) = self.records.split_at(place);
@@ -269,7 +269,7 @@ mod tests {
     use super::*;
     use crate::recording::mcap::{Recorder, RecordingHeader};
 
-    /// A recording of months has such a summary; here it is a hole in a file.
+    /// Recordings of several months have such a summary; the test uses a hole in a file.
     #[test]
     fn labels_of_a_recording_with_a_huge_summary_stay_beside_it() {
         let folder = tempfile::tempdir().expect("a folder");

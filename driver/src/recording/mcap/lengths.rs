@@ -17,9 +17,10 @@ pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         op::HEADER => rest.strings(2),
         op::SCHEMA => rest.skip(2)?.strings(2),
         op::CHANNEL => rest.skip(4)?.strings(2)?.string_map(),
-        // Two times, the length without compression and the CRC; then the compression.
+        // The body begins with two times, the length without compression and the CRC; the compression follows.
         op::CHUNK => rest.skip(28)?.strings(1),
-        // Times, place and length of the chunk, a map of places, the length of the message index.
+        // The body begins with times, place and length of the chunk, a map of places and the length of the message
+        // index.
         op::CHUNK_INDEX => rest.skip(32)?.places()?.skip(8)?.strings(1),
         op::METADATA => rest.strings(1)?.string_map(),
         op::METADATA_INDEX => rest.skip(16)?.strings(1),
@@ -38,7 +39,7 @@ impl Rest<'_> {
         Some(self)
     }
 
-    /// A length and as many bytes.
+    /// Skips `count` strings, each a length and as many bytes.
     fn strings(&mut self, count: usize) -> Option<&mut Self> {
         for _ in 0..count {
             let length = u32::from_le_bytes(*self.0.first_chunk()?);
@@ -47,13 +48,13 @@ impl Rest<'_> {
         Some(self)
     }
 
-    /// A length in bytes, and as many pairs of a channel and a place as are begun within it.
+    /// Skips a length in bytes, and as many pairs of a channel and a place as begin within it.
     fn places(&mut self) -> Option<&mut Self> {
         let length = usize::try_from(u32::from_le_bytes(*self.0.first_chunk()?)).ok()?;
         self.skip(4)?.skip(length.checked_next_multiple_of(10)?)
     }
 
-    /// A length in bytes, and pairs of strings as long as it is not used up.
+    /// Skips a length in bytes, and pairs of strings until that length is used up.
     fn string_map(&mut self) -> Option<&mut Self> {
         let length = usize::try_from(u32::from_le_bytes(*self.0.first_chunk()?)).ok()?;
         self.skip(4)?;
@@ -76,19 +77,19 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Found by fuzzing: a length of a gigabyte in a record of 30 bytes had a gigabyte allocated.
+        /// Found by fuzzing: a length of a gigabyte in a record of 30 bytes made the parser allocate a gigabyte.
         #[test]
         fn a_string_longer_than_its_record_is_refused_before_it_costs_memory() {
             let pair = [string("key"), string("value")].concat();
             let good = [string("radome"), (pair.len() as u32).to_le_bytes().to_vec(), pair].concat();
             assert!(parse_record(op::METADATA, &good).is_ok());
-            // Each of the four lengths in turn.
+            // Each of the four lengths is damaged in turn.
             for at in [0, 10, 14, 21] {
                 let mut bad = good.clone();
                 bad[at + 3] = 0x40;
                 assert!(parse_record(op::METADATA, &bad).is_err(), "length at byte {at}");
             }
-            // A map whose length is no multiple of its entries': the string behind it begins later.
+            // The length of a map is no multiple of the length of its entries: the string behind it begins later.
             let mut index = [[0; 32].as_slice(), &1u32.to_le_bytes(), &[0; 18], &string("zstd"), &[0; 16]].concat();
             assert!(parse_record(op::CHUNK_INDEX, &index).is_ok());
             index[32 + 4 + 18 + 3] = 0x40;

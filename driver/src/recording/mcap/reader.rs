@@ -17,7 +17,7 @@ use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
 #[derive(Debug)]
 pub struct McapReader {
     records: Records,
-    /// Labels beside the recording, in place of those in it.
+    /// Labels beside the recording, which replace those in it.
     staged: Result<Option<Vec<LabelSpan>>, RecordingError>,
     header: RecordingHeader,
     strict: bool,
@@ -93,7 +93,7 @@ impl McapReader {
         self
     }
 
-    /// Returns whether the recording was finished. Of an unfinished one the last chunk may be missing.
+    /// Returns whether the recording was finished. An unfinished recording may lack its last chunk.
     pub fn is_complete(&self) -> bool {
         self.index.complete
     }
@@ -219,7 +219,7 @@ impl McapReader {
         if let Some(error) = failure {
             return Err(error);
         }
-        // From a chunk that is known to be where the index says; those behind it are found by going on.
+        // Starts at a chunk that is known to be where the index says; the chunks behind it are found by reading on.
         let mut start = 8;
         for chunk in (0..after).rev() {
             if self.first_position(chunk)?.is_some() {
@@ -328,7 +328,7 @@ fn staged_labels(path: &Path) -> Result<Option<Vec<LabelSpan>>, RecordingError> 
     Ok(staged::read(path)?.map(|staged| staged.labels))
 }
 
-/// The messages of a chunk that the index names.
+/// Reads the messages of a chunk that the index names.
 fn read_messages(
     records: &mut Records,
     offset: u64,
@@ -356,7 +356,7 @@ impl FrameSource for McapReader {
     }
 }
 
-/// Iterator over the results of a recording; a damaged chunk is an error and the end.
+/// Iterator over the results of a recording; a damaged chunk gives an error and ends the iteration.
 #[derive(Debug)]
 pub struct Results {
     records: Records,

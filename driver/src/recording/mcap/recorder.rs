@@ -23,22 +23,22 @@ use crate::recording::lock::Locked;
 use crate::recording::partial::Partial;
 use crate::recording::{Existing, RecordingError, check_frame, disk};
 
-/// A chunk is written when it holds this many bytes.
+/// Number of bytes at which a chunk is written.
 const CHUNK_BYTES: usize = 4_000_000;
-/// A chunk is written when it spans this much board time, ns, unless [`SyncOptions`] say otherwise.
+/// Span of board time at which a chunk is written, ns, unless [`SyncOptions`] say otherwise.
 const CHUNK_NS: u64 = 1_000_000_000;
 
-/// Results are written as a chunk when there are so many, or with the frames' next chunk.
+/// Number of results that are written as a chunk; fewer are written with the frames' next chunk.
 const RESULTS_OF_A_CHUNK: usize = 4096;
 
-/// A summary is written when so much of it is ready, bytes.
+/// Number of bytes at which a part of the summary is written.
 const SUMMARY_BLOCK_BYTES: usize = 1 << 16;
 
 /// Name of the encoding of frames, and of its schema.
 const FRAME_ENCODING: &str = "radome.frame";
 /// Name of the language of [`FRAME_LAYOUT`].
 const LAYOUT_ENCODING: &str = "radome.layout";
-/// Number of that schema.
+/// Number of the schema of frames.
 const FRAME_SCHEMA: u16 = 1;
 /// Numbers of the channels.
 const FRAME_CHANNEL: u16 = 1;
@@ -80,7 +80,7 @@ impl Default for RecorderOptions {
 }
 
 /// Writer of a native recording. Without [`Recorder::finish`] the file stays readable up to its last chunk, but is
-/// marked unfinished. If the process is killed, every frame older than a second before the last one can be read: a
+/// marked unfinished. If the process is killed, every frame older than a second before the last one can be read. A
 /// chunk is handed to the system before it spans more. With [`SyncOptions`] that holds for a power cut too.
 ///
 /// Memory does not grow with the recording.
@@ -91,7 +91,7 @@ pub struct Recorder {
     file: File,
     /// Lock of the file, held until the recorder is dropped, if the recorder has created the file.
     _lock: Option<Locked>,
-    /// Whether labels that are staged beside the file are its own.
+    /// Whether the labels that are staged beside the file belong to this recording.
     takes_labels: bool,
     /// Schema and channels, opcode and body: they stand in the first chunk and in the summary.
     definitions: Vec<(u8, Vec<u8>)>,
@@ -162,9 +162,9 @@ impl Recorder {
         Self::with_options(path, header, &RecorderOptions { existing: Existing::Replace, sync: None })
     }
 
-    /// Creates a recording. It has its name as soon as its header is on the disk, can be read at any moment from then
-    /// on, and is locked against other writers. A file that is replaced exists until then. A device or a pipe is opened
-    /// and written to.
+    /// Creates a recording. It has its name as soon as its header is on the disk, and can be read at any moment from
+    /// then on. It is locked against other writers. A file that is replaced exists until then. A device or a pipe is
+    /// opened and written to.
     ///
     /// # Errors
     /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
@@ -181,7 +181,7 @@ impl Recorder {
         let partial = Partial::file(path, options.existing)?;
         let mut recorder = Self::start(partial.open()?, path, header, options.sync)?;
         recorder._lock = partial.publish()?;
-        // Labels of a recording that had this name before.
+        // The labels belong to an earlier recording of this name.
         staged::remove(path).map_err(RecordingError::cannot_write(path))?;
         recorder.takes_labels = true;
         Ok(recorder)
@@ -287,7 +287,7 @@ impl Recorder {
 
     fn write(&mut self, channel_id: u16, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
         self.check()?;
-        // For sources that have gaps alone: frames end their chunk earlier.
+        // Sources that have gaps alone need this: frames end their chunk earlier.
         if self.chunk_bytes >= CHUNK_BYTES {
             self.end_chunk()?;
         }
@@ -428,8 +428,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Moves the labels that are staged beside the recording into it, in place of those it has, as a chunk of their
-    /// own.
+    /// Moves the labels that are staged beside the recording into it, as a chunk of their own. They replace the labels
+    /// in the recording.
     fn take_staged(&mut self) -> Result<bool, RecordingError> {
         if !self.takes_labels {
             return Ok(false);
@@ -508,7 +508,7 @@ impl Recorder {
 impl Drop for Recorder {
     /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] completes it.
     fn drop(&mut self) {
-        // Of a finished recording nothing waits.
+        // A finished recording has no pending messages.
         if self.failure.is_none()
             && let Err(error) = self.flush()
         {

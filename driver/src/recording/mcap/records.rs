@@ -1,4 +1,4 @@
-//! Sequential reader of records, which knows their offsets and reads files without an end.
+//! Sequential reader of records. It knows their offsets and also reads unfinished files.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -107,7 +107,7 @@ impl Records {
             return Err(self.corrupt(at, format!("{opcode:#04x} is no MCAP record")));
         }
         if length > left - RECORD_HEADER {
-            // Unless it has grown since: labels are written behind the last frame.
+            // The file may have grown since: labels are written behind the last frame.
             self.length =
                 self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
             if length > self.length.saturating_sub(at + RECORD_HEADER) {
@@ -122,7 +122,7 @@ impl Records {
             body.resize(length as usize, 0);
             self.file.read_exact(body).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         } else {
-            // Within the buffer where it can be.
+            // The seek stays within the buffer if possible.
             self.file.seek_relative(length as i64).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         }
         self.offset = at + RECORD_HEADER + length;
@@ -172,8 +172,8 @@ fn header_in(records: &Records, at: u64, body: &[u8]) -> Result<Option<Recording
     }
 }
 
-/// Reads the messages of a chunk after the whole chunk has been decompressed and its CRC checked: before, its lengths
-/// may be wrong.
+/// Reads the messages of a chunk. The whole chunk is decompressed and its CRC checked first, because its lengths may be
+/// wrong.
 pub(super) fn read_chunk(
     records: &Records,
     at: u64,
@@ -235,7 +235,7 @@ fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
         b"zstd" => {
             let mut content = Vec::with_capacity((claimed as usize).min(32 * records.len()));
             let unzipped = zstd::Decoder::with_buffer(records).and_then(|decoder| {
-                // One byte more, to see that there is more.
+                // One byte more than claimed is read, to detect excess data.
                 decoder.take(claimed + 1).read_to_end(&mut content)
             });
             unzipped.map_err(|e| e.to_string())?;
@@ -246,7 +246,7 @@ fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
     if content.len() as u64 != claimed {
         return Err(format!("it claims {claimed} bytes, but there are {}", content.len()));
     }
-    // Zero stands for none.
+    // A CRC of zero stands for none.
     let found = crc32fast::hash(&content);
     if crc != 0 && crc != found {
         return Err(format!("its CRC is {found:08x}, expected {crc:08x}"));

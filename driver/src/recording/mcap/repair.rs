@@ -19,7 +19,7 @@ pub struct Damage {
     pub offset: u64,
     /// Length, bytes.
     pub bytes: u64,
-    /// Frames in it, if the file still tells.
+    /// Frames in the part, if the file still tells their number.
     pub frames: Option<u64>,
     /// Description of the damage.
     pub reason: String,
@@ -264,8 +264,8 @@ fn frames_by_index(
     }
 }
 
-/// Finds the start of the first chunk from here on: opcode, a length, and 28 bytes later the compression's name and a
-/// length that agrees with the first.
+/// Finds the start of the first chunk from here on. A chunk has an opcode, a length, and 28 bytes later the
+/// compression's name and a length that agrees with the first.
 fn next_chunk(records: &mut Records, from: u64) -> Result<Option<u64>, RecordingError> {
     const BLOCK: usize = 1 << 20;
     const HEAD: usize = RECORD_HEADER as usize + 44;

@@ -1,9 +1,10 @@
 //! Staged labels: a file beside the recording, `.NAME.labels`, holds all of them and replaces those in the recording.
 //!
-//! While a recording is made, and while a finished one is labelled, each change writes this file anew: beside its name,
-//! synced and renamed, so that the old list or the new one exists at any moment and no file grows. The list goes into
-//! the recording when it is finished or the editing ends. For a finished recording that overwrites the summary, so the
-//! file first takes the new end of the recording too: the next opener after a power cut writes that end once more.
+//! While a recording is made, and while a finished one is labelled, each change writes this file anew. The new file is
+//! written under another name, synced and renamed: at any moment the old list or the new one exists, and no file grows.
+//! The list goes into the recording when it is finished or the editing ends. For a finished recording that overwrites
+//! the summary, so the file first takes the new end of the recording too. After a power cut the next opener writes that
+//! end once more.
 //!
 //! The file holds a line of JSON ([`Head`]), then the new end of the recording, if there is one. It states the CRC of
 //! the recording's first bytes: a file that belongs to another recording of the same name is ignored.
@@ -22,7 +23,7 @@ use crate::recording::partial::{Partial, hidden};
 use crate::recording::{Existing, RecordingError, disk};
 
 const VERSION: u32 = 1;
-/// The recording's first bytes that are compared, at most.
+/// Most bytes that are compared at the start of the recording.
 const PREFIX_BYTES: u64 = 1 << 16;
 
 #[derive(Debug, Serialize, Deserialize)]

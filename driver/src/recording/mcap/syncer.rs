@@ -25,8 +25,9 @@ pub struct SyncOptions {
 }
 
 impl Default for SyncOptions {
-    /// Returns chunks of half a second, synced within a quarter: a disk that needs less than another quarter loses at
-    /// most a second of frames to a power cut. A disk that needs ten seconds counts as failed.
+    /// Returns options for chunks of half a second that are synced within a quarter of a second. A disk that needs less
+    /// than another quarter loses at most a second of frames to a power cut. A disk that needs ten seconds counts as
+    /// failed.
     fn default() -> Self {
         SyncOptions {
             chunk: Duration::from_millis(500),
@@ -97,7 +98,7 @@ impl Syncer {
 
     /// Requests a sync of all data written so far. Does not wait.
     pub fn request(&self) {
-        // A request in the queue suffices.
+        // One request in the queue suffices.
         let _ = self.requests.try_send(None);
     }
 
@@ -128,7 +129,7 @@ impl Syncer {
         }
     }
 
-    /// Failure that ended the thread.
+    /// Returns the failure that ended the thread.
     fn ended(&self) -> Failure {
         match self.outcome.recv_timeout(self.patience) {
             Ok(Err(source)) => Failure::sync(&source),
@@ -146,7 +147,7 @@ struct Work {
 }
 
 impl Work {
-    /// Serves requests until all senders have gone or a sync fails.
+    /// Serves requests until all senders are dropped or a sync fails.
     fn run(&self) -> io::Result<()> {
         let mut earliest = Instant::now();
         while let Ok(first) = self.requests.recv() {

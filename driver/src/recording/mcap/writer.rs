@@ -6,8 +6,8 @@ use super::{Recorder, RecordingHeader, staged};
 use crate::recording::partial::Partial;
 use crate::recording::{Existing, RecordingError, WriteReport};
 
-/// Writer of a native recording that appears under its name when [`McapWriter::finish`] has completed it, and not at all
-/// otherwise. A file that [`Recorder::create`] starts has its name as soon as its header is on the disk.
+/// Writer of a native recording that appears under its name when [`McapWriter::finish`] has completed it, and not at
+/// all otherwise. A file that [`Recorder::create`] starts has its name as soon as its header is on the disk.
 pub(in crate::recording) struct McapWriter {
     pub recorder: Recorder,
     partial: Partial,
@@ -32,7 +32,7 @@ impl McapWriter {
         let path = self.partial.target().to_owned();
         let summary = self.recorder.finish()?;
         self.partial.finish()?;
-        // Labels of a recording that had this name before.
+        // The labels belong to an earlier recording of this name.
         staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
         let (frames, gaps, frames_lost, bytes) = (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
         Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })

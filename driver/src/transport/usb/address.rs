@@ -11,15 +11,15 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each variant says what its fields are")]
 pub enum UsbAddress {
-    /// The only one.
+    /// The only attached device.
     Any,
-    /// By bus and address. The address is another one each time the device is plugged in.
+    /// Device with this bus and address. The address is another one each time the device is plugged in.
     Device { bus: u8, address: u8 },
-    /// By the socket that it is plugged into: the bus, and the port of each hub on the way.
+    /// Device in this socket, given by the bus and the port of each hub on the way.
     Port { bus: u8, ports: Vec<u8> },
-    /// By its serial number.
+    /// Device with this serial number.
     Serial(String),
-    /// An emulated board: the folder in which its endpoints are sockets.
+    /// Emulated board, given by the folder in which its endpoints are sockets.
     Emulated(PathBuf),
 }
 

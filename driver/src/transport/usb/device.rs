@@ -9,7 +9,7 @@ use super::address::UsbAddress;
 use super::endpoints::{CONTROL_TIMEOUT, Endpoints, OpenError, Setup, TransferError};
 use super::socket::HostSockets;
 
-/// The interface that the vendor's firmware has.
+/// Number of the interface that the vendor's firmware has.
 const INTERFACE: u8 = 0;
 
 struct LibusbDevice {
@@ -18,8 +18,8 @@ struct LibusbDevice {
 }
 
 /// Opens the device of this address among those with these ids. Also returns the address under which the same device is
-/// found when it has been plugged in anew: its serial number if it has one, else its socket if it was chosen by bus and
-/// address.
+/// found when it has been plugged in again. This is its serial number if it has one, else its socket if it was chosen
+/// by bus and address.
 pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn Endpoints>, UsbAddress), OpenError> {
     if let UsbAddress::Emulated(folder) = address {
         let sockets = HostSockets::connect(folder).map_err(|e| match e.kind() {
@@ -36,7 +36,7 @@ pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn 
     let devices: Vec<Device<Context>> = devices.iter().filter(has_ids).collect();
     let mut found = devices.iter().filter(|device| is_meant(device, address));
     let Some(device) = found.next() else {
-        // A serial number cannot be read without permission: the device may be the one that is asked for.
+        // A serial number cannot be read without permission: the device may be the requested one.
         let is_closed = |device: &Device<Context>| matches!(device.open(), Err(rusb::Error::Access));
         let is_hidden = matches!(address, UsbAddress::Serial(_)) && devices.iter().any(is_closed);
         return Err(if is_hidden { OpenError::PermissionDenied } else { OpenError::Absent });
@@ -135,7 +135,7 @@ impl Endpoints for LibusbDevice {
     }
 
     fn read_bulk(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, TransferError> {
-        // To libusb a timeout of zero is none at all.
+        // In libusb a timeout of zero means no timeout.
         match self.handle.read_bulk(self.bulk_in, buffer, timeout.max(Duration::from_millis(1))) {
             Ok(count) => Ok(count),
             Err(rusb::Error::Timeout | rusb::Error::Interrupted) => Ok(0),

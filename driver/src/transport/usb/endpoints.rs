@@ -34,7 +34,7 @@ pub(crate) enum TransferError {
 pub(crate) enum OpenError {
     /// No such device is attached.
     Absent,
-    /// More than one device matches: these.
+    /// More than one device matches: these addresses.
     Ambiguous(Vec<UsbAddress>),
     /// Another program holds the device.
     Busy,

@@ -1,7 +1,7 @@
 //! The endpoints of an emulated device as two sockets in a folder, `ep0` and `ep1`, for machines without USB. Every
 //! message is one transfer; a bulk transfer waits in the socket until the host reads it, as it waits in a device.
 //!
-//! Control: the host sends a setup packet and the data of an OUT transfer, the device answers with a byte (0 done, 1
+//! Control: the host sends a setup packet and the data of an OUT transfer. The device answers with a byte (0 done, 1
 //! stall) and the data of an IN transfer. Bulk: the device sends.
 
 use std::io;

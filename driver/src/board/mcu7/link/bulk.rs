@@ -33,7 +33,7 @@ impl From<TransferError> for Failure {
 }
 
 impl Bulk {
-    /// Opens the device. Also returns the address under which it is found when it has been plugged in anew.
+    /// Opens the device. Also returns the address under which it is found when it has been plugged in again.
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
         let path = address.name();
         trace::opened(&path.display());
@@ -117,8 +117,8 @@ impl Bulk {
         Ok(error.status)
     }
 
-    /// Discards the packets that a stopped board has left in its endpoint: they would be taken for those after the next
-    /// start.
+    /// Discards the packets that a stopped board has left in its endpoint. They would otherwise be mistaken for packets
+    /// of the next start.
     pub fn drain(&mut self) -> Result<(), Failure> {
         let end = Instant::now() + ANSWER_TIMEOUT;
         while Instant::now() < end && self.endpoints.read_bulk(&mut self.buffer, DRAINED)? > 0 {}
@@ -132,7 +132,7 @@ impl Bulk {
 mod tests {
     use super::*;
 
-    /// A device that has halted its bulk endpoint and refuses all else.
+    /// Device that has halted its bulk endpoint and refuses all other transfers.
     struct Halted;
 
     impl Endpoints for Halted {
@@ -149,7 +149,8 @@ mod tests {
         }
     }
 
-    /// A broken pipe means that nobody reads stdout, to whoever looks at no more than the kind of an error.
+    /// The error must not have the kind of a broken pipe: callers that check only the kind take that for a closed
+    /// stdout.
     #[test]
     fn a_halted_endpoint_is_a_lost_board_that_says_so() {
         let parser = BulkParser::new();

@@ -24,7 +24,7 @@ enum Carrier {
 pub(super) struct Link {
     /// Name of the board's address in messages.
     pub path: PathBuf,
-    /// Address under which the board is found when it has been plugged in anew.
+    /// Address under which the board is found when it has been plugged in again.
     pub address: Address,
     /// Version that requests are sent in.
     pub protocol: Protocol,

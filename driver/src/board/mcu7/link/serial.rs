@@ -55,7 +55,7 @@ impl Serial {
         }
     }
 
-    /// Data packets that come before the answer are dropped.
+    /// Sends a request and waits for its answer. Data packets that come before the answer are dropped.
     pub fn request(&mut self, request: &Request) -> Result<(Status, Vec<u8>), Failure> {
         self.port.set_timeout(ANSWER_TIMEOUT).map_err(|e| Failure::Lost(e.into()))?;
         let message = request.encode();
