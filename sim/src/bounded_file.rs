@@ -1,6 +1,6 @@
-//! Files of bounded length, and paths that files name.
+//! Reading of files of bounded length, and resolution of paths that files name.
 //!
-//! `radome-models` has the same reader: neither crate stands on the other, and `radome-dsp` has no files.
+//! `radome-models` has a copy of this reader: neither crate depends on the other, and `radome-dsp` does no file access.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -8,34 +8,36 @@ use std::path::{Component, Path, PathBuf};
 
 use thiserror::Error;
 
-/// Longest TOML file that is read: the longest scene of this project has 4 kB, and measured densities fill some 100 kB.
+/// Length limit of TOML files, bytes. The longest scene of this project has 4 kB, and measured densities take about 100
+/// kB.
 pub const TEXT_LIMIT_BYTES: u64 = 1 << 20;
-/// Largest mesh, actor or clip that is read: five million triangles as binary STL.
+/// Length limit of mesh, actor and clip files, bytes: five million triangles as binary STL.
 pub const MESH_LIMIT_BYTES: u64 = 256 << 20;
-/// Environment variable that lists folders (as `PATH` does) in which scenes and specs may name files beside their own folder.
+/// Environment variable that lists folders (as `PATH` does). Scenes and specs may name files in these folders besides
+/// their own.
 pub const FOLDERS_VARIABLE: &str = "RADOME_PATH";
 
-/// Reason why a file is not read. It comes inside an [`io::Error`].
+/// Reason why a file is refused. It is wrapped in an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Refused {
-    /// The file is longer than any of its kind has to be.
+    /// The file is longer than the limit for its kind.
     #[error(
         "it has {found_bytes} bytes or more, and at most {limit_bytes} are read of such a file\n\nhint: check that it is the \
          file you mean; reduce or split what it holds"
     )]
     TooLarge {
-        /// Length, bytes; of a file that grows, what was read of it.
+        /// Length, bytes; for a file that grows, the number of bytes read.
         found_bytes: u64,
-        /// Most bytes that are read.
+        /// Largest number of bytes that is read.
         limit_bytes: u64,
     },
-    /// A folder, a device, a pipe or a socket.
+    /// The path names a folder, a device, a pipe or a socket.
     #[error("it is not a regular file\n\nhint: write its content to a file and name that")]
     NotRegular,
     /// The path leads out of the folder of the file that names it.
     #[error("{name:?} leads out of the folder of the file that names it\n\nhint: {hint}")]
     Outside {
-        /// The path as it is written.
+        /// The path as written in the file.
         name: String,
         /// Remedy.
         hint: &'static str,
@@ -56,9 +58,9 @@ impl From<Refused> for io::Error {
 /// Reads a regular file of at most `limit_bytes`.
 ///
 /// # Errors
-/// Errors of the system, and [`Refused`] for a longer file and for whatever is not a regular file.
+/// Errors of the system, and [`Refused`] for a longer file and for anything that is not a regular file.
 pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
-    // Before opening: opening a pipe waits for its writer.
+    // The check precedes opening, because opening a pipe waits for its writer.
     if !fs::metadata(path)?.is_file() {
         return Err(Refused::NotRegular.into());
     }
@@ -68,7 +70,7 @@ pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
         return Err(Refused::TooLarge { found_bytes: length, limit_bytes }.into());
     }
     let mut bytes = Vec::with_capacity(length as usize);
-    // A file may grow meanwhile, and those of /proc have no length.
+    // A file may grow meanwhile, and files in /proc report no length.
     file.take(limit_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit_bytes {
         return Err(Refused::TooLarge { found_bytes: bytes.len() as u64, limit_bytes }.into());
@@ -84,8 +86,8 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, limit_bytes)?).map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
 }
 
-/// Path of a file that a file in `folder` names, where both were written by other programs: within that folder, by a relative
-/// path, links followed.
+/// Resolves a path that a file in `folder` names, where both were written by other programs. The path must be relative
+/// and, with links followed, lie within that folder.
 ///
 /// # Errors
 /// Errors of the system, and [`Refused::Outside`].
@@ -101,8 +103,9 @@ pub fn beside(folder: &Path, name: &str) -> io::Result<PathBuf> {
     if path.starts_with(folder_of(folder).canonicalize()?) { Ok(path) } else { Err(outside().into()) }
 }
 
-/// Path of a file or folder that a scene or a spec in `folder` names. Links followed, it lies in that folder or in one that
-/// [`FOLDERS_VARIABLE`] lists; a `.toml` file may also lie in a folder beside that folder, such as `../receivers/desk.toml`.
+/// Resolves the path of a file or folder that a scene or a spec in `folder` names. With links followed, it must lie in
+/// that folder or in one that [`FOLDERS_VARIABLE`] lists. A `.toml` file may also lie in a sibling of that folder, such
+/// as `../receivers/desk.toml`.
 ///
 /// # Errors
 /// Errors of the system, and [`Refused::Outside`].
@@ -117,14 +120,14 @@ pub fn named_by_spec(folder: &Path, name: &Path) -> io::Result<PathBuf> {
         listed.filter_map(|folder| folder.canonicalize().ok()).any(|folder| real.starts_with(folder))
     };
     if real.starts_with(&own) || (is_toml && own.parent().is_some_and(is_near)) || is_listed() {
-        // Not the real path: messages and fingerprints keep the name that the user knows.
+        // The real path is not returned: messages and fingerprints keep the name that the user knows.
         return Ok(path);
     }
     let hint = "put the file beside the one that names it, or list its folder in RADOME_PATH";
     Err(Refused::Outside { name: name.display().to_string(), hint }.into())
 }
 
-/// The folder of a path without one is the working directory.
+/// Returns the folder, or the working directory for an empty path.
 fn folder_of(folder: &Path) -> &Path {
     if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
 }
@@ -159,7 +162,7 @@ mod hard_cases {
             let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
             assert!(made.success());
             assert_eq!(refused(read(&pipe, 99)), Refused::NotRegular);
-            // No length, and no end before the limit.
+            // The file reports no length and does not end before the limit.
             assert!(matches!(
                 refused(read(Path::new("/proc/self/maps"), 9)),
                 Refused::TooLarge { found_bytes: 10, .. }

@@ -1,4 +1,4 @@
-//! From delays to tones: phase and beat frequency of a path at the middle of a chirp.
+//! Conversion of delays to tones: phase and beat frequency of a path at the middle of a chirp.
 
 use radome_dsp::Waveform;
 
@@ -11,12 +11,12 @@ pub struct Chirp {
     pub slope_hz_per_s: f64,
     /// ADC rate, Hz.
     pub sample_rate_hz: f64,
-    /// From the first sample to sample N/2, s.
+    /// Time from the first sample to sample N/2, s.
     pub middle_s: f64,
 }
 
 impl Chirp {
-    /// Chirp of a waveform.
+    /// Returns the chirp constants of a waveform.
     pub fn new(waveform: &Waveform) -> Self {
         Chirp {
             start_hz: waveform.sampled_start_frequency_hz,

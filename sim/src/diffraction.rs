@@ -1,8 +1,10 @@
-//! People in each other's way: a person is an upright column, and a leg of a path that comes near it is weakened by
-//! knife-edge diffraction (ITU-R P.526's approximation), smoothly with clearance: a path never switches off within a frame.
+//! Diffraction by people. A person is modelled as an upright column. A leg of a path near the column is attenuated by
+//! knife-edge diffraction (ITU-R P.526's approximation). The loss is smooth in the clearance, so a path never switches
+//! off within a frame.
 //!
-//! Where a scene asks for it, static paths are diffracted by both sides and the top of the column ([`past_strip`]), in amplitude and
-//! phase: the field past an absorbing rectangle is 1 less a product of two Fresnel integrals over it (double knife edge).
+//! Where a scene requests it, static paths are diffracted by both sides and the top of the column ([`past_strip`]), in
+//! amplitude and phase. The field past an absorbing rectangle is 1 minus a product of two Fresnel integrals over it
+//! (double knife edge).
 
 use glam::{DVec2, DVec3};
 use num_complex::Complex64;
@@ -12,12 +14,12 @@ use crate::lanes::vector::{dot, subtract};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 use crate::math::{smooth_ramp, smooth_step};
 
-/// An upright obstacle standing on the floor.
+/// Upright obstacle standing on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Column {
-    /// Axis on the ground plan, m.
+    /// x coordinate of the axis, m.
     pub x: f64,
-    /// Axis on the ground plan, m.
+    /// y coordinate of the axis, m.
     pub y: f64,
     /// Radius, m.
     pub radius_m: f64,
@@ -25,22 +27,22 @@ pub struct Column {
     pub height_m: f64,
 }
 
-/// Columns whose sides are farther than this from a leg on the ground plan leave it alone, m.
+/// Largest distance on the floor plan from a leg to a column's side at which the column affects the leg, m.
 pub const REACH_M: f64 = 0.5;
 /// Half of the loss over which the knife edge's onset is rounded, dB.
 const ONSET_DB: f64 = 3.0;
 
-/// A leg that clears the edge by so much, as Fresnel's parameter, loses nothing.
+/// Clearance, as Fresnel's parameter, from which a leg suffers no loss.
 const CLEAR_NU: f64 = 1.32;
 
-/// Field behind a knife edge relative to free space: ITU-R P.526 `J(nu) = 6.9 + 20 log10(sqrt((nu - 0.1)^2 + 1) + nu - 0.1)`
-/// dB, which begins at `nu = -0.78` with a corner. That is rounded here while `J` is within 3 dB of none: no loss below
-/// `nu = -1.24`, and half a decibel at the corner.
+/// Field behind a knife edge relative to free space: ITU-R P.526 `J(nu) = 6.9 + 20 log10(sqrt((nu - 0.1)^2 + 1) + nu -
+/// 0.1)` dB. That formula begins at `nu = -0.78` with a corner. The corner is rounded here where `J` is within 3 dB of
+/// zero: the loss is zero below `nu = -1.24` and half a decibel at the corner.
 pub fn knife_edge(nu: f64) -> f64 {
     let x = nu - 0.1;
-    // 10^(-6.9/20), and the logarithm undone.
+    // The factor is 10^(-6.9/20); the remaining term inverts the logarithm.
     let field = 0.451_855_944_374_922_4 / ((x * x + 1.0).sqrt() + x);
-    // 3 dB either way.
+    // The rounding extends over 3 dB on either side.
     if field < 0.708 {
         return field;
     }
@@ -51,23 +53,23 @@ pub fn knife_edge(nu: f64) -> f64 {
     10f64.powf(-0.05 * ONSET_DB * smooth_ramp(loss_db / ONSET_DB))
 }
 
-/// A column beside a straight leg.
+/// Geometry of a column beside a straight leg.
 struct Beside {
-    /// Distance of the axis from the leg on the ground plan, m.
+    /// Distance of the axis from the leg on the floor plan, m.
     axis_m: f64,
-    /// Height of the leg there, m.
+    /// Height of the leg at the point nearest to the axis, m.
     height_m: f64,
-    /// Square of Fresnel's parameter of a metre of clearance there, 1/m^2.
+    /// Square of Fresnel's parameter for one metre of clearance at that point, 1/m^2.
     square_nu_per_m2: f64,
 }
 
 impl Beside {
-    /// `None` where the column is too far off to matter.
+    /// Computes the geometry; `None` where the column is too far away to matter.
     fn new(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Option<Self> {
         let (ax, ay) = (a.x - column.x, a.y - column.y);
         let (dx, dy) = (b.x - a.x, b.y - a.y);
         let plan = dx * dx + dy * dy;
-        // Most columns are far from the whole line: no division, no root.
+        // Most columns are far from the whole line; this test avoids a division and a root for them.
         let (cross, reach_m) = (ax * dy - ay * dx, column.radius_m + REACH_M);
         if cross * cross > reach_m * reach_m * plan {
             return None;
@@ -87,7 +89,7 @@ impl Beside {
     }
 }
 
-/// Field left on the straight leg from `a` to `b` past a column.
+/// Relative field on the straight leg from `a` to `b` past a column.
 pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
     let Some(beside) = Beside::new(a, b, column, wavelength_m) else { return 1.0 };
     let clearance = (beside.axis_m - column.radius_m).max(beside.height_m - column.height_m);
@@ -98,8 +100,8 @@ pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
 }
 
 compiled_for_levels! {
-    /// Computes Fresnel's parameter by which straight legs side by side are covered by a column; minus infinity where it is too
-    /// far off to matter.
+    /// Computes Fresnel's parameter of a column for a row of straight legs; minus infinity where the column is too far
+    /// away to matter.
     fn covered_rows(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) = covered_body;
 }
 
@@ -128,7 +130,7 @@ fn covered_body(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f
     }
 }
 
-/// Multiplies by what a column leaves of the field on straight legs side by side ([`past`]).
+/// Multiplies the fields of a row of straight legs by the relative field past a column ([`past`]).
 pub(crate) fn weaken_rows(
     level: KernelLevel,
     from: &WideRow3,
@@ -144,9 +146,9 @@ pub(crate) fn weaken_rows(
     }
 }
 
-/// Part of the field that passes a half-plane whose edge lies `nu` beyond the leg, relative to free space: 1 far from the edge in the
-/// open, 0 far behind it, 1/2 at the edge. `(1 + j)/2 int_{-inf}^nu exp(-j pi t^2/2) dt`, with the auxiliary functions of
-/// Abramowitz and Stegun, Handbook of Mathematical Functions, 7.3.32 and 7.3.33, to 0.003.
+/// Relative field past a half-plane whose edge lies `nu` beyond the leg: 1 far from the edge in the open, 0 far behind
+/// it, 1/2 at the edge. It is `(1 + j)/2 int_{-inf}^nu exp(-j pi t^2/2) dt`, with the auxiliary functions of Abramowitz
+/// and Stegun, Handbook of Mathematical Functions, 7.3.32 and 7.3.33, to 0.003.
 pub fn half_plane(nu: f64) -> Complex64 {
     let x = nu.abs();
     let f = (1.0 + 0.926 * x) / (2.0 + x * (1.792 + 3.104 * x));
@@ -156,9 +158,9 @@ pub fn half_plane(nu: f64) -> Complex64 {
     if nu > 0.0 { 1.0 - diffracted } else { diffracted }
 }
 
-/// Field left on the straight leg from `a` to `b` past a column, as past an upright absorbing strip on the floor, relative to free
-/// space (`e^{+jwt}`): what both sides and the top diffract, beside the column as well as behind it. What the sides diffract fades
-/// out towards [`REACH_M`] beside the column.
+/// Relative field (`e^{+jwt}`) on the straight leg from `a` to `b` past a column, modelled as an upright absorbing
+/// strip on the floor. Both sides and the top diffract, beside the column as well as behind it. The diffraction by the
+/// sides fades out towards [`REACH_M`] beside the column.
 pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Complex64 {
     let Some(Beside { axis_m, height_m, square_nu_per_m2 }) = Beside::new(a, b, column, wavelength_m) else {
         return Complex64::ONE;
@@ -171,7 +173,8 @@ pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Com
     1.0 - across * upright * fade
 }
 
-/// Whether a column that moves by up to `moved_m` may come near a folded path: where it does not, the field past it is whole.
+/// Returns whether a column that moves by up to `moved_m` may come near a folded path. If false, the column has no
+/// effect on the field of the path.
 pub fn reaches(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
     let axis = DVec2::new(column.x, column.y);
     let reach_m = column.radius_m + REACH_M + moved_m;
@@ -183,17 +186,17 @@ pub fn reaches(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
     })
 }
 
-/// Every leg of a folded path with every column.
+/// Iterates over all pairs of a leg of a folded path and a column.
 fn passages<'a>(polyline: &[DVec3], columns: &'a [Column]) -> impl Iterator<Item = (DVec3, DVec3, &'a Column)> {
     polyline.array_windows::<2>().flat_map(move |&[a, b]| columns.iter().map(move |column| (a, b, column)))
 }
 
-/// Field left on a folded path past columns.
+/// Relative field on a folded path past columns.
 pub fn along(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> f64 {
     passages(polyline, columns).map(|(a, b, column)| past(a, b, column, wavelength_m)).product()
 }
 
-/// The same past strips ([`past_strip`]).
+/// Relative field on a folded path past strips ([`past_strip`]).
 pub fn along_strips(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> Complex64 {
     passages(polyline, columns).map(|(a, b, column)| past_strip(a, b, column, wavelength_m)).product()
 }
@@ -206,7 +209,7 @@ mod tests {
     use crate::lanes::vector::store;
     use crate::random::{Purpose, generator};
 
-    /// `(1 + j)/2 int exp(-j pi t^2/2)` between two places, by the midpoint rule.
+    /// `(1 + j)/2 int exp(-j pi t^2/2)` between two bounds, by the midpoint rule.
     fn integral(from: f64, to: f64) -> Complex64 {
         let steps = 20_000;
         let step = (to - from) / f64::from(steps);
@@ -225,7 +228,7 @@ mod tests {
             let expected = 0.5 + integral(0.0, nu);
             assert!((half_plane(nu) - expected).norm() < 0.005, "{nu}: {} {expected}", half_plane(nu));
         }
-        // The overshoot beside an edge: 1.17 of the free field at nu = 1.22.
+        // Overshoot beside an edge: 1.17 of the free field at nu = 1.22.
         assert!((half_plane(1.217).norm() - 1.17).abs() < 0.01);
     }
 
@@ -239,7 +242,7 @@ mod tests {
             let left = along_strips(&polyline, &[column], 0.005);
             near += usize::from(reaches(&polyline, &column, 0.0));
             assert!(reaches(&polyline, &column, 0.0) || left == Complex64::ONE, "{x} {y}: {left}");
-            // As near as it was before it moved.
+            // The column is as near as it was before it moved.
             let moved = Column { x: x + 0.1, ..column };
             assert!(reaches(&polyline, &column, 0.1) || !reaches(&polyline, &moved, 0.0), "{x} {y}");
         }
@@ -258,7 +261,7 @@ mod tests {
         assert!(most > 0.05 && beside.iter().all(|field| field.norm() < 1.3), "{most}");
         let turned = beside.iter().map(|field| field.arg()).fold([0.0f64; 2], |[l, h], arg| [l.min(arg), h.max(arg)]);
         assert!(turned[0] < -0.02 && turned[1] > 0.02, "{turned:?}");
-        // No step where a person comes near, nor between two chirps anywhere.
+        // The field has no step where a person comes near, nor between two chirps anywhere.
         let mut last = past_strip(a, b, &column(0.7), 0.005);
         for i in 0..7000 {
             let now = past_strip(a, b, &column(0.7 - 1e-4 * f64::from(i)), 0.005);
@@ -269,7 +272,8 @@ mod tests {
         assert!((past_strip(high, DVec3::new(4.0, 0.0, 3.5), &column(0.0), 0.005) - 1.0).norm() < 0.05);
     }
 
-    /// At grazing incidence half the field is left (-6 dB); well clear nothing is lost; deep in the shadow `1/(2.2 nu)` or so.
+    /// At grazing incidence half the field remains (-6 dB), far from the edge nothing is lost, and deep in the shadow
+    /// the field is about `1/(2.2 nu)`.
     #[test]
     fn knife_edge_has_its_textbook_values() {
         assert!((20.0 * knife_edge(0.0).log10() + 6.02).abs() < 0.1);
@@ -295,7 +299,8 @@ mod tests {
         assert_eq!(past(high, DVec3::new(4.0, 0.0, 2.5), &column(0.0), 0.005), 1.0);
     }
 
-    /// Legs in any direction past columns anywhere: lanes lose what one leg loses.
+    /// Legs in random directions past columns at random positions: the row version gives the same loss as the scalar
+    /// version.
     #[test]
     fn legs_side_by_side_lose_what_each_loses() {
         let mut rng = generator(3, Purpose::Build, [0, 0]);
@@ -308,7 +313,7 @@ mod tests {
             let column = Column { x: middle.x, y: middle.y, radius_m: 0.18, height_m: 1.7 };
             let legs: [[DVec3; 2]; WIDE] = std::array::from_fn(|l| {
                 let from = place(2.6);
-                // Some upright, some aimed at the column, some anywhere.
+                // Some legs are upright, some are aimed at the column, some are random.
                 let to = [DVec3::new(from.x, from.y, 0.3), 2.0 * middle - from.with_z(-1.0), place(2.6)];
                 [from, to[l % 3]]
             });

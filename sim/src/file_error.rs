@@ -2,20 +2,20 @@
 
 use thiserror::Error;
 
-/// Error in a file: its place, what was expected and what to do. Whoever reads the file adds its name.
+/// Error in a file: its place, the expected content and the remedy. The caller that reads the file adds its name.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{place}: {problem}\n\nhint: {hint}")]
 pub struct FileError {
     /// Place in the file: a line, an accessor, a node, a clip, a part.
     pub place: String,
-    /// Content that was found, and what was expected.
+    /// Content that was found, and the content that was expected.
     pub problem: String,
     /// Remedy.
     pub hint: String,
 }
 
 impl FileError {
-    /// A file that cannot be read; a hint in the error becomes the hint.
+    /// Makes the error of a file that cannot be read; a hint in the I/O error becomes the hint.
     pub(crate) fn unreadable(error: &std::io::Error) -> Self {
         let text = error.to_string();
         let (problem, hint) = text.split_once("\n\nhint: ").unwrap_or((&text, "paths are relative to the scene file"));
@@ -27,7 +27,7 @@ impl FileError {
     }
 }
 
-/// The text that a file is.
+/// Decodes a file's bytes as UTF-8 text.
 pub(crate) fn utf8<'a>(bytes: &'a [u8], hint: &str) -> Result<&'a str, FileError> {
     std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();

@@ -1,9 +1,9 @@
-//! Sixteen numbers side by side: loops over them are plain Rust, which is compiled once more for each set of instructions
-//! ([`compiled_for_levels`]) without fusing multiply and add, so that every level computes the same bits.
+//! Kernels on rows of sixteen numbers. The loops over lanes are plain Rust and are compiled once for each instruction
+//! set ([`compiled_for_levels`]). Multiply and add are never fused, so every level computes the same bits.
 
 pub mod vector;
 
-/// Numbers side by side.
+/// Number of lanes in single precision.
 pub const LANES: usize = 16;
 
 /// One number for each lane.
@@ -12,17 +12,17 @@ pub type Row = [f32; LANES];
 /// A vector in every lane: `[axis][lane]`.
 pub type Row3 = [Row; 3];
 
-/// Numbers in double precision side by side.
+/// Number of lanes in double precision.
 pub const WIDE: usize = 8;
 
-/// One number in double precision for each such lane.
+/// One number in double precision for each lane.
 pub type WideRow = [f64; WIDE];
 
-/// A vector in double precision in every such lane: `[axis][lane]`.
+/// A vector in double precision in every lane: `[axis][lane]`.
 pub type WideRow3 = [WideRow; 3];
 
-/// A function that has the body of another, an `#[inline(always)]` one, compiled for the level of instructions that its first
-/// argument names (which the processor must have).
+/// Defines a function whose body is another function, an `#[inline(always)]` one. It is compiled for the instruction
+/// level that its first argument names, which the processor must have.
 macro_rules! compiled_for_levels {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? = $body:path;) => {
         $(#[$doc])*
@@ -42,7 +42,7 @@ macro_rules! compiled_for_levels {
             }
             match level {
                 radome_dsp::KernelLevel::Portable => $body($($arg),*),
-                // SAFETY: a level is only ever one that the processor has.
+                // SAFETY: `KernelLevel` only holds levels that the processor has.
                 #[cfg(target_arch = "x86_64")]
                 radome_dsp::KernelLevel::Avx2 => unsafe { avx2($($arg),*) },
                 // SAFETY: as above.
@@ -56,7 +56,7 @@ macro_rules! compiled_for_levels {
 }
 pub(crate) use compiled_for_levels;
 
-/// Cosine and sine of so many turns, to three millionths: the half angle's best polynomials, and their doubling.
+/// Cosine and sine of an angle in turns, to three millionths: best polynomials for the half angle, then angle doubling.
 #[inline(always)]
 pub fn cos_sin_of_turns(turns: f32) -> (f32, f32) {
     /// 1.5 times 2^23: adding it leaves the nearest integer in a number's last bits.
@@ -68,30 +68,30 @@ pub fn cos_sin_of_turns(turns: f32) -> (f32, f32) {
     (1.0 - 2.0 * sine * sine, 2.0 * sine * cosine)
 }
 
-/// Natural logarithm of a positive normal number, to 1e-15 of it or of one.
+/// Natural logarithm of a positive normal number, with an absolute or relative error of 1e-15.
 #[inline(always)]
 pub fn ln(x: f64) -> f64 {
-    /// Bits of the root of 1/2, at which mantissas begin.
+    /// Bits of the root of 1/2, the lower limit of the reduced mantissa.
     const LEAST: u64 = 0x3FE6_A09E_667F_3BCD;
-    /// Bits of 2^52: an integer in the last bits of it is added to it.
+    /// Bits of 2^52: OR with an integer in the last bits gives 2^52 plus that integer.
     const INTEGER: u64 = 0x4330_0000_0000_0000;
     let bits = x.to_bits().wrapping_add(0x3FF0_0000_0000_0000 - LEAST);
     let exponent = f64::from_bits((bits >> 52) | INTEGER) - (4_503_599_627_370_496.0 + 1023.0);
     let mantissa = f64::from_bits((bits & 0x000F_FFFF_FFFF_FFFF) + LEAST);
     let y = (mantissa - 1.0) / (mantissa + 1.0);
     let z = y * y;
-    // Written out, as all series are: a loop within a lane keeps lanes apart.
+    // The series is written out, as all series are: a loop within a lane prevents vectorisation over lanes.
     let high = 1.0 / 11.0 + z * (1.0 / 13.0 + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0))));
     let sum = 1.0 + z * (1.0 / 3.0 + z * (1.0 / 5.0 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * high))));
     exponent * std::f64::consts::LN_2 + 2.0 * y * sum
 }
 
-/// Exponential, to 1e-14 of it, of numbers within 700 of zero; others count as the nearest of these.
+/// Exponential, with a relative error of 1e-14, of numbers within 700 of zero; others are clamped to that range.
 #[inline(always)]
 pub fn exp(x: f64) -> f64 {
     /// 1.5 times 2^52: adding it leaves the nearest integer in a number's last bits.
     const SHIFT: f64 = 6_755_399_441_055_744.0;
-    /// Parts of the logarithm of 2: integers times the first are exact.
+    /// Parts of the logarithm of 2: products of integers with the first are exact.
     const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
     let x = x.clamp(-700.0, 700.0);
     let shifted = x * std::f64::consts::LOG2_E + SHIFT;
@@ -112,7 +112,7 @@ pub fn wide_lane(of: &WideRow3, l: usize) -> [f64; 3] {
 /// The vector of one lane.
 #[inline(always)]
 pub fn lane(of: &Row3, l: usize) -> [f32; 3] {
-    // Written out, as in all kernels: `map` over an array is not always compiled into its caller.
+    // The elements are written out, as in all kernels: the compiler does not always inline `map` over an array.
     [of[0][l], of[1][l], of[2][l]]
 }
 

@@ -27,19 +27,20 @@
 //! ```
 //!
 //! # Stages of a frame
-//! 1. [`people`]: people's bodies at the key times, thirteen ellipsoids or a skin.
-//! 2. [`echo`]: the echo of each ellipsoid by every audible pair of image antennas; of skins ([`echo::skin`]), to an error that is
-//!    asked for. [`diffuse`]: echoes that walls scatter in all directions.
-//! 3. [`path_sampling`]: the key times of each path. [`path_segment`]: every chirp between them. [`tracks`]: every receiver.
-//! 4. [`synthesis`]: paths to samples.
-//! 5. [`receiver`]: leakage, noise, rounding to codes.
+//! 1. [`people`]: the bodies of the people at the sample times, as thirteen ellipsoids or a skin.
+//! 2. [`echo`]: the echo of each ellipsoid by every audible pair of image antennas. [`echo::skin`]: the echo of a skin,
+//!    to a requested error. [`diffuse`]: echoes that walls scatter in all directions.
+//! 3. [`path_sampling`]: the sample times of each path. [`path_segment`]: every chirp between them. [`tracks`]: every
+//!    receiver.
+//! 4. [`synthesis`]: conversion of paths to ADC samples.
+//! 5. [`receiver`]: leakage, noise and rounding to codes.
 //!
-//! [`validation`] applies the same integrators to canonical targets whose answer is known.
+//! [`validation`] applies the same integrators to canonical targets with known solutions.
 //!
 //! # Conventions
-//! Those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up. The radar's own axes are x boresight, y left,
-//! z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in any order and on any number of
-//! threads.
+//! The conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up. The radar's
+//! own axes are x boresight, y left, z up. Every random draw is a function of (seed, purpose, index). Frames are
+//! therefore byte-identical in any order and on any number of threads.
 
 pub mod bounded_file;
 pub mod chirp;

@@ -4,10 +4,10 @@ use num_complex::Complex64;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The material of a surface that is none.
+/// Name of the material of an absent surface.
 pub(super) const OPEN: &str = "open";
 
-/// A building material with constants of the recommendation's table 3, or a metal.
+/// Building material with constants of the recommendation's table 3, or a metal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Material {
@@ -31,9 +31,9 @@ pub enum Material {
     Marble,
     /// Floorboard.
     Floorboard,
-    /// Metal: a perfect conductor here.
+    /// Metal, modelled as a perfect conductor.
     Metal,
-    /// No surface at all: nothing comes back.
+    /// Absent surface, which reflects nothing.
     Open,
 }
 
@@ -65,7 +65,7 @@ fn p2040([a, b, c, d]: [f64; 4], frequency_hz: f64) -> Complex64 {
 }
 
 impl Material {
-    /// Names by which scenes call them.
+    /// Material names used in scene files.
     pub const NAMES: &[&str] = &[
         "concrete",
         "brick",
@@ -81,14 +81,14 @@ impl Material {
         "open",
     ];
 
-    /// The material of a name.
+    /// Returns the material with a given name.
     pub fn named(name: &str) -> Option<Self> {
         use serde::de::IntoDeserializer;
         let name: serde::de::value::StrDeserializer<serde::de::value::Error> = name.into_deserializer();
         Material::deserialize(name).ok()
     }
 
-    /// Frequencies at which the table's constants hold, GHz.
+    /// Frequency band in which the table's constants hold, GHz.
     pub fn band_ghz(self) -> [f64; 2] {
         match self {
             Material::Concrete | Material::Plasterboard | Material::CeilingBoard | Material::Chipboard => [1.0, 100.0],
@@ -102,7 +102,7 @@ impl Material {
         }
     }
 
-    /// Coefficients (a, b, c, d); `None` for what is no dielectric.
+    /// Coefficients (a, b, c, d); `None` for a material that is not a dielectric.
     pub fn coefficients(self) -> Option<[f64; 4]> {
         match self {
             Material::Concrete => Some([5.24, 0.0, 0.0462, 0.7822]),
@@ -119,13 +119,13 @@ impl Material {
         }
     }
 
-    /// Complex relative permittivity `eps' - j eps''`; `None` for what is no dielectric.
+    /// Complex relative permittivity `eps' - j eps''`; `None` for a material that is not a dielectric.
     pub fn permittivity(self, frequency_hz: f64) -> Option<Complex64> {
         Some(p2040(self.coefficients()?, frequency_hz))
     }
 }
 
-/// Skin at 60 GHz, `7.98 - j 10.9` (Gabriel's model, as the literature quotes it).
+/// Relative permittivity of skin at 60 GHz, `7.98 - j 10.9` (Gabriel's model, as quoted in the literature).
 pub const SKIN_PERMITTIVITY: Complex64 = Complex64::new(7.98, -10.9);
 
 #[cfg(test)]

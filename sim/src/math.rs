@@ -1,4 +1,4 @@
-//! Small functions of numbers: smooth steps and curves in closed form, angles, medians, sets that are joined.
+//! Small numerical functions: smooth steps, Hermite polynomials, angles, medians, disjoint sets.
 
 use std::f64::consts::{PI, TAU};
 
@@ -24,19 +24,19 @@ pub fn smooth_ramp(x: f64) -> f64 {
     }
 }
 
-/// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
+/// Power coefficients of the quintic Hermite polynomial over 0..1, from values and two derivatives at the ends.
 pub fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
-    // What the parabola of the first end misses at the second.
+    // Residual at the second end of the parabola that fits the first end.
     let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
     [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
-/// Angle between -pi and pi.
+/// Wraps an angle to -pi..pi.
 pub fn wrapped(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// The value in the middle; zero of nothing.
+/// Median of the values; zero for an empty list.
 pub fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() {
@@ -45,16 +45,16 @@ pub fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Disjoint sets of the numbers from 0 on. The lowest of each stands for it.
+/// Disjoint sets (union-find) of the numbers from 0. The lowest number of each set represents it.
 pub struct Sets(Vec<usize>);
 
 impl Sets {
-    /// A set for each of so many numbers.
+    /// Creates one set for each of `count` numbers.
     pub fn new(count: usize) -> Self {
         Sets((0..count).collect())
     }
 
-    /// The lowest number of the set in which a number is.
+    /// Lowest number of the set that contains a number.
     pub fn lowest(&mut self, mut of: usize) -> usize {
         while self.0[of] != of {
             self.0[of] = self.0[self.0[of]];
@@ -63,7 +63,7 @@ impl Sets {
         of
     }
 
-    /// Makes one set of those in which two numbers are.
+    /// Merges the sets that contain two numbers.
     pub fn join(&mut self, a: usize, b: usize) {
         let (a, b) = (self.lowest(a), self.lowest(b));
         self.0[a.max(b)] = a.min(b);

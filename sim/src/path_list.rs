@@ -1,8 +1,8 @@
-//! Every path between the antennas of a scene at one time, one by one: how a simulation is checked against geometry.
+//! List of every path between the antennas of a scene at one time, to check a simulation against geometry.
 //!
-//! Listed are the paths of which frames are made: reflections of walls, points of furniture, and the specular points of people's
-//! ellipsoids by pairs of images. People who are skins are listed by the ellipsoids that they are drawn over. Not listed are the
-//! leakage from antenna to antenna, small reflectors that sway, and ways by diffuse walls.
+//! The list contains the paths of which frames are made: reflections of walls, points of furniture, and the specular
+//! points of people's ellipsoids for each pair of images. People modelled as skins are listed by the ellipsoids under
+//! the skin. The list omits the leakage between antennas, small swaying reflectors, and paths by diffuse walls.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -24,27 +24,28 @@ use crate::scenario::Scenario;
 use crate::scene::{Scene, SceneError};
 use crate::scene_file::ShadowFile;
 
-/// Points nearer to a surface than this lie on it, m.
+/// Largest distance of a point from a surface on which it lies, m.
 const ON_SURFACE_M: f64 = 1e-6;
 
-/// Choice of the paths that are listed.
+/// Options that select the listed paths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathListOptions {
     /// Seed of everything random.
     pub seed: u64,
-    /// Greatest number of people; the scene's own number if `None`.
+    /// Largest number of people; the scene's own number if `None`.
     pub people: Option<usize>,
-    /// Only the paths by way of the person of this slot, if any.
+    /// Slot of a person: if given, only the paths by way of that person are listed.
     pub person: Option<usize>,
     /// Time from the first frame's first chirp, s.
     pub time_s: f64,
-    /// Paths this far below the mean noise of a cell of the map are left out, dB. Frames of 0.5 dB leave out those 10 dB below it.
+    /// Paths this far below the mean noise of a map cell are left out, dB. Frames with an error of 0.5 dB leave out
+    /// paths 10 dB below it.
     pub margin_db: f64,
 }
 
 impl PathListOptions {
-    /// Latest time that programs and packages take, s, a day: motions are followed from the first frame on, which takes a second of
-    /// work for a day.
+    /// Latest time accepted from scenarios and packages, s: one day. Motions are followed from the first frame on,
+    /// which takes a second of computation for a day.
     pub const LATEST_S: f64 = 86_400.0;
 }
 
@@ -54,15 +55,15 @@ impl Default for PathListOptions {
     }
 }
 
-/// Kind of the things that a path goes by.
+/// Kind of object that a path meets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
-    /// Reflections of walls alone.
+    /// Only reflections of walls.
     Walls,
-    /// A point of furniture, or of what lies on a desk.
+    /// A point of furniture, or of an object on a desk.
     Furniture,
-    /// Somebody's body.
+    /// The body of a person.
     Person,
 }
 
@@ -71,27 +72,27 @@ pub enum PathKind {
 pub struct ListedPath {
     /// Number of the receiving antenna, from 1.
     pub rx: u8,
-    /// Kind of the things that it goes by.
+    /// Kind of object that the path meets.
     pub kind: PathKind,
-    /// Surfaces that it meets, in order: walls by their names, furniture by its own, a person as `person 0 chest`.
+    /// Surfaces that the path meets, in order: walls and furniture by their names, a person as `person 0 chest`.
     pub surfaces: Vec<String>,
-    /// Slot of the person whom it meets.
+    /// Slot of the person that the path meets.
     pub person: Option<usize>,
     /// Length, m.
     pub length_m: f64,
     /// Delay, s.
     pub delay_s: f64,
-    /// Doppler shift at `frequency_hz` of the list, Hz: positive where the path becomes shorter.
+    /// Doppler shift at `frequency_hz` of the list, Hz; positive where the path becomes shorter.
     pub doppler_hz: f64,
-    /// Received over transmitted power, dB, with antennas whose pattern is 1 on boresight; before link budget and filters.
+    /// Received over transmitted power, dB, with antenna patterns of 1 on boresight; before link budget and filters.
     pub gain_db: f64,
     /// Phase of the received field (`e^{+jwt}`) at `frequency_hz` relative to the transmitted one, rad, from -pi to pi.
     pub phase_rad: f64,
-    /// Corners of the path from the transmitter to the receiver, m; empty where it has no single way.
+    /// Corners of the path from the transmitter to the receiver, m; empty where the path is not unique.
     pub points_m: Vec<[f64; 3]>,
 }
 
-/// Paths of a scene at a time.
+/// Paths of a scene at one time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PathList {
     /// Name of the scene.
@@ -102,13 +103,13 @@ pub struct PathList {
     pub time_s: f64,
     /// Frequency at which phases and Doppler shifts are stated, Hz: the middle of the chirp.
     pub frequency_hz: f64,
-    /// Slots of the people who are there.
+    /// Slots of the people who are present.
     pub people: Vec<usize>,
-    /// The paths: by receiver, then kind, then delay.
+    /// The paths, sorted by receiver, then kind, then delay.
     pub paths: Vec<ListedPath>,
 }
 
-/// Inputs of lists.
+/// Inputs of the path list.
 struct Lister<'a> {
     scene: &'a Scene,
     prepared: PreparedScene,
@@ -157,7 +158,7 @@ impl PathList {
 }
 
 impl Lister<'_> {
-    /// A path from its field, but for the propagation phase, and its delay.
+    /// Makes a listed path from its delay and its field without the propagation phase.
     fn listed(&self, rx: usize, field: Complex64, delay_s: f64, delay_rate: f64) -> ListedPath {
         let phase = field.arg() - TAU * (self.frequency_hz * delay_s).fract();
         ListedPath {
@@ -167,7 +168,7 @@ impl Lister<'_> {
             person: None,
             length_m: delay_s * SPEED_OF_LIGHT_M_PER_S,
             delay_s,
-            // Not the negative of a product: what stands still has 0, not -0.
+            // The subtraction from 0.0 gives a static path 0 and not -0.
             doppler_hz: 0.0 - self.frequency_hz * delay_rate,
             gain_db: 20.0 * field.norm().max(1e-30).log10(),
             phase_rad: wrapped(phase),
@@ -175,13 +176,13 @@ impl Lister<'_> {
         }
     }
 
-    /// Field of a path from its amplitude at the ADC; `None` where the filters let nothing pass.
+    /// Field of a path from its amplitude at the ADC; `None` where the filters pass nothing.
     fn field(&self, rx: usize, at_adc: Complex64, beat_hz: f64) -> Option<Complex64> {
         let factor = self.prepared.filters.response(beat_hz) * self.prepared.lsb.get(rx).copied()?;
         Some((at_adc / factor).conj()).filter(|field| field.is_finite())
     }
 
-    /// Field that people leave on a static path.
+    /// Relative field on a static path past the people.
     fn shade(&self, polyline: &[DVec3]) -> Complex64 {
         let wavelength_m = self.prepared.wavelength_m;
         match self.scene.file().people.shadow {
@@ -190,7 +191,7 @@ impl Lister<'_> {
         }
     }
 
-    /// Images by whose walls a static path is strong enough, as the first receiver has it.
+    /// Images whose wall reflections are strong enough at the first receiver.
     fn wall_images(&self) -> Vec<ImageIndex> {
         let Some(first) = self.prepared.rx.first() else { return Vec::new() };
         let is_heard = |index: &ImageIndex| {
@@ -217,7 +218,7 @@ impl Lister<'_> {
         }
     }
 
-    /// Static paths that are none of walls: they follow those.
+    /// Adds the static paths of furniture, which follow those of walls in the list.
     fn add_furniture(&self, out: &mut Vec<ListedPath>) {
         for path in self.prepared.static_paths.iter().skip(self.wall_images().len()) {
             let shade = self.shade(&path.polyline);
@@ -234,8 +235,8 @@ impl Lister<'_> {
         }
     }
 
-    /// Names of what a path meets between its ends. Where it goes by furniture a corner may lie on a wall, too; one that is on
-    /// neither has a name of its own.
+    /// Names of the surfaces that a path meets between its ends. On a path by way of furniture a corner may also lie on
+    /// a wall. A corner on neither has no name.
     fn names(&self, polyline: &[DVec3], object: Option<&str>) -> Vec<String> {
         let inner = polyline.get(1..polyline.len().saturating_sub(1)).unwrap_or_default();
         let furniture = |p: DVec3| {
@@ -249,7 +250,7 @@ impl Lister<'_> {
         };
         let mut names: Vec<String> = Vec::new();
         for (i, corner) in inner.iter().enumerate() {
-            // Corners that coincide lie on an edge: each of its surfaces once.
+            // Corners that coincide lie on an edge; each surface of the edge is named once.
             let at_once = inner[..i].iter().rev().take_while(|before| before.distance(*corner) < ON_SURFACE_M).count();
             let wall = || {
                 let before = &names[i - at_once..];
@@ -263,7 +264,7 @@ impl Lister<'_> {
         names
     }
 
-    /// Paths by way of somebody.
+    /// Adds the paths by way of a person.
     fn add_person(
         &self,
         people: &[Snapshot],
@@ -304,7 +305,7 @@ impl Lister<'_> {
         }
     }
 
-    /// The way by the specular point of a segment.
+    /// Corners of the path by the specular point of a body segment.
     fn polyline(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<Vec<DVec3>> {
         let source = self.prepared.room.image_position(p, self.prepared.tx.position);
         let sink = self.prepared.room.image_position(q, self.prepared.rx.first()?.position);
@@ -312,7 +313,7 @@ impl Lister<'_> {
         Some(self.prepared.point_polyline(specular_point.point, p, q))
     }
 
-    /// Walls before the body, the body, walls behind it.
+    /// Names of the walls before the body, the body, and the walls behind it.
     fn names_by_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
         let Some((there, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
         let mut names = self.names(polyline, None);
@@ -334,7 +335,7 @@ mod tests {
         Scene::load(&path).expect("a scene")
     }
 
-    /// Delays, Doppler shifts and phases of walkers follow from where they are a little later.
+    /// The delays, Doppler shifts and phases of walkers agree with their positions a short time later.
     #[test]
     fn doppler_is_the_rate_of_the_phase() {
         let scene = corridor();

@@ -1,12 +1,13 @@
-//! PathSample times of the paths of people.
+//! Sample times of the paths of people.
 //!
-//! A path is traced at the ends of a frame, in its middle and at its quarters. Where ends and quarters do not predict the middle, in
-//! delay and amplitude together, it is cut in halves, and each half is tested in the same way, with quarters of its own. So a trunk
-//! has two keys in a frame, a foot two or three, and a limb whose specular point passes behind another one as many as it takes.
-//! Quarters are there because shadows are short: one may come and go within half a frame, and middles alone would miss it.
+//! A path is traced at the ends, the middle and the quarters of a frame. If the ends and quarters do not predict the
+//! middle in delay and amplitude together, the segment is halved. Each half is tested in the same way, with its own
+//! quarters. A trunk therefore has two samples in a frame and a foot two or three. A limb whose specular point passes
+//! behind another limb takes more. The quarters are needed because diffraction losses are short: one may begin and end
+//! within half a frame, which middles alone would miss.
 //!
-//! A path that is followed in one stretch is traced five times, and four more times for each time that it is cut. All paths of a
-//! person go on together, instant by instant, so that specular points are sought side by side ([`Paths::meet`]).
+//! A path that needs one segment is traced five times, and four more times for each halving. All paths of a person
+//! advance together, instant by instant, so that their specular points are searched side by side ([`Paths::meet`]).
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -21,22 +22,22 @@ use crate::people::body::SEGMENTS;
 use crate::people::motion::Motion;
 use crate::tracks::{Track, Tracks};
 
-/// Paths are halved no more often than this: sixteenths of a frame.
+/// Largest number of halvings of a path: segments of a sixteenth of a frame.
 pub const MOST_HALVINGS: u32 = 4;
 
-/// Everybody in a frame at the times that may be asked for, each looked at once.
+/// Snapshots of all people in a frame at the possible sample times, each computed once.
 pub struct Instants<'a> {
     motions: &'a [Arc<Motion>],
     start_s: f64,
     span_s: f64,
-    /// Between the first instant and the last.
+    /// Number of intervals between the first and the last instant.
     count: usize,
-    /// Everybody at each instant that was asked for.
+    /// Snapshots of all people at each instant that was requested.
     snapshots: Vec<OnceCell<Vec<Snapshot>>>,
 }
 
 impl<'a> Instants<'a> {
-    /// Covers `span_s` from a time on, which may be halved this often.
+    /// Covers `span_s` from a start time; the span may be halved `halvings` times.
     pub fn new(motions: &'a [Arc<Motion>], start_s: f64, span_s: f64, halvings: u32) -> Self {
         let count = 4usize << halvings;
         Instants { motions, start_s, span_s, count, snapshots: vec![OnceCell::new(); count + 1] }
@@ -56,19 +57,19 @@ impl<'a> Instants<'a> {
         self.start_s + self.span_s * instant as f64 / self.count as f64
     }
 
-    /// Everybody at an instant.
+    /// Snapshots of all people at an instant.
     fn people(&self, instant: usize) -> &[Snapshot] {
         let Some(cell) = self.snapshots.get(instant) else { return &[] };
         let time_s = self.time_s(instant);
         cell.get_or_init(|| self.motions.iter().map(|m| Snapshot::new(m, time_s)).collect())
     }
 
-    /// Everybody at the ends of the stretches into which so many halvings cut the frame.
+    /// Snapshots of all people at the ends of the segments into which `halvings` halvings cut the frame.
     pub fn at_ends(&self, halvings: u32) -> Vec<Vec<Snapshot>> {
         (0..=1usize << halvings).map(|end| self.people((end * self.count) >> halvings).to_vec()).collect()
     }
 
-    /// Somebody's body at a quarter of the frame, 0 to 4.
+    /// Body of a person at a quarter of the frame, 0 to 4.
     pub fn body_at_quarter(&self, person: usize, quarter: usize) -> Option<[Ellipsoid; SEGMENTS]> {
         let instant = quarter * self.count / 4;
         match self.snapshots.get(instant).and_then(OnceCell::get) {
@@ -78,43 +79,43 @@ impl<'a> Instants<'a> {
     }
 }
 
-/// Accuracy that is asked of the key times.
+/// Required accuracy of the path samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KeyDemand {
-    /// A path is heard if it is as strong as this at an end or in the middle of the frame, LSB.
+    /// A path is audible if it is as strong as this at an end or in the middle of the frame, LSB.
     pub heard_lsb: f64,
-    /// Error that is allowed of a path however weak it is, LSB.
+    /// Error that is allowed for a path of any strength, LSB.
     pub least_lsb: f64,
-    /// Part of a path's own amplitude that may be missed.
+    /// Allowed error as a part of a path's own amplitude.
     pub tolerance: f64,
-    /// Every path is halved this often, whatever is missed.
+    /// Fixed number of halvings of every path, regardless of the error.
     pub halvings: Option<u32>,
     /// Frequency at which phases are compared, Hz.
     pub frequency_hz: f64,
 }
 
-/// Everybody's paths in a frame.
+/// Sampled paths of all people in a frame.
 #[derive(Debug, Clone, Default)]
 pub struct KeyedPaths {
     /// The paths, to all receivers.
     pub tracks: Tracks,
-    /// Paths that were looked at.
+    /// Number of paths that were traced.
     pub traced: usize,
-    /// Those of them that are heard.
+    /// Number of traced paths that are audible.
     pub heard: usize,
-    /// Most key times that any of those took.
+    /// Largest number of sample times of a path.
     pub keys: usize,
     missed: f64,
     power: f64,
 }
 
-/// PathSample of a receiver; `None` where there is no such path.
+/// Sample of a receiver; `None` where there is no such path.
 fn existing(met: &Met, receiver: usize) -> Option<&PathSample> {
     met.keys().get(receiver).filter(|key| met.place.is_some() || key.amplitude != Complex64::ZERO)
 }
 
-/// Keys of every receiver at five instants, `apart_s` apart. Where there is no path its delay is that of the nearest instant at
-/// which there is one, and goes on at that one's rate.
+/// Samples of every receiver at five instants, `apart_s` apart. Where there is no path, its delay is extrapolated from
+/// the nearest instant with a path, at the rate of that sample.
 fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveSamples> {
     let key = |receiver: usize, at: usize| {
         let own = five[at].keys()[receiver];
@@ -131,29 +132,29 @@ fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveSamples> {
 }
 
 impl KeyedPaths {
-    /// Greatest error within stretches relative to the echoes, rms by power.
+    /// Greatest error within segments relative to the echoes, rms by power.
     pub fn error(&self) -> f64 {
         if self.power > 0.0 { (self.missed / self.power).sqrt() } else { 0.0 }
     }
 
-    /// Adds somebody's paths.
+    /// Adds the paths of a person.
     pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &KeyDemand, report: &mut EchoReport) {
         self.traced += paths.count();
         Tracer { instants, paths, demand, report, out: self }.follow();
     }
 }
 
-/// A path in a stretch in which it is not yet known whether it must be cut.
+/// Path in a segment for which the need to halve is not yet known.
 #[derive(Debug, Clone, Copy)]
 struct Open {
     path: usize,
-    /// Number among the paths that are heard.
+    /// Index among the audible paths.
     number: usize,
-    /// At both ends and in the middle.
+    /// Path at both ends and in the middle of the segment.
     met: [Met; 3],
 }
 
-/// Follows somebody's paths through a frame.
+/// Traces the paths of a person through a frame.
 struct Tracer<'a> {
     instants: &'a Instants<'a>,
     paths: &'a Paths<'a>,
@@ -163,12 +164,12 @@ struct Tracer<'a> {
 }
 
 impl Tracer<'_> {
-    /// Paths at an instant, of which it is told where each was met nearby.
+    /// Traces paths at an instant; each request gives a nearby specular point if one is known.
     fn meet(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
         self.paths.meet(asked, self.instants.people(instant), self.report)
     }
 
-    /// The same with the people in their ways.
+    /// Traces paths as `meet` does, and applies the diffraction by people in the way.
     fn meet_shaded(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
         let mut met = self.meet(instant, asked);
         let numbered = asked.iter().map(|&(path, _)| path).zip(&mut met);
@@ -176,12 +177,12 @@ impl Tracer<'_> {
         met
     }
 
-    /// From one end of the frame to the other.
+    /// Traces all paths from one end of the frame to the other.
     fn follow(&mut self) {
         let open = self.heard();
         self.out.heard += open.len();
         let mut stretches = vec![0usize; open.len()];
-        // By place of the stretch; within it in the order of paths.
+        // The lists are ordered by segment, and within a segment by path.
         let (mut halvings, mut level) = (0, vec![open]);
         while level.iter().any(|open| !open.is_empty()) {
             let mut next: Vec<Vec<Open>> = vec![Vec::new(); 2 * level.len()];
@@ -195,7 +196,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Those paths that are heard at an end of the frame or in its middle.
+    /// Paths that are audible at an end of the frame or in its middle.
     fn heard(&mut self) -> Vec<Open> {
         let at = [0, self.instants.count / 2, self.instants.count];
         let mut asked: Vec<(usize, Option<DVec3>)> = (0..self.paths.count()).map(|path| (path, None)).collect();
@@ -206,9 +207,9 @@ impl Tracer<'_> {
         };
         let [first, middle, last] = at.map(&mut met_at);
         let least = self.demand.heard_lsb * self.demand.heard_lsb;
-        // Receivers are so close together that the first stands for all, here and in `cut`.
+        // The receivers are so close together that the first represents all, here and in `cut`.
         let is_loud = |met: &Met| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
-        // People in its ways make no path louder.
+        // Diffraction by people in the way makes no path louder.
         let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
         let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
         let mut heard: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
@@ -221,8 +222,8 @@ impl Tracer<'_> {
         heard
     }
 
-    /// Keeps those paths of a stretch that its keys hold, and hands the others on to its halves in `next`. `stretches` counts those
-    /// of each path.
+    /// Keeps the paths of a segment whose samples predict its middle, and passes the others to its halves in `next`.
+    /// `stretches` counts the segments of each path.
     fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], stretches: &mut [usize]) {
         let stretch_s = self.instants.span_s / f64::from(1u32 << halvings);
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
@@ -259,7 +260,7 @@ impl Tracer<'_> {
 mod tests {
     use super::*;
 
-    /// Beside instants without a path, delays go on as they were, and nothing is heard.
+    /// At instants without a path the delay is extrapolated and the amplitude is zero.
     #[test]
     fn delays_go_on_where_paths_end_to_be() {
         let key = |delay_s: f64, amplitude: f64| PathSample { delay_s, delay_rate: 2.0, amplitude: amplitude.into() };
@@ -269,7 +270,7 @@ mod tests {
         let keys = keys_of(five.each_ref(), 0.5)[0];
         assert_eq!(keys.map(|key| key.delay_s), [0.0, 1.0, 3.0, 4.0, 5.0]);
         assert_eq!(keys.map(|key| key.amplitude.re), [0.0, 1.0, 1.0, 0.0, 0.0]);
-        // A path without a place of its own on a segment is one nevertheless.
+        // A path without a specular point on a segment is still a path.
         let five = [met(7.0, 1.0, None), here(1.0), here(3.0), here(4.0), here(5.0)];
         assert_eq!(keys_of(five.each_ref(), 0.5)[0][0].delay_s, 7.0);
     }

@@ -1,26 +1,27 @@
-//! From a few key times to every chirp: polynomials in delay and complex amplitude over a stretch of time.
+//! Interpolation from a few path samples to every chirp: polynomials in delay and complex amplitude over a segment of
+//! time.
 //!
-//! Where it is known how a path bends at both ends of a stretch ([`PathSegment::between`]), it is a septic Hermite in delay and a
-//! quintic in amplitude: on a walker two such keys do what seven or more of a cubic would (`tests/slow_time.rs`). Where it is not
-//! ([`PathSegment::through`]), keys at the ends, quarters and middle of the stretch give a septic in delay, a quartic in amplitude,
-//! and an estimate of what is missed between them.
+//! Where the derivatives at both ends of a segment are known ([`PathSegment::between`]), delay is a septic Hermite
+//! polynomial and amplitude a quintic. On a walker two such samples are as accurate as seven or more samples of a cubic
+//! (`tests/path_sampling.rs`). Otherwise ([`PathSegment::through`]) samples at the ends, quarters and middle give a
+//! septic in delay, a quartic in amplitude, and an error estimate.
 
 use num_complex::{Complex, Complex64};
 
 use crate::math::quintic;
 
-/// A path at one key time.
+/// State of a path at one sample time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathSample {
     /// Delay, s.
     pub delay_s: f64,
     /// Rate of the delay, s/s.
     pub delay_rate: f64,
-    /// Amplitude at the ADC, LSB, as it multiplies `exp(+j 2 pi ...)`.
+    /// Amplitude at the ADC, LSB, as the factor of `exp(+j 2 pi ...)`.
     pub amplitude: Complex64,
 }
 
-/// Curvature of a path at a key time.
+/// Higher derivatives of a path at a sample time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PathDerivatives {
     /// Second and third derivative of the delay, 1/s and 1/s^2.
@@ -30,7 +31,7 @@ pub struct PathDerivatives {
 }
 
 impl PathDerivatives {
-    /// By differences to the same path `apart_s` before and after the key.
+    /// Estimates the derivatives by differences to the same path `apart_s` before and after the sample.
     pub fn between(before: &PathSample, now: &PathSample, after: &PathSample, apart_s: f64) -> Self {
         let square = apart_s * apart_s;
         PathDerivatives {
@@ -46,7 +47,7 @@ impl PathDerivatives {
     }
 }
 
-/// A path within one stretch between keys, as polynomials of `u` in 0..1.
+/// Path within one segment between samples, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathSegment {
     delay_s: [f64; 8],
@@ -54,9 +55,9 @@ pub struct PathSegment {
     stretch_s: f64,
 }
 
-/// Septic Hermite over 0..1 by powers, from values and three derivatives at the ends.
+/// Power coefficients of the septic Hermite polynomial over 0..1, from values and three derivatives at the ends.
 fn septic([y0, v0, w0, j0]: [f64; 4], [y1, v1, w1, j1]: [f64; 4]) -> [f64; 8] {
-    // What the cubic of the first end misses at the second.
+    // Residual at the second end of the cubic that fits the first end.
     let y = y1 - y0 - v0 - 0.5 * w0 - j0 / 6.0;
     let (v, w, j) = (v1 - v0 - w0 - 0.5 * j0, w1 - w0 - j0, j1 - j0);
     [
@@ -71,14 +72,14 @@ fn septic([y0, v0, w0, j0]: [f64; 4], [y1, v1, w1, j1]: [f64; 4]) -> [f64; 8] {
     ]
 }
 
-/// Keys of a path at the ends, quarters and middle of a stretch, in their order.
+/// Samples of a path at the ends, quarters and middle of a segment, in order of time.
 pub type FiveSamples = [PathSample; 5];
 
-/// Squares of the distances of quarters and ends from the middle, in stretches.
+/// Squares of the distances of quarters and ends from the middle, in segment lengths.
 const QUARTER: f64 = 1.0 / 16.0;
 const END: f64 = 1.0 / 4.0;
 
-/// Powers of a polynomial of `x + by`, given those of `x`.
+/// Power coefficients of a polynomial of `x + by`, given those of `x`.
 fn shifted<const N: usize>(mut powers: [f64; N], by: f64) -> [f64; N] {
     for low in 0..N {
         for power in (low..N - 1).rev() {
@@ -88,21 +89,21 @@ fn shifted<const N: usize>(mut powers: [f64; N], by: f64) -> [f64; N] {
     powers
 }
 
-/// Cubic by powers of `z` from values and slopes at the squares of quarters and ends.
+/// Power coefficients of a cubic of `z`, from values and slopes at the squares of quarters and ends.
 fn cubic_of_square([y0, v0]: [f64; 2], [y1, v1]: [f64; 2]) -> [f64; 4] {
     let apart = END - QUARTER;
     let slope = (y1 - y0) / apart;
     shifted([y0, v0, (3.0 * slope - 2.0 * v0 - v1) / apart, (v0 + v1 - 2.0 * slope) / (apart * apart)], -QUARTER)
 }
 
-/// Line by powers of `z` from values at the squares of quarters and ends.
+/// Power coefficients of a line of `z`, from values at the squares of quarters and ends.
 fn line_of_square(at_quarter: f64, at_end: f64) -> [f64; 2] {
     let slope = (at_end - at_quarter) / (END - QUARTER);
     [at_quarter - slope * QUARTER, slope]
 }
 
-/// Septic by powers of `u` from values and slopes by `u` at both ends and quarters: even and odd parts about the middle are each a
-/// cubic of the square of the distance from there. Also its value in the middle.
+/// Power coefficients of a septic of `u`, from values and slopes at both ends and quarters, and its value in the
+/// middle. The even and odd parts about the middle are each a cubic of the squared distance from the middle.
 fn septic_of_four([a, b, c, d]: [[f64; 2]; 4]) -> ([f64; 8], f64) {
     let even = |low: [f64; 2], high: [f64; 2], x: f64| [0.5 * (low[0] + high[0]), (high[1] - low[1]) / (4.0 * x)];
     let odd = |low: [f64; 2], high: [f64; 2], x: f64| {
@@ -114,25 +115,25 @@ fn septic_of_four([a, b, c, d]: [[f64; 2]; 4]) -> ([f64; 8], f64) {
     (shifted([e[0], o[0], e[1], o[1], e[2], o[2], e[3], o[3]], -0.5), e[0])
 }
 
-/// Cubic by powers of `u` through values at both ends and quarters. Also its value in the middle.
+/// Power coefficients of a cubic of `u` through values at both ends and quarters, and its value in the middle.
 pub(crate) fn cubic_of_four([a, b, c, d]: [f64; 4]) -> ([f64; 4], f64) {
     let e = line_of_square(0.5 * (b + c), 0.5 * (a + d));
     let o = line_of_square(2.0 * (c - b), d - a);
     (shifted([e[0], o[0], e[1], o[1]], -0.5), e[0])
 }
 
-/// Quartic by powers of `u` through values at both ends, quarters and the middle. Also the value in the middle of the cubic
-/// through the others.
+/// Power coefficients of a quartic of `u` through values at both ends, quarters and the middle. Also returns the middle
+/// value of the cubic through the other four.
 fn quartic_of_five([a, b, m, c, d]: [f64; 5]) -> ([f64; 5], f64) {
     let (cubic, predicted) = cubic_of_four([a, b, c, d]);
-    // (x^2 - 1/16) (x^2 - 1/4), which is 1/64 in the middle.
+    // `rest` is (x^2 - 1/16) (x^2 - 1/4), which is 1/64 in the middle.
     let factor = (m - predicted) / (QUARTER * END);
     let rest = shifted([QUARTER * END, 0.0, -(QUARTER + END), 0.0, 1.0], -0.5);
     let at = |power: usize| cubic.get(power).copied().unwrap_or(0.0) + factor * rest[power];
     (std::array::from_fn(at), predicted)
 }
 
-/// A sixth of the fourth difference of the amplitude as third differences let expect it, LSB.
+/// A sixth of the fourth difference of the amplitude as estimated from third differences, LSB.
 fn missed_by_third_differences(keys: &FiveSamples) -> f64 {
     let a = keys.map(|key| key.amplitude);
     let third = |i: usize| (a[i + 3] - a[i] + 3.0 * (a[i + 1] - a[i + 2])).norm();
@@ -142,13 +143,13 @@ fn missed_by_third_differences(keys: &FiveSamples) -> f64 {
 }
 
 impl PathSegment {
-    /// Through keys at the ends, quarters and middle of a stretch, and an estimate of what is missed, LSB. The middle adds its amplitude
-    /// to what the other four give.
+    /// Interpolates samples at the ends, quarters and middle of a segment, and estimates the error, LSB. The middle
+    /// adds only its amplitude to the other four samples.
     ///
-    /// The estimate is how far from the key in the middle the other four alone would be, as a field at `frequency_hz`. A step about
-    /// the middle, as shadows make, is met there by symmetry: third differences of the amplitude, which then are large, give a second
-    /// estimate, and the larger one counts. In smooth amplitudes fourth differences are to third ones about as these are to the
-    /// cube of the amplitude's change.
+    /// The estimate is the distance between the middle sample and the prediction of the other four, as a field at
+    /// `frequency_hz`. A step about the middle, as diffraction makes, is predicted there by symmetry. Its third
+    /// differences of the amplitude are large and give a second estimate; the larger one counts. In smooth amplitudes,
+    /// fourth differences relate to third ones about as these relate to the cube of the amplitude's change.
     pub fn through(keys: &FiveSamples, stretch_s: f64, frequency_hz: f64) -> (Self, f64) {
         let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * stretch_s];
         let (delay_s, middle_s) = septic_of_four([0, 1, 3, 4].map(delay));
@@ -161,7 +162,7 @@ impl PathSegment {
         (PathSegment { delay_s, amplitude, stretch_s }, missed_lsb.max(missed_by_third_differences(keys)))
     }
 
-    /// Between two keys `stretch_s` apart.
+    /// Interpolates between two samples `stretch_s` apart.
     pub fn between(a: &(PathSample, PathDerivatives), b: &(PathSample, PathDerivatives), stretch_s: f64) -> Self {
         let (first, second, third) = (stretch_s, stretch_s * stretch_s, stretch_s * stretch_s * stretch_s);
         let delay = |(key, bend): &(PathSample, PathDerivatives)| {
@@ -178,13 +179,13 @@ impl PathSegment {
         }
     }
 
-    /// Time between its ends, s.
+    /// Duration of the segment, s.
     #[inline(always)]
     pub fn stretch_s(&self) -> f64 {
         self.stretch_s
     }
 
-    /// Delay, s, and its rate, s/s.
+    /// Delay, s, and its rate, s/s, at `u`.
     #[inline(always)]
     pub fn delay(&self, u: f64) -> (f64, f64) {
         let c = &self.delay_s;
@@ -196,7 +197,7 @@ impl PathSegment {
         (value, slope / self.stretch_s)
     }
 
-    /// Amplitude, LSB.
+    /// Amplitude at `u`, LSB.
     #[inline(always)]
     pub fn amplitude(&self, u: f64) -> Complex<f32> {
         let u = u as f32;
@@ -204,8 +205,9 @@ impl PathSegment {
         a + (b + (c + (d + (e + f * u) * u) * u) * u) * u
     }
 
-    /// The same path with its amplitude times `j` and its delay, LSB s: what phase noise multiplies. The delay is taken as a
-    /// straight line between the ends, and the highest power of the product left out.
+    /// Returns the same path with its amplitude multiplied by `j` and its delay, LSB s; phase noise multiplies this
+    /// product. The delay is approximated by a straight line between the ends, and the highest power of the product is
+    /// omitted.
     pub fn by_delay(&self) -> Self {
         let (begin, end) = (self.delay(0.0).0, self.delay(1.0).0);
         let [first, step] = [begin, end - begin].map(|delay_s| Complex::new(0.0, delay_s as f32));
@@ -218,12 +220,12 @@ impl PathSegment {
 mod tests {
     use super::*;
 
-    /// Any septic is met between its ends, value and rate, and any quintic of amplitude.
+    /// Two samples reproduce any septic in delay, with its rate, and any quintic in amplitude.
     #[test]
     fn two_keys_hold_a_septic_and_a_quintic() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
         let parts = [[1.0, -2.0, 3.0, 0.5, -1.0, 2.0], [0.3, 1.0, -4.0, 2.0, 1.0, -3.0]];
-        // A derivative of a polynomial.
+        // Derivative of a polynomial.
         let at = |c: &[f64], order: usize, t: f64| {
             let falling = |p: usize| (0..order).map(|k| (p - k) as f64).product::<f64>();
             (order..c.len()).map(|p| c[p] * falling(p) * t.powi((p - order) as i32)).sum::<f64>()
@@ -247,11 +249,12 @@ mod tests {
         }
     }
 
-    /// Any septic is met through five keys, and any quartic of amplitude; what the middle adds to a cubic is what is missed.
+    /// Five samples reproduce any septic in delay and any quartic in amplitude; the middle's correction to the cubic is
+    /// the error.
     #[test]
     fn five_keys_hold_a_septic_and_a_quartic() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
-        // Of no third derivative in the middle of the stretch.
+        // The coefficients give no third derivative in the middle of the segment.
         let parts = [[1.0, -2.0, 3.0, 1.2, -1.0], [0.3, 1.0, -4.0, -1.2, 1.0]];
         let at = |c: &[f64], t: f64| c.iter().rev().fold(0.0, |sum, c| sum * t + c);
         let rate = |t: f64| (1..8).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
@@ -266,12 +269,14 @@ mod tests {
             let a = stretch.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(t)).norm() < 1e-5, "{t}");
         }
-        // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is a sixth of that off.
+        // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is off by a sixth of
+        // that.
         let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * stretch_s).powi(4) / 6.0;
         assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
     }
 
-    /// A step about the middle, on which a cubic through the other four keys lies, is told by third differences.
+    /// Third differences detect a step about the middle, although the cubic through the other four samples predicts the
+    /// middle.
     #[test]
     fn a_step_is_not_taken_for_smooth() {
         let step = [1.0, 1.0, 0.5, 0.0, 0.0];
@@ -282,7 +287,7 @@ mod tests {
         assert!(PathSegment::through(&keys, 0.01, 60e9).1 < 1e-4);
     }
 
-    /// Differences find the bends of a cubic exactly.
+    /// Differences give the exact derivatives of a cubic.
     #[test]
     fn differences_are_derivatives() {
         let key = |t: f64| PathSample {

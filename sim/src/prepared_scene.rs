@@ -1,4 +1,4 @@
-//! A placement: everything about a scene that does not change while people move.
+//! Prepared scene: everything about a scene that does not change while people move.
 
 use std::borrow::Cow;
 
@@ -17,26 +17,26 @@ use crate::receiver::noise::density_lsb2;
 use crate::receiver::{Receiver, RxChannel};
 use crate::scene::Scene;
 
-/// A static path: a wall's reflection or an echo of furniture.
+/// Static path: a wall reflection or an echo of furniture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StaticPath {
     /// For each receiver: phase at the middle of a chirp (cycles), cycles per sample, amplitude at the ADC (LSB).
     pub tones: Vec<(f64, f64, Complex64)>,
-    /// Corners of the path, radar to radar, for shadows.
+    /// Corners of the path, radar to radar, for diffraction by people.
     pub polyline: Vec<DVec3>,
-    /// Phases of its own slow drift, rad.
+    /// Phases of the path's slow drift, rad.
     pub drift: [f64; 3],
 }
 
 /// Echo of a point by a pair of images at one receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PointEcho {
-    /// Field amplitude, but for the propagation phase.
+    /// Field amplitude without the propagation phase.
     pub(crate) amplitude: Complex64,
     /// Length of the path, m.
     pub(crate) length_m: f64,
-    /// Sum of the unit vectors from both images to the point: how much longer the path becomes for each metre that the point
-    /// moves along an axis.
+    /// Sum of the unit vectors from both images to the point: the increase of the path length per metre of motion of
+    /// the point along each axis.
     pub(crate) directions: DVec3,
 }
 
@@ -55,25 +55,25 @@ pub struct PreparedScene {
     pub filters: Filters,
     /// Chirp constants.
     pub chirp: Chirp,
-    /// Peak LSB of unit amplitude, for each receiver.
+    /// Peak amplitude of a unit field amplitude, for each receiver, LSB.
     pub lsb: Vec<f64>,
-    /// Wave length, m.
+    /// Wavelength, m.
     pub wavelength_m: f64,
-    /// Image pairs (transmitter, receiver) that paths by way of a body may use in a box; none in other rooms, where they depend
-    /// on the place ([`PreparedScene::pairs_near`]).
+    /// Image pairs (transmitter, receiver) for paths by way of a body in a box room. Empty in other rooms, where the
+    /// pairs depend on the place ([`PreparedScene::pairs_near`]).
     pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
-    /// Points of the walls that throw in all directions.
+    /// Points of the walls that scatter in all directions.
     pub wall_points: Vec<WallPoint>,
-    /// Paths that stand still.
+    /// Static paths.
     pub static_paths: Vec<StaticPath>,
-    /// Phases of the slow drift that all of it shares, rad.
+    /// Phases of the slow drift that all static paths share, rad.
     pub common_drift: [f64; 3],
-    /// Paths weaker than this at the ADC cannot be seen in any map, LSB.
+    /// Amplitude at the ADC below which a path is invisible in any map, LSB.
     pub threshold_lsb: f64,
 }
 
-/// Amplitude (LSB) of a tone that stands `margin_db` below the mean thermal noise of a cell of the range-Doppler map:
-/// `2 sigma sqrt(1/(N M)) 10^(-margin/20)`, with sigma^2 the least density of the noise over the band.
+/// Amplitude (LSB) of a tone at `margin_db` below the mean thermal noise of a cell of the range-Doppler map: `2 sigma
+/// sqrt(1/(N M)) 10^(-margin/20)`, with sigma^2 the least density of the noise over the band.
 pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -> f64 {
     let density = density_lsb2(receiver, waveform);
     let least = density.iter().copied().fold(f64::INFINITY, f64::min).max(1e-3);
@@ -81,20 +81,20 @@ pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -
     2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
 }
 
-/// Part of a field that may be missed where paths so far below the noise are left out: half a decibel of it at 10 dB, as
-/// [`threshold_lsb`] has it.
+/// Part of a field that may be neglected where paths `margin_db` below the noise are left out: half a decibel at 10 dB,
+/// consistent with [`threshold_lsb`].
 fn least_part(margin_db: f64) -> f64 {
     let tolerance_db = 0.5 * 10f64.powf(0.05 * (10.0 - margin_db));
     10f64.powf(0.05 * tolerance_db) - 1.0
 }
 
-/// Phases at which a slow drift's waves begin, rad.
+/// Initial phases of the waves of a slow drift, rad.
 pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
     let mut rng = generator(seed, Purpose::Drift, of);
     std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU))
 }
 
-/// A slow wander whose change over ten seconds has a standard deviation of about 1.
+/// Slow drift whose change over ten seconds has a standard deviation of about 1.
 pub fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
     const PERIODS_S: [f64; 3] = [17.0, 29.0, 53.0];
     let waves =
@@ -103,12 +103,13 @@ pub fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
 }
 
 impl PreparedScene {
-    /// Wavelength over 4 pi, m: of the field at an isotropic antenna, times its distance, so much is received.
+    /// Wavelength over 4 pi, m: ratio of the received amplitude of an isotropic antenna to the field times its
+    /// distance.
     pub(crate) fn aperture_m(&self) -> f64 {
         self.wavelength_m / (4.0 * std::f64::consts::PI)
     }
 
-    /// Traces what is static, once.
+    /// Computes the static geometry and paths of a scene.
     pub fn new(scene: &Scene, seed: u64, margin_db: f64) -> Self {
         let (receiver, waveform) = (scene.receiver(), scene.waveform());
         let (tx, rx) = scene.elements();
@@ -160,7 +161,7 @@ impl PreparedScene {
         prepared
     }
 
-    /// Image pairs (transmitter, receiver) by which what lies within a distance of a place may be seen, the direct pair first.
+    /// Image pairs (transmitter, receiver) that may see points within a distance of a place, the direct pair first.
     pub fn pairs_near(&self, middle: DVec3, reach_m: f64) -> Cow<'_, [(ImageIndex, ImageIndex)]> {
         match &self.room {
             Surroundings::Box(_) => Cow::Borrowed(&self.body_pairs),
@@ -168,8 +169,8 @@ impl PreparedScene {
         }
     }
 
-    /// Amplitude at the ADC of a path (as it multiplies `exp(+j...)`) from its field amplitude: conjugated, with link budget
-    /// and the IF filters at its true beat.
+    /// Amplitude at the ADC of a path (as the factor of `exp(+j...)`) from its field amplitude: conjugated, with link
+    /// budget and the IF filters at the path's true beat frequency.
     pub fn at_adc(&self, rx: usize, amplitude: Complex64, beat_hz: f64) -> Complex64 {
         let lsb = self.lsb.get(rx).copied().unwrap_or(0.0);
         amplitude.conj() * lsb * self.filters.response(beat_hz)
@@ -181,8 +182,8 @@ impl PreparedScene {
         (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
     }
 
-    /// Keeps a path that is strong enough. Receivers are so close together that the first stands for all: what it hears, and every
-    /// draw, is the same whoever else listens.
+    /// Keeps a path that is strong enough at the first receiver. The receivers are so close together that the first
+    /// represents all. The choice and every draw are then independent of the other enabled receivers.
     fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: impl FnOnce(&Self) -> Vec<DVec3>) {
         if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
             let polyline = polyline(self);
@@ -190,7 +191,7 @@ impl PreparedScene {
         }
     }
 
-    /// Bare reflections of the walls: geometrical optics, exact for infinite planes.
+    /// Adds the bare reflections of the walls: geometrical optics, exact for infinite planes.
     fn add_walls(&mut self, max_reflections: u32) {
         for index in self.room.images(max_reflections).into_iter().skip(1) {
             let tones = (0..self.rx.len())
@@ -205,7 +206,7 @@ impl PreparedScene {
         }
     }
 
-    /// Echoes of an isotropic point of a cross-section by a pair of images, at each receiver.
+    /// Echoes of an isotropic point of unit cross-section by a pair of images, at each receiver.
     pub(crate) fn point_echoes(
         &self,
         point: DVec3,
@@ -230,7 +231,7 @@ impl PreparedScene {
             .collect()
     }
 
-    /// The way from the radar to a point and back by a pair of images, folded into the room.
+    /// Corners of the path from the radar to a point and back by a pair of images, folded into the room.
     pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex) -> Vec<DVec3> {
         let mut polyline = self.room.polyline(p, self.tx.position, point);
         let mut back = self.room.polyline(q, self.tx.position, point);
@@ -252,7 +253,7 @@ impl PreparedScene {
 
     fn add_furniture(&mut self, scene: &Scene, seed: u64) {
         for (f, furniture) in scene.file().furniture.iter().enumerate() {
-            // What has faces that mirror does not scatter from points as well.
+            // Furniture with mirroring faces does not scatter from points as well.
             if self.room.has_faces_of(f) {
                 continue;
             }
@@ -263,7 +264,7 @@ impl PreparedScene {
             let each = 10f64.powf(0.1 * furniture.cross_section_dbsm()) / furniture.points as f64;
             for _ in 0..furniture.points {
                 let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
-                // On a face that looks at the radar: one of the two nearer upright ones, or the top.
+                // The point is on a face towards the radar: one of the two nearer upright ones, or the top.
                 match rng.random_range(0..3) {
                     0 => at.x = if radar.x > 0.0 { 1.0 } else { 0.0 },
                     1 => at.y = if radar.y > 0.0 { 1.0 } else { 0.0 },
@@ -290,7 +291,7 @@ impl PreparedScene {
     }
 }
 
-/// Pairs of images of a lattice with at most so many reflections together, the direct pair first.
+/// Pairs of lattice images with at most `max_reflections` reflections together, the direct pair first.
 fn lattice_pairs(max_reflections: u32) -> Vec<(ImageIndex, ImageIndex)> {
     let all = images(max_reflections);
     all.iter()

@@ -1,4 +1,4 @@
-//! Random draws that are functions of (seed, purpose, index): the same whatever the thread or the order.
+//! Random draws that are functions of (seed, purpose, index), independent of thread and order.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -14,7 +14,7 @@ pub enum Purpose {
     Drift,
     /// Scattering points of furniture.
     Furniture,
-    /// Start of visits of a slot, and what happens in them.
+    /// Start of visits of a slot, and events in them.
     Visit,
     /// Build and clothes of a person.
     Build,
@@ -26,15 +26,15 @@ pub enum Purpose {
     Desk,
     /// Differences between scenes of one file.
     Scene,
-    /// Points of walls that throw in all directions.
+    /// Points of walls that scatter in all directions.
     WallPoints,
-    /// Gait of a person. 11 is free: with another number all later draws would be others.
+    /// Gait of a person. The number 11 stays unused: renumbering would change all later draws.
     Gait = 12,
     /// Phase noise of a frame.
     PhaseNoise,
     /// Times and heights of the steps of echoes.
     ClutterStep,
-    /// Ways from wall to wall.
+    /// Paths from wall to wall.
     WallWalks,
     /// Small reflectors that sway.
     Sway,
@@ -66,7 +66,7 @@ pub fn generator(seed: u64, purpose: Purpose, index: [u64; 2]) -> Xoshiro256Plus
     Xoshiro256PlusPlus::seed_from_u64(state)
 }
 
-/// A number between two bounds.
+/// Draws a number between two bounds.
 pub(crate) fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }

@@ -1,9 +1,10 @@
-//! Small reflectors that sway: cables, plants, curtains, fans, what stands on a desk; and motions of this kind.
+//! Small swaying reflectors, such as cables, plants, curtains, fans and objects on a desk, and motions of this kind.
 //!
-//! Real rooms move a little while nobody is in them. A weak reflector that moves at centimetres a second beside a static echo 25 dB
-//! above it turns the phase of their sum by some 0.05 rad within a frame of 25 ms, and leaves echoes beside zero Doppler when the
-//! mean over the frame has been removed. A [`Sway`] is a sum of a few sinusoids with analytic derivatives, so that an echo follows it
-//! exactly in every chirp; [`SwayingReflectors`] adds the echoes of all reflectors of a room to the paths of a frame.
+//! Real rooms move a little while they are empty. Consider a weak reflector that moves at centimetres a second, beside
+//! a static echo 25 dB above it. It turns the phase of their sum by some 0.05 rad within a frame of 25 ms. After
+//! removal of the mean over the frame, echoes remain beside zero Doppler. A [`Sway`] is a sum of a few sinusoids with
+//! analytic derivatives, so that an echo follows it exactly in every chirp. [`SwayingReflectors`] adds the echoes of
+//! all reflectors of a room to the paths of a frame.
 
 use std::f64::consts::TAU;
 
@@ -23,17 +24,18 @@ use crate::scene::Scene;
 use crate::scene_file::{FurnitureFile, SwayFile, SwayPlaceFile};
 use crate::tracks::{Track, Tracks};
 
-/// Sinusoids of a motion that is not a single one.
+/// Number of sinusoids of a motion that is not a single one.
 const WAVES: usize = 6;
-/// A wave's frequency is within this factor of the motion's.
+/// Largest factor between a wave's frequency and the motion's.
 const MOST_OFF: f64 = 4.0;
-/// Periods of the fastest wave between two keys: there a septic polynomial follows a sinusoid to 4 millionths of its amplitude.
+/// Periods of the fastest wave between two samples: over such a segment a septic polynomial follows a sinusoid to 4
+/// millionths of its amplitude.
 const PERIODS_A_STRETCH: f64 = 0.25;
-/// A frame is halved no more often than this.
+/// Largest number of halvings of a frame.
 const MOST_HALVINGS: u32 = 6;
-/// Paths weaker than this over the threshold of a path alone are not heard even together.
+/// Paths weaker than this, relative to the threshold of a single path, are inaudible even together.
 const HEARD: f64 = 0.5;
-/// Directions in which walls are looked for, off the boresight at most: azimuth and elevation, rad.
+/// Largest azimuth and elevation off the boresight in which walls are searched, rad.
 const MOST_OFF_BORESIGHT_RAD: [f64; 2] = [0.87, 0.44];
 
 /// Random motion along a line: a sum of sinusoids about one frequency.
@@ -44,8 +46,8 @@ pub struct Sway {
 }
 
 impl Sway {
-    /// Draws a motion of this displacement (rms over all phases). `bandwidth` is the standard deviation of the logarithm of the
-    /// waves' frequencies; with 0 the motion is a single sinusoid.
+    /// Draws a motion of this displacement (rms over all phases). `bandwidth` is the standard deviation of the
+    /// logarithm of the waves' frequencies; with 0 the motion is a single sinusoid.
     pub fn draw(rms_m: f64, frequency_hz: f64, bandwidth: f64, rng: &mut Xoshiro256PlusPlus) -> Self {
         let count = if bandwidth > 0.0 { WAVES } else { 1 };
         let amplitude_m = rms_m * (2.0 / count as f64).sqrt();
@@ -58,7 +60,7 @@ impl Sway {
         Sway { waves }
     }
 
-    /// Displacement, m, and its first three derivatives by time.
+    /// Displacement, m, and its first three derivatives with respect to time.
     pub fn at(&self, time_s: f64) -> [f64; 4] {
         let mut sum = [0.0; 4];
         for &[amplitude_m, rate, phase] in &self.waves {
@@ -81,13 +83,13 @@ impl Sway {
 /// One path by way of a reflector.
 #[derive(Debug, Clone, PartialEq)]
 struct SwayPath {
-    /// By receiver: delay at rest, s, change of the delay for each metre of displacement, s, and amplitude at the ADC, LSB.
+    /// Per receiver: delay at rest, s, change of the delay per metre of displacement, s, and amplitude at the ADC, LSB.
     receivers: Vec<(f64, f64, Complex64)>,
-    /// Corners of the path, radar to radar, for shadows.
+    /// Corners of the path, radar to radar, for diffraction by people.
     polyline: Vec<DVec3>,
 }
 
-/// A reflector: its motion and the paths by way of it.
+/// Reflector: its motion and the paths by way of it.
 #[derive(Debug, Clone, PartialEq)]
 struct Reflector {
     motion: Sway,
@@ -101,7 +103,8 @@ pub struct SwayingReflectors {
 }
 
 impl SwayingReflectors {
-    /// Draws the reflectors of a scene for a seed. A reflector's draws depend on the numbers of its group and its own in it alone.
+    /// Draws the reflectors of a scene for a seed. The draws of a reflector depend only on its group's index and its
+    /// own index in the group.
     pub fn new(scene: &Scene, prepared: &PreparedScene, seed: u64) -> Self {
         let mut reflectors = Vec::new();
         for (g, group) in (0u64..).zip(&scene.file().room.sway) {
@@ -120,8 +123,8 @@ impl SwayingReflectors {
         SwayingReflectors { reflectors }
     }
 
-    /// Adds the echoes in `span_s` from a time on to the paths of a frame. `columns` are the people at the ends of as many
-    /// equal parts of the span, whose shadows weaken the echoes.
+    /// Adds the echoes in `span_s` from a start time to the paths of a frame. `columns` are the people at the ends of
+    /// equal parts of the span; diffraction by them weakens the echoes.
     pub fn add(&self, start_s: f64, span_s: f64, columns: &[Vec<Column>], wavelength_m: f64, tracks: &mut Tracks) {
         for reflector in &self.reflectors {
             let halvings = halvings(span_s, reflector.motion.fastest_hz());
@@ -150,7 +153,8 @@ impl SwayingReflectors {
 }
 
 impl SwayPath {
-    /// PathSample of every receiver where the reflector is displaced by `x` (m, and derivatives by time) and shaded.
+    /// Samples of every receiver for the displacement `x` (m, and derivatives with respect to time) and the diffraction
+    /// factor.
     fn keys(&self, x: &[f64; 4], shade: f64) -> Vec<(PathSample, PathDerivatives)> {
         let key = |&(delay_s, each_m_s, amplitude): &(f64, f64, Complex64)| {
             let key = PathSample {
@@ -164,14 +168,14 @@ impl SwayPath {
     }
 }
 
-/// Number of times that a span is halved so that a wave of this frequency is followed.
+/// Number of halvings of a span that resolves a wave of this frequency.
 fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
     (0..MOST_HALVINGS)
         .find(|&h| span_s * fastest_hz <= PERIODS_A_STRETCH * f64::from(1u32 << h))
         .unwrap_or(MOST_HALVINGS)
 }
 
-/// A value between others that are evenly spread over 0..1; 1 where there are none.
+/// Interpolates between values evenly spread over 0..1; 1 for an empty list.
 fn between(values: &[f64], at: f64) -> f64 {
     let Some(last) = values.len().checked_sub(1) else { return 1.0 };
     let place = at.clamp(0.0, 1.0) * last as f64;
@@ -181,7 +185,7 @@ fn between(values: &[f64], at: f64) -> f64 {
     here + (next - here) * (place - whole as f64)
 }
 
-/// A value of an interval, evenly drawn in its logarithm.
+/// Draws a value of an interval, uniformly in its logarithm.
 fn logarithmic([low, high]: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> f64 {
     low * (high / low).powf(rng.random::<f64>())
 }
@@ -210,7 +214,7 @@ impl Reflector {
                     (delay_s, each_m_s, prepared.at_adc(rx, echo.amplitude, beat_hz))
                 })
                 .collect();
-            // The first receiver stands for all, as for static paths.
+            // The first receiver represents all, as for static paths.
             if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * prepared.threshold_lsb) {
                 paths.push(SwayPath { receivers, polyline: prepared.point_polyline(point, p, q) });
             }
@@ -256,7 +260,7 @@ fn direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
     DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
 }
 
-/// Draws a place on a face of a piece of furniture that looks at the radar.
+/// Draws a place on a face of a piece of furniture towards the radar.
 fn on(piece: &FurnitureFile, prepared: &PreparedScene, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
     let corner = DVec3::from_array(piece.position_m);
     let size = DVec3::from_array(piece.size_m);
@@ -267,7 +271,8 @@ fn on(piece: &FurnitureFile, prepared: &PreparedScene, rng: &mut Xoshiro256PlusP
     corner + at * size
 }
 
-/// Distance from the transmitter to what it sees in a direction, m: the walls of the room, or what stands before them.
+/// Distance from the transmitter to the first surface in a direction, m: the walls of the room or an object before
+/// them.
 fn to_wall(prepared: &PreparedScene, towards: DVec3) -> f64 {
     let (from, size_m) = (prepared.tx.position, prepared.room.size_m());
     if let Surroundings::Polygons(room) = &prepared.room
@@ -312,7 +317,7 @@ mod tests {
         }
     }
 
-    /// Between keys the polynomial is where the motion is, at every frequency that a scene may ask for.
+    /// Between samples the polynomial follows the motion, at every frequency that a scene may request.
     #[test]
     fn echoes_follow_the_motion_between_keys() {
         let wavenumber_per_m = TAU / 4.93e-3;

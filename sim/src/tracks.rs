@@ -1,30 +1,30 @@
-//! Paths to all receivers at once: one stretch for the first receiver, and how the others differ from it.
+//! Paths to all receivers: one segment for the first receiver, and the differences of the others from it.
 //!
-//! Receivers stand some millimetres apart. A path's delay differs between them by some picoseconds, its amplitude by their gains
-//! and by filters. Both differences change slowly, so that low polynomials hold them, and what is costly about a path (its
-//! polynomials in f64, its place on the frequency grid) is computed for the first receiver alone.
+//! Receivers are some millimetres apart. Between them, a path's delay differs by some picoseconds and its amplitude by
+//! gains and filters. Both differences change slowly, so polynomials of low degree represent them. The costly parts of
+//! a path (its polynomials in f64, its place on the frequency grid) are computed for the first receiver only.
 
 use num_complex::{Complex, Complex64};
 
 use crate::path_segment::{FiveSamples, PathDerivatives, PathSample, PathSegment, cubic_of_four};
 
-/// Most receivers beside the first.
+/// Largest number of receivers besides the first.
 pub const OTHERS: usize = 2;
-/// Relative power of an amplitude below which its ratio to another is not taken.
+/// Relative power of an amplitude below which no ratio to it is computed.
 const LEAST_POWER: f64 = 1e-6;
 
-/// Difference between a path to another receiver and the path to the first one, within a stretch.
+/// Difference between a path to another receiver and the path to the first one, within a segment.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Aside {
-    /// Delay beyond the first receiver's, s, by powers of `u` in 0..1.
+    /// Delay relative to the first receiver's, s, by powers of `u` in 0..1.
     pub(crate) delay_s: [f32; 4],
-    /// Amplitude over the first receiver's at the beginning, and the change of that over the stretch.
+    /// Amplitude ratio to the first receiver at the beginning, and its change over the segment.
     pub(crate) ratio: [Complex<f32>; 2],
 }
 
 impl Aside {
-    /// Between keys of the first receiver and of another one at both ends of a stretch: a cubic in delay, a line in the ratio of
-    /// amplitudes.
+    /// Interpolates between samples of the first receiver and of another one at both ends of a segment: a cubic in
+    /// delay, a line in the ratio of amplitudes.
     pub fn between(first: [&PathSample; 2], other: [&PathSample; 2], stretch_s: f64) -> Self {
         let difference = |end: usize| {
             let rate = other[end].delay_rate - first[end].delay_rate;
@@ -38,7 +38,7 @@ impl Aside {
         Aside { delay_s, ratio: ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude)) }
     }
 
-    /// Through keys of the first receiver and of another one at the ends, quarters and middle of a stretch.
+    /// Interpolates samples of the first receiver and of another one at the ends, quarters and middle of a segment.
     pub fn through(first: &FiveSamples, other: &FiveSamples) -> Self {
         let difference = |i: usize| other[i].delay_s - first[i].delay_s;
         let (delay_s, _) = cubic_of_four([0, 1, 3, 4].map(difference));
@@ -46,14 +46,14 @@ impl Aside {
         Aside { delay_s: delay_s.map(|c| c as f32), ratio }
     }
 
-    /// Delay beyond the first receiver's, s.
+    /// Delay relative to the first receiver's, s.
     #[inline(always)]
     pub fn delay(&self, u: f32) -> f32 {
         let [a, b, c, d] = self.delay_s;
         a + u * (b + u * (c + u * d))
     }
 
-    /// Amplitude over the first receiver's.
+    /// Amplitude ratio to the first receiver.
     #[inline(always)]
     pub fn ratio(&self, u: f32) -> Complex<f32> {
         let [begin, step] = self.ratio;
@@ -61,8 +61,8 @@ impl Aside {
     }
 }
 
-/// Ratio of amplitudes at the beginning, and its change until the end. Where one of these is too weak to tell, it is the ratio
-/// at the loudest time.
+/// Ratio of amplitudes at the beginning, and its change until the end. Where one of these amplitudes is too weak for a
+/// ratio, the ratio at the loudest time is used.
 fn ratio<const N: usize>(first: [Complex64; N], other: [Complex64; N]) -> [Complex<f32>; 2] {
     let loudest = (0..N).max_by(|&a, &b| first[a].norm_sqr().total_cmp(&first[b].norm_sqr())).unwrap_or(0);
     let most = first[loudest].norm_sqr();
@@ -74,17 +74,18 @@ fn ratio<const N: usize>(first: [Complex64; N], other: [Complex64; N]) -> [Compl
     [begin, end - begin].map(|c| Complex::new(c.re as f32, c.im as f32))
 }
 
-/// A path to all receivers within one stretch between keys.
+/// Path to all receivers within one segment between samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Track {
     /// Path to the first receiver.
     pub first: PathSegment,
-    /// Differences of the others, in their order.
+    /// Differences of the other receivers, in their order.
     pub others: [Aside; OTHERS],
 }
 
 impl Track {
-    /// Between the keys of every receiver at both ends of a stretch, `stretch_s` apart; `None` without a receiver.
+    /// Interpolates between the samples of every receiver at both ends of a segment, `stretch_s` apart; `None` without
+    /// a receiver.
     pub fn between(
         begin: &[(PathSample, PathDerivatives)],
         end: &[(PathSample, PathDerivatives)],
@@ -98,8 +99,8 @@ impl Track {
         Some(Track { first: PathSegment::between(first_begin, first_end, stretch_s), others })
     }
 
-    /// Through the keys of every receiver at the ends, quarters and middle of a stretch, and what is missed of the first
-    /// receiver's ([`PathSegment::through`]); `None` without a receiver.
+    /// Interpolates the samples of every receiver at the ends, quarters and middle of a segment. Also returns the error
+    /// estimate of the first receiver ([`PathSegment::through`]); `None` without a receiver.
     pub fn through(receivers: &[FiveSamples], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
         let keys_of_first = receivers.first()?;
         let (first, missed_lsb) = PathSegment::through(keys_of_first, stretch_s, frequency_hz);
@@ -110,11 +111,11 @@ impl Track {
         Some((Track { first, others }, missed_lsb))
     }
 
-    /// The same path by its delays ([`PathSegment::by_delay`]).
+    /// Returns the same path multiplied by its delays ([`PathSegment::by_delay`]).
     pub fn by_delay(&self) -> Self {
         let delays_s = [0.0, 1.0].map(|u| self.first.delay(u).0);
         let others = self.others.map(|aside| {
-            // The delay of another receiver is longer by this factor.
+            // Factor by which the delay of another receiver is longer.
             let longer = |end: usize| 1.0 + aside.delay(end as f32) / (delays_s[end] as f32).max(f32::MIN_POSITIVE);
             let (begin, end) = (aside.ratio(0.0) * longer(0), aside.ratio(1.0) * longer(1));
             Aside { ratio: [begin, end - begin], ..aside }
@@ -123,7 +124,7 @@ impl Track {
     }
 }
 
-/// Paths of a frame: those that are followed in halves, quarters and so on of it each by themselves.
+/// Paths of a frame, grouped by the length of their segments: the whole frame, halves, quarters and so on.
 #[derive(Debug, Clone, Default)]
 pub struct Tracks {
     /// `[halvings][place]`.
@@ -131,7 +132,7 @@ pub struct Tracks {
 }
 
 impl Tracks {
-    /// Adds a path in the stretch at a place of a frame that is halved this often.
+    /// Adds a path in segment `place` of a frame that is halved `halvings` times.
     pub fn push(&mut self, halvings: u32, place: usize, track: Track) {
         while self.levels.len() <= halvings as usize {
             self.levels.push(vec![Vec::new(); 1 << self.levels.len()]);
@@ -141,23 +142,23 @@ impl Tracks {
         }
     }
 
-    /// The same paths by their delays ([`PathSegment::by_delay`]).
+    /// Returns the same paths multiplied by their delays ([`PathSegment::by_delay`]).
     pub fn by_delay(&self) -> Self {
         let of = |tracks: &Vec<Track>| tracks.iter().map(Track::by_delay).collect();
         Tracks { levels: self.levels.iter().map(|level| level.iter().map(of).collect()).collect() }
     }
 
-    /// Number of halvings of the shortest stretches.
+    /// Number of halvings of the shortest segments.
     pub fn most_halvings(&self) -> u32 {
         self.levels.len().saturating_sub(1) as u32
     }
 
-    /// Whether no path is in stretches of this many halvings.
+    /// Returns whether no path has segments of this many halvings.
     pub fn is_empty_at(&self, halvings: u32) -> bool {
         self.levels.get(halvings as usize).is_none_or(|level| level.iter().all(Vec::is_empty))
     }
 
-    /// Paths in the stretch at a place of a frame that is halved this often.
+    /// Paths in segment `place` of a frame that is halved `halvings` times.
     pub fn at(&self, halvings: u32, place: usize) -> &[Track] {
         self.levels.get(halvings as usize).and_then(|level| level.get(place)).map(Vec::as_slice).unwrap_or_default()
     }
@@ -171,7 +172,7 @@ mod tests {
         PathSample { delay_s, delay_rate, amplitude }
     }
 
-    /// A cubic difference in delay is held, and the ratio at both ends.
+    /// An aside reproduces a cubic difference in delay, and the ratio at both ends.
     #[test]
     fn an_aside_is_the_difference_of_two_receivers() {
         let cubic = |t: f64| 1e-12 * (3.0 - 2.0 * t + 4.0 * t * t - t * t * t);

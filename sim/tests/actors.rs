@@ -1,4 +1,4 @@
-//! People and rooms from files: actors walk upright, ahead and without sliding, and what is wrong with a file is said.
+//! People and rooms from files: actors walk upright, forwards and without sliding, and errors in a file are reported.
 
 mod biped;
 
@@ -35,7 +35,7 @@ fn bvh_clip() -> Steps {
     Steps::Clip(Arc::new(BodyClip::parse(&biped::bvh(), UpAxis::Y, None).expect("a good file")))
 }
 
-/// Straight ahead at 30 degrees to the room, at 1.2 m/s from second 0 to 5.
+/// Walker straight ahead at 30 degrees to the room, at 1.2 m/s from second 0 to 5.
 fn walker(steps: Steps) -> WalkingMesh {
     let mut person = Person::draw(1, [0, 0], 1.75);
     person.steps = steps;
@@ -45,8 +45,8 @@ fn walker(steps: Steps) -> WalkingMesh {
     WalkingMesh::new(Arc::new(motion), EDGE_M)
 }
 
-/// Feet stand where they are put, the head is at the top, the trunk goes with the motion, and velocities are the rates of
-/// vertices.
+/// Checks that feet stand where they are put, the head is at the top, the trunk follows the motion, and velocities are
+/// the rates of vertices.
 fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
     let ahead = DVec3::new(30f64.to_radians().cos(), 30f64.to_radians().sin(), 0.0);
     let mut standing = Vec::new();
@@ -91,7 +91,7 @@ fn a_person_of_boxes_from_gltf_walks_upright_ahead_and_without_sliding() {
     assert!(sliding.standing_rms_m_per_s < 0.15 && sliding.standing > 0.8, "{sliding:?}");
     let walker = walker(Steps::Actor(actor));
     check_walk(&walker, 0.15, 0.04);
-    // Feet are ahead of the shanks. And left is left.
+    // Feet are ahead of the shanks, and the left side is the left one.
     let standing = &walker.skin().rest().vertices;
     let shanks: Vec<f64> = standing.iter().filter(|v| v.z > 0.12 && v.z < 0.25).map(|v| v.x).collect();
     let ankles = shanks.iter().sum::<f64>() / shanks.len() as f64;
@@ -133,7 +133,7 @@ fn a_captured_clip_walks_on_the_house_s_own_body() {
     check_walk(&walker(Steps::Clip(clip)), 0.25, 0.05);
 }
 
-/// Two kinds of files that were not made for this house.
+/// Two kinds of files from other sources.
 #[test]
 fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
     let (Some(man), Some(walk)) =
@@ -150,7 +150,7 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
     std::fs::copy(&man, folder.path().join("man.glb")).expect("copied");
     std::fs::copy(&walk, folder.path().join("walk.bvh")).expect("copied");
     let scene_path = folder.path().join("scene.toml");
-    // The man's clip is a jog, whose feet come down while they still swing.
+    // The man's clip is a jog, in which the feet touch down while they still swing.
     for (file, body, sliding_m_per_s) in
         [("man.glb", "mesh", 0.35), ("walk.bvh", "mesh", 0.15), ("walk.bvh", "ellipsoids", 0.15)]
     {
@@ -196,14 +196,14 @@ mod hard_cases {
         }
     }
 
-    /// Changes the glTF file of a person, which is refused then.
+    /// Changes the glTF file of a person and asserts that it is refused.
     fn wrong(change: &dyn Fn(&mut biped::Gltf), expected: &[&str]) {
         let mut file = biped::gltf(1.0);
         change(&mut file);
         refused(parse(&file.bytes(), "a.gltf"), expected);
     }
 
-    /// Changes the COLLADA file of a person, which is refused then.
+    /// Changes the COLLADA file of a person and asserts that it is refused.
     fn wrong_collada(from: &str, to: &str, expected: &[&str]) {
         let good = biped::collada();
         assert!(good.contains(from), "{from}");
@@ -225,7 +225,7 @@ mod hard_cases {
         );
         wrong(&|f| f.buffer.truncate(500), &["buffer 0", "500 bytes", "cut off"]);
         wrong(&|f| f.json["accessors"][0]["count"] = serde_json::json!(90_000), &["accessor 0", "reaches to byte"]);
-        // Joints are bytes after the positions, then come the weights.
+        // Joints are bytes after the positions, followed by the weights.
         let places = biped::vertices().len();
         wrong(&|f| f.buffer[12 * places] = 77, &["vertex 0", "joint 77", "has 7"]);
         wrong(&|f| f.buffer[16 * places..16 * places + 4].fill(0), &["weights of vertex 0", "sum to 0"]);
@@ -237,7 +237,7 @@ mod hard_cases {
             f.json["bufferViews"][accessor]["byteOffset"].as_u64().expect("offset") as usize
         };
         wrong(&|f| (inverse(f)..inverse(f) + 64).for_each(|i| f.buffer[i] = 0), &["joint 0", "hips", "inverted"]);
-        // The last bone of seven, an arm, is put out of the world: found by fuzzing.
+        // Moves the last bone of seven, an arm, far away: found by fuzzing.
         wrong(
             &|f| {
                 let at = inverse(f) + 6 * 64 + 48;
@@ -252,12 +252,12 @@ mod hard_cases {
     fn options_that_do_not_fit_an_actor_are_told_what_would() {
         let bytes = biped::gltf(1000.0).bytes();
         let with = |options: ActorOptions| Actor::parse(&bytes, Path::new("a.gltf"), &options);
-        // Millimetres: told, unless a height or the unit is asked for.
+        // A file in millimetres is reported, unless a height or the unit is given.
         refused(with(ActorOptions::default()), &["m tall", "0.5 to 2.5 m", "unit = \"mm\"", "height_m"]);
         assert!(with(options()).is_ok());
         refused(with(ActorOptions { animation: Some("run".to_owned()), ..options() }), &["\"run\"", "\"walk\""]);
         refused(with(ActorOptions { cycle_s: Some([0.5, 3.0]), ..options() }), &["0 to 1 s", "cycle_s"]);
-        // Nobody's feet move in half a frame of it, nor when it lies on its back.
+        // The feet do not move in half a frame of it, nor when the person lies on the back.
         refused(with(ActorOptions { cycle_s: Some([0.2, 0.2]), ..options() }), &["at least 0.1 s"]);
         let mut still = biped::gltf(1.0);
         still.json["animations"][0]["channels"].as_array_mut().expect("channels").truncate(1);
@@ -292,7 +292,7 @@ mod hard_cases {
         wrong_collada("<vcount>1 ", "<vcount>900 ", &["vcount asks for 979 weights", "160 indices"]);
     }
 
-    /// Offsets and counts that no list has: they were added up, and asked memory for, before anything looked at them.
+    /// Offsets and counts beyond the lists: earlier code added them up and allocated memory before checking them.
     #[test]
     fn collada_offsets_and_counts_beyond_the_lists_are_refused() {
         let most = "18446744073709551615";
@@ -317,7 +317,7 @@ mod hard_cases {
         wrong_collada("<COLLADA", entities, &["no XML"]);
     }
 
-    /// Buffers beside a glTF file lie beside it, and are files.
+    /// Buffers of a glTF file must be files beside it.
     #[test]
     fn gltf_buffers_elsewhere_are_not_read() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -349,7 +349,7 @@ mod hard_cases {
         }
     }
 
-    /// The library that reads the format does not check these and panics: found by fuzzing.
+    /// The library that reads the format does not check these references and panics: found by fuzzing.
     #[test]
     fn gltf_references_to_nothing_are_refused() {
         for (name, value) in [("path", serde_json::json!("turn")), ("node", serde_json::json!(99))] {
@@ -372,7 +372,7 @@ mod hard_cases {
         wrong(&|f| f.json["bufferViews"][0]["byteStride"] = most.clone(), &["glTF"]);
         wrong(&|f| f.json["buffers"][0]["byteLength"] = most.clone(), &["buffer 0", "cut off"]);
         wrong(&|f| f.json["meshes"][0]["primitives"][0]["indices"] = serde_json::json!(99), &["glTF", "out of bounds"]);
-        // A joint that is no index: as large as a float can be.
+        // A joint index that is not an index: the largest float.
         wrong(
             &|f| {
                 let joints = f.json["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"].clone();
@@ -384,7 +384,7 @@ mod hard_cases {
             },
             &["weights of vertex 0", "joint"],
         );
-        // The same numbers over and over.
+        // The same numbers are referenced many times.
         wrong(
             &|f| {
                 let primitive = f.json["meshes"][0]["primitives"][0].clone();
@@ -404,7 +404,7 @@ mod hard_cases {
         }
     }
 
-    /// A file that is cut off anywhere is refused or whole; nothing panics.
+    /// A file that is cut off anywhere is either refused or complete; nothing panics.
     #[test]
     fn files_cut_off_anywhere_never_panic() {
         let (gltf, collada, bvh) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes(), biped::bvh());
@@ -485,7 +485,7 @@ mod hard_cases {
     proptest::proptest! {
         #![proptest_config(proptest::prelude::ProptestConfig { cases: 200, ..Default::default() })]
 
-        /// Whatever is done to a clip, it is refused or whole: every frame has a number for every channel.
+        /// A damaged clip is either refused or complete: every frame has a number for every channel.
         #[test]
         fn damaged_clips_are_refused_or_whole(
             cuts in proptest::collection::vec((0usize..4000, 0u8..128), 1..6),
@@ -505,7 +505,7 @@ mod hard_cases {
                 let parents_first = bvh.joints.iter().enumerate().all(|(i, j)| j.parent.is_none_or(|p| p < i));
                 proptest::prop_assert!(parents_first && bvh.frame_time_s > 0.0);
             }
-            // Nor does anything made of it panic.
+            // Further use of the clip does not panic either.
             let _ = BodyClip::parse(&text, UpAxis::Y, None);
         }
     }

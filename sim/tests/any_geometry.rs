@@ -1,4 +1,4 @@
-//! Rooms of any shape over the paths that rays find: against boxes, whose images are known, and against geometry by hand.
+//! Rooms of any shape with paths found by rays, compared with boxes, whose images are known, and with geometry by hand.
 
 mod hard_cases;
 
@@ -17,7 +17,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use crate::common::{self, WAVENUMBER, scene};
 use crate::surfaces::rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
 
-/// Somebody who walks through the room of most tests, away from its walls.
+/// Person who walks through the room of most tests, away from its walls.
 const WALKER: &str =
     "[[people.actor]]\nstep = [{ walk_to_m = [4.0, 3.2] }, { walk_to_m = [1.5, 1.9], speed_m_per_s = 1.0 }]\n";
 
@@ -27,13 +27,13 @@ const PLAN: &str = "floor = { material = \"plasterboard\", thickness_m = 0.0125 
                     corners_m = [[0.0, 0.0], [5.25, 0.0], [5.25, 4.5], [0.0, 4.5]]\nheight_m = 2.75\n\
                     walls = { material = \"plasterboard\", thickness_m = 0.0125 }\n";
 
-/// A scene with what stands in `[room]` and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
+/// Makes a scene with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, tables: &str, folder: &Path) -> Scene {
     let text = common::hall_with_room(room, tables);
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 
-/// A fixture with something else in it.
+/// Loads a fixture with replacements in its text.
 fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
     let (path, mut text) = common::fixture(name);
     for (from, to) in changes {
@@ -43,7 +43,7 @@ fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
     Scene::parse(&text, &path).expect("a good scene")
 }
 
-/// The same room of plasterboard as a plan and from files, all of them over faces.
+/// The same room of plasterboard as a plan and from files, all of them represented by faces.
 fn rooms_of_faces(tables: &str, folder: &Path) -> Vec<(&'static str, Scene)> {
     let quads = faces([0.0; 3], SIZE_M);
     let named = quads.map(|quad| (quad, "plaster"));
@@ -70,7 +70,7 @@ fn listed(scene: &Scene, margin_db: f64) -> Vec<ListedPath> {
     PathList::new(scene, &options).expect("a list").paths
 }
 
-/// Asserts that every path of one list is in the other: within a micrometre and 0.01 dB.
+/// Asserts that every path of one list is in the other, within a micrometre and 0.01 dB.
 fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
     for path in some {
         let is_same = |other: &&ListedPath| {
@@ -88,7 +88,7 @@ fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
     let folder = tempfile::tempdir().expect("a folder");
     let of_box = made(&box_keys("plasterboard"), WALKER, folder.path());
     assert!(matches!(PreparedScene::new(&of_box, 1, 10.0).room, Surroundings::Box(_)));
-    // Paths at the threshold are in one list or the other.
+    // Paths at the threshold may be in only one of the lists.
     let [expected, wider] = [10.0, 13.0].map(|margin_db| listed(&of_box, margin_db));
     assert!(expected.len() > 20, "{} paths", expected.len());
     for (name, scene) in rooms_of_faces(WALKER, folder.path()) {
@@ -116,7 +116,7 @@ fn a_box_has_the_same_frames_from_toml_plan_obj_stl_and_gltf() {
     }
 }
 
-/// Meshes that are a box and nothing else take its images, unless the scene asks for rays.
+/// Meshes that are a box and nothing else use its images, unless the scene requests rays.
 #[test]
 fn a_mesh_that_is_a_box_is_one() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -131,14 +131,14 @@ fn a_mesh_that_is_a_box_is_one() {
     assert!(matches!(PreparedScene::new(&by_images, 1, 10.0).room, Surroundings::Box(_)));
 }
 
-/// Loudest path whose surfaces are these, by the first receiver.
+/// Loudest path with matching surfaces, at the first receiver.
 fn loudest(all: &[ListedPath], fits: impl Fn(&[String]) -> bool) -> Option<&ListedPath> {
     let own = all.iter().filter(|path| path.rx == 1 && fits(&path.surfaces));
     own.max_by(|a, b| a.gain_db.total_cmp(&b.gain_db))
 }
 
-/// A walker beyond the corner is seen: not straight, but by the wall at x = 0, and by that and the one at y = 0, as long as
-/// mirrors say.
+/// A walker beyond the corner is seen: not directly, but by the wall at x = 0, and by that and the one at y = 0, as
+/// long as the mirror geometry allows it.
 #[test]
 fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
     let l = changed(
@@ -158,7 +158,7 @@ fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
     let once = once.expect("a path by the wall, there and back");
     let straight = loudest(&all, |s| matches!(s, [a] if is_body(a)));
     let straight_db = straight.map_or(f64::NEG_INFINITY, |path| path.gain_db);
-    // Straight it comes around the edge, twice.
+    // The direct path is diffracted by the edge, twice.
     assert!(straight_db < once.gain_db - 10.0, "{straight_db} {}", once.gain_db);
     let place = |path: &ListedPath, number: usize| DVec3::from_array(path.points_m[number]);
     let mirrored = |p: DVec3| DVec3::new(-p.x, p.y, p.z);
@@ -175,7 +175,7 @@ fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
     assert!(twice.gain_db < once.gain_db);
 }
 
-/// The walker of the corridor is in its frames, before the corner and where the corner hides most of the body.
+/// The walker of the corridor is visible in its frames, before the corner and where the corner hides most of the body.
 #[test]
 fn l_corridors_have_frames() {
     let simulator = common::simulator(&scene("l-corridor"), 2, None);
@@ -193,14 +193,14 @@ fn polygons(scene: &Scene) -> PreparedScene {
     prepared
 }
 
-/// Field of the transmitter's image at a point over that of its pattern, dB.
+/// Field of the transmitter's image at a point relative to that of its pattern, dB.
 fn seen_db(prepared: &PreparedScene, index: ImageIndex, point: DVec3) -> f64 {
     let lit = prepared.room.illuminate(&prepared.tx, index, point);
     let towards = prepared.tx.radar_from_world * (point - prepared.tx.position).normalize();
     20.0 * (lit.field.magnitude() / prepared.tx.pattern.field(towards)).max(1e-15).log10()
 }
 
-/// The images by whose first reflection at a surface of this name a point is lit.
+/// Images by whose first reflection at a surface of this name a point is lit.
 fn lit_by(prepared: &PreparedScene, name: &str, point: DVec3) -> Vec<ImageIndex> {
     let of_first = prepared.room.images(1).into_iter().skip(1);
     let is_lit = |index: &ImageIndex| {
@@ -210,7 +210,8 @@ fn lit_by(prepared: &PreparedScene, name: &str, point: DVec3) -> Vec<ImageIndex>
     of_first.filter(is_lit).collect()
 }
 
-/// Through the gap all is seen, through the wall what plasterboard leaves, through the leaf what wood leaves; the leaf mirrors.
+/// The gap passes the full field, the wall the part that plasterboard transmits, and the leaf the part that wood
+/// transmits. The leaf also reflects.
 #[test]
 fn a_half_open_door_shows_a_gap_and_mirrors() {
     let prepared = polygons(&scene("half-open-door"));
@@ -224,7 +225,7 @@ fn a_half_open_door_shows_a_gap_and_mirrors() {
     let mirrored = DVec3::new(3.3, 0.8, 1.3);
     let [image] = lit_by(&prepared, "door in partition 0", mirrored)[..] else { panic!("no image in the leaf") };
     let length_m = prepared.room.illuminate(&prepared.tx, image, mirrored).distance_m;
-    // The leaf lies in the plane x + y = 5, which changes x and y of the transmitter to 5 less the other.
+    // The leaf lies in the plane x + y = 5, which maps the transmitter's x and y to 5 minus the other coordinate.
     let tx = prepared.tx.position;
     let expected_m = DVec3::new(5.0 - tx.y, 5.0 - tx.x, tx.z).distance(mirrored);
     assert!((length_m - expected_m).abs() < 1e-6, "{length_m} {expected_m}");
@@ -241,18 +242,18 @@ fn a_metal_cupboard_shadows_and_mirrors() {
     let tx = prepared.tx.position;
     let expected_m = DVec3::new(6.4 - tx.x, tx.y, tx.z).distance(before);
     assert!((lit.distance_m - expected_m).abs() < 1e-6);
-    // Metal mirrors all of the field, but for what its edges take.
+    // Metal reflects the whole field, except for the part that its edges remove.
     let towards = prepared.tx.radar_from_world * DVec3::new(-lit.direction.x, lit.direction.y, lit.direction.z);
     let part = lit.field.magnitude() / prepared.tx.pattern.field(towards);
     assert!((part - 1.0).abs() < 0.2, "{part}");
-    // Its faces are not points as well.
+    // Furniture with faces has no scattering points.
     let list = PathList::new(&scene("cupboard"), &PathListOptions { people: Some(0), ..Default::default() });
     let paths = list.expect("a list").paths;
     assert!(paths.iter().any(|path| path.surfaces.contains(&"cupboard x_low".to_owned())));
     assert!(paths.iter().all(|path| path.kind != radome_sim::path_list::PathKind::Furniture));
 }
 
-/// A wall of polygons lets through the same as the wall of a box: the slab's transmission.
+/// A wall of polygons transmits the same as the wall of a box: the slab's transmission.
 #[test]
 fn facets_let_through_what_walls_of_boxes_do() {
     let glass = Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.01 };
@@ -277,7 +278,8 @@ fn facets_let_through_what_walls_of_boxes_do() {
     }
 }
 
-/// Somebody behind glass is seen through it, straight and by the walls behind it; without transmission nobody is there.
+/// A person behind glass is seen through it, directly and by the walls behind it. Without transmission the person is
+/// invisible.
 #[test]
 fn behind_a_glass_wall_somebody_is_seen() {
     let power = |scene: &Scene| -> f64 {
@@ -288,7 +290,7 @@ fn behind_a_glass_wall_somebody_is_seen() {
     let hidden = power(&changed("glass-wall", &[("transmission = true", "transmission = false")]));
     let free = power(&changed("glass-wall", &[("material = \"glass\"", "material = \"open\"")]));
     assert!(hidden < 1e-6 * through, "{hidden} {through}");
-    // Some 8 dB of glass, twice.
+    // About 8 dB of glass, twice.
     let lost_db = 10.0 * (through / free).log10();
     assert!((-30.0..-4.0).contains(&lost_db), "{lost_db}");
     let prepared = polygons(&scene("glass-wall"));

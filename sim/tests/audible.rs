@@ -1,4 +1,4 @@
-//! Segments that an image pair cannot make heard are left out before they are traced: none that can be heard is among them.
+//! Body segments that an image pair cannot make audible are left out before tracing; no audible segment is left out.
 
 use std::collections::HashMap;
 
@@ -13,7 +13,7 @@ use crate::common;
 
 const FRAME_S: f64 = 0.064;
 
-/// Counts a person's specular points in a frame: all, those that are kept, and those that are heard.
+/// Counts a person's specular points in a frame: all, those that are kept, and those that are audible.
 fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] {
     let instants_s = [0.0, 0.5, 1.0].map(|part| start_s + part * FRAME_S);
     let kept = audible_paths(prepared, motion, &instants_s);
@@ -43,7 +43,8 @@ fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] 
     [prepared.body_pairs.len() * SEGMENTS, kept, heard]
 }
 
-/// Walkers, sitters and passers-by in rooms of several sizes and walls: whatever is heard is kept, and something is left out.
+/// Walkers, sitters and passers-by in rooms of several sizes and walls: every audible path is kept, and some paths are
+/// left out.
 #[test]
 fn what_is_heard_is_kept() {
     for (name, seeds) in [("corridor", 1..3), ("room", 1..3), ("hall", 1..7)] {
@@ -66,9 +67,10 @@ fn what_is_heard_is_kept() {
     }
 }
 
-/// Of somebody at an instant in a room of plane faces, power: of all specular points by pairs of images that geometry does not rule
-/// out, each past what is in its own way; of those that are heard but left out by frames; and of the difference to those that
-/// frames have, which share what is in the way of a segment. Also how many pairs there are and how many are kept.
+/// Power of a person at an instant in a room of plane faces, and the number of image pairs, possible and kept. The
+/// three powers are: that of all specular points by geometrically possible image pairs, each with its own obstructions;
+/// that of audible points that frames leave out; and that of the difference to the points in frames, which share the
+/// obstructions of a segment.
 fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
     let people = [Snapshot::new(motion, time_s)];
     let middle = people[0].body[CHEST].centre;
@@ -107,12 +109,12 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
     (powers, counts)
 }
 
-/// Of the power of all paths, dB.
+/// Level relative to the power of all paths, dB.
 fn db(part: f64, all: f64) -> f64 {
     10.0 * (part / all).max(1e-30).log10()
 }
 
-/// Half a decibel is 6 percent of an amplitude, -24.6 dB: what is left out and what sharing changes is less.
+/// Half a decibel is 6 percent of an amplitude, -24.6 dB: the neglected paths and the shared obstructions change less.
 #[test]
 fn faces_in_the_way_leave_out_what_is_not_heard() {
     for name in ["cupboard", "half-open-door", "glass-wall", "l-corridor"] {
@@ -134,7 +136,7 @@ fn faces_in_the_way_leave_out_what_is_not_heard() {
     }
 }
 
-/// Of an office's thousands of pairs of images few are seen.
+/// Of an office's thousands of image pairs only a few are visible.
 #[test]
 fn in_an_office_few_images_are_seen() {
     let scene = common::scene("open-plan").drawn(1).expect("a scene");
@@ -150,7 +152,7 @@ fn in_an_office_few_images_are_seen() {
     }
 }
 
-/// Pairs of images alone stand for all segments.
+/// Image pairs without segments represent all segments.
 #[test]
 fn plain_pairs_leave_nothing_out() {
     let scene = common::scene("corridor");

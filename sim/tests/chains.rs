@@ -1,5 +1,5 @@
-//! By way of a body and a wall: specular points for pairs of image antennas against physical optics over the whole body, lit by
-//! one image and heard by the other, chirp by chirp.
+//! Paths by way of a body and a wall: specular points for pairs of image antennas, compared chirp by chirp with
+//! physical optics over the whole body. One image illuminates the body and the other receives.
 #![allow(clippy::print_stderr)]
 
 use std::f64::consts::{PI, TAU};
@@ -23,7 +23,8 @@ use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
 const FRAME_S: f64 = 0.064;
 
-/// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the specular point's closed form.
+/// Field at a receiver's image relative to the transmitted field, without phase, and the path length: the specular
+/// point's closed form.
 fn bounce(
     room: &BoxRoom,
     (tx, p): (&Element, ImageIndex),
@@ -39,7 +40,7 @@ fn bounce(
     (reflected.received_by(back.field) * (0.5 * h.cosine / (h.det_j.sqrt() * r_t * r_r)), r_t + r_r)
 }
 
-/// A radar 0.9 m beside a wall, and a body that moves and turns before it.
+/// Radar 0.9 m beside a wall, and a body that moves and rotates in front of it.
 struct Chain {
     room: BoxRoom,
     tx: Element,
@@ -54,7 +55,7 @@ impl Chain {
         let size_m = DVec3::new(6.0, 4.0, 3.0);
         let element = |position| Element {
             position,
-            // Aslant, so that both polarisations take part at the wall and at the body.
+            // The polarisation is oblique, so that both polarisations contribute at the wall and at the body.
             polarisation: DVec3::new(0.0, 0.6, 0.8),
             radar_from_world: DMat3::IDENTITY,
             pattern: Pattern::isotropic(),
@@ -67,19 +68,19 @@ impl Chain {
         }
     }
 
-    /// The body at a time of the frame: it comes at 1.1 m/s and swings by 3 rad/s about an axis through one end.
+    /// Body at a time of the frame: it approaches at 1.1 m/s and swings by 3 rad/s about an axis through one end.
     fn body(&self, time_s: f64) -> Ellipsoid {
         let axes = DMat3::from_rotation_z(0.2) * DMat3::from_rotation_y(0.15 + 3.0 * time_s);
         let joint = DVec3::new(2.4, 1.3, 1.4) + DVec3::new(-1.1, 0.2, 0.0) * time_s;
         Ellipsoid { centre: joint - axes * DVec3::Z * (0.6 * self.semi_axes_m.z), axes, semi_axes_m: self.semi_axes_m }
     }
 
-    /// See [`bounce`].
+    /// Closed form of the moving body ([`bounce`]).
     fn specular_point(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> (Complex64, f64) {
         bounce(&self.room, (&self.tx, p), (&self.rx, q), &self.body(time_s))
     }
 
-    /// The same by three keys of the frame, with phase, as the simulator has it at a chirp.
+    /// Same field from three samples of the frame, with phase, as in the simulator at a chirp.
     fn at_keys(&self, p: ImageIndex, q: ImageIndex) -> impl Fn(f64) -> Complex64 {
         let (step_s, h, apart_s) = (0.5 * FRAME_S, 1e-4, 1e-3);
         let key = |t: f64| {
@@ -101,13 +102,13 @@ impl Chain {
         }
     }
 
-    /// Physical optics, summed densely over all that the transmitter lights: `-jk/(2 pi) int heard e^{-jk(R_t + R_r)}/(R_t R_r)
-    /// dS`. Currents radiate wherever they flow: cut off at the receiver's horizon, where they are not yet zero, the sum would
-    /// have an edge there that nothing has (half a decibel on the limb).
+    /// Physical optics, summed densely over the illuminated surface: `-jk/(2 pi) int heard e^{-jk(R_t + R_r)}/(R_t R_r)
+    /// dS`. Currents radiate from the whole illuminated surface. A cut-off at the receiver's horizon, where they are
+    /// not yet zero, would add a nonphysical edge to the sum (half a decibel on the limb).
     fn physical_optics(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> Complex64 {
         let e = self.body(time_s);
         let b = e.semi_axes_m;
-        // A fifth of the wave that the path length makes on the surface.
+        // Step of a fifth of the phase period that the path length makes on the surface.
         let step_m = 0.5e-3;
         let rows = (PI * b.max_element() / step_m) as usize;
         let columns = (TAU * b.x.max(b.y) / step_m) as usize;
@@ -132,7 +133,7 @@ impl Chain {
                     let listener = Listener { towards: -back.direction, polarisation };
                     heard(&arrival, normal, &skin, WAVENUMBER, &listener)
                 };
-                // The receiver's polarisation is complex where a lossy wall has turned it.
+                // The receiver's polarisation is complex where a lossy wall has rotated it.
                 let current = hears(back.field.re) + Complex64::I * hears(back.field.im);
                 let area =
                     theta.sin() * b.element_product() * gradient.length() * (PI / rows as f64) * (TAU / columns as f64);
@@ -146,9 +147,9 @@ impl Chain {
     }
 }
 
-/// Limb and torso, wall of concrete and of metal, there by the wall and back by it: each chirp's echo, by three keys, within
-/// a tenth of a decibel of physical optics at that chirp (half of one is asked), and so is the sum of both orders as the
-/// frame's Doppler spectrum has it.
+/// Limb and torso, walls of concrete and metal, out by the wall and back by it. Each chirp's echo, from three samples,
+/// is within a tenth of a decibel of physical optics at that chirp (half of one is required). The same holds for the
+/// sum of both orders in the frame's Doppler spectrum.
 #[test]
 fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
     let concrete =
@@ -189,7 +190,8 @@ fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
     }
 }
 
-/// The simulated echo of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
+/// The simulated echo of a chest by way of a wall equals that closed form: field times aperture, link budget and
+/// filter.
 #[test]
 fn the_simulators_echoes_are_the_closed_form() {
     let text = hall(NOBODY)

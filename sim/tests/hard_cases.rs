@@ -1,17 +1,17 @@
-//! The rows of the design study's table of numerically hard cases that cross several parts. The others stand beside what they
-//! test, in modules of the same name:
+//! The rows of the design study's table of numerically hard cases that involve several parts. The others are tested
+//! beside the code, in modules of the same name:
 //!
 //! | row | where |
 //! |---|---|
-//! | facet integral near specular | `field/triangle.rs`, `tests/solver.rs` |
+//! | facet integral near specular | `em/triangle.rs`, `tests/solver.rs` |
 //! | f32 kernel, f32 path length, dynamic range | here |
-//! | f32 hit point, self-hit, shared edges, coplanar faces | `trace/hard_cases.rs` |
+//! | f32 hit point, self-hit, shared edges, coplanar faces | `rays/hard_cases.rs` |
 //! | visibility flips | `paths/tests.rs` |
 //! | overlapping faces | `geometry/lint.rs` |
 //! | degenerate triangles | `geometry/weld.rs`, `tests/solver.rs` |
-//! | grazing, total internal reflection, thin slab | `field/fresnel.rs`, `tests/references.rs`, `tests/solver.rs` |
+//! | grazing, total internal reflection, thin slab | `em/fresnel.rs`, `tests/references.rs`, `tests/solver.rs` |
 //! | caustic, PO shadow line | `tests/solver.rs` |
-//! | dihedral | `rcs/images.rs`, `tests/solver.rs` |
+//! | dihedral | `validation/images.rs`, `tests/solver.rs` |
 //! | R to 0 | `tests/solver.rs`, `tests/physics.rs` |
 //! | threads | `tests/stream.rs` |
 
@@ -29,7 +29,7 @@ use rand::Rng;
 use crate::common::WAVENUMBER;
 use crate::surfaces::rooms::{faces, triangles};
 
-/// Root of the mean square of what the fast way errs over that of the signal, dB.
+/// Rms error of the fast synthesis relative to the rms signal, dB.
 fn error_dbc(samples: usize, tones: &[Tone]) -> f64 {
     let synthesiser = Synthesiser::new(samples);
     let mut grid = synthesiser.grid();
@@ -55,8 +55,8 @@ fn tones(count: usize, range_db: f64, cycles: f64) -> Vec<Tone> {
     (0..count).map(|_| tone()).collect()
 }
 
-/// f32 kernel: its phases are reduced in f64, and it loses nothing at 5e3 radians nor at a million times that; reduced in
-/// f32 they would be wrong by 1e-4, and miss that bound.
+/// f32 kernel: its phases are reduced in f64, so it has the same accuracy at 5e3 radians and at a million times that.
+/// Phases reduced in f32 would be wrong by 1e-4 and miss that bound.
 #[test]
 fn f32_phasors_of_long_ways_keep_their_digits() {
     for cycles in [1.0, 800.0, 1e9] {
@@ -70,15 +70,15 @@ fn f32_phasors_of_long_ways_keep_their_digits() {
     assert!(10.0 * (lost / a.iter().map(|v| v * v).sum::<f64>()).log10() > -85.0, "what is avoided is there");
 }
 
-/// Dynamic range: a million phasors over 120 dB add up to what their sum in f64 is, to -90 dB of it.
+/// Dynamic range: the sum of a million phasors over 120 dB agrees with their sum in f64 to -90 dB of it.
 #[test]
 fn a_million_phasors_over_120_db_add_up() {
     let error = error_dbc(32, &tones(1_000_000, 120.0, 800.0));
     assert!(error < -90.0, "{error} dBc");
 }
 
-/// f32 path length: a ray's own distance, found in f32, is wrong by up to milliradians; the length that the surfaces which
-/// it met give in f64 is the image's to 1e-11 rad, for ways of 10 m and of 20 m.
+/// f32 path length: a ray's own distance, found in f32, is wrong by up to milliradians. The length in f64 from the
+/// surfaces that the ray met equals the image's to 1e-11 rad, for paths of 10 m and of 20 m.
 #[test]
 fn lengths_from_what_was_met_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
@@ -108,7 +108,7 @@ fn lengths_from_what_was_met_are_exact() {
     }
 }
 
-/// A box of twelve triangles.
+/// Box of twelve triangles.
 fn box_mesh(size_m: DVec3) -> Mesh {
     let corners = triangles(&faces([0.0; 3], size_m.to_array()));
     let vertices = corners.iter().flatten().map(|&corner| DVec3::from_array(corner)).collect();

@@ -1,4 +1,4 @@
-//! The simulator from outside: one program, so that it is linked once.
+//! Integration tests of the simulator, as one program, so that it is linked once.
 
 mod actors;
 mod any_geometry;

@@ -1,10 +1,11 @@
-//! Materials outside their bands. Alone in its process: what one thread listens to depends on the others of the same one.
+//! Warnings about materials outside their frequency bands. The test is a separate process, because a thread's
+//! subscriber affects the others of its process.
 
 mod common;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Counts warnings.
+/// Subscriber that counts warnings.
 struct Warnings(AtomicUsize);
 
 impl tracing::Subscriber for &'static Warnings {
@@ -41,9 +42,9 @@ fn a_material_outside_its_band_is_warned_of() {
     let scene = made_of(&hall, "ceiling", "concrete").replace("\"open\"", "\"plasterboard\"");
     assert_eq!(warnings(&scene), 0);
     assert_eq!(warnings(&scene.replace("[50, 70]", "[1, 10]")), 1, "the floor");
-    // The table's brick ends at 40 GHz: four walls.
+    // The table's brick ends at 40 GHz: there is a warning for each of four walls.
     assert_eq!(warnings(&scene.replace("plasterboard", "brick")), 4);
-    // Furniture, and once for all that is within a floor plan.
+    // Furniture gives a warning, and all objects within a floor plan give a single one.
     let cupboard = "[[furniture]]\nname = \"cupboard\"\nposition_m = [4.0, 4.0, 0.0]\nsize_m = [1.0, 1.0, 1.0]\n";
     assert_eq!(warnings(&format!("{scene}{cupboard}material = \"plywood\"\n")), 1, "a cupboard");
     let (before, rest) = scene.split_once("size_m").expect("written");

@@ -1,4 +1,4 @@
-//! Slow time: what maps lose when echoes are traced at a few keys of a frame rather than at every chirp.
+//! Accuracy of maps for echoes traced at a few samples of a frame, compared with tracing at every chirp.
 #![allow(clippy::print_stderr)]
 
 use std::f64::consts::TAU;
@@ -20,10 +20,10 @@ use crate::common::{NOBODY, hall, parse, scene, simulator};
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
 const SAMPLES: usize = 256;
-/// A pixel counts when it is no further than this below the strongest, dB.
+/// Depth below the strongest pixel within which pixels count, dB.
 const DEPTH_DB: f64 = 40.0;
 
-/// A frame of one walker in a hall without walls, on the direct path, first receiver.
+/// Frame of one walker in a hall without walls, on the direct path, first receiver.
 struct Walk {
     prepared: PreparedScene,
     motion: Arc<Motion>,
@@ -31,7 +31,7 @@ struct Walk {
 }
 
 impl Walk {
-    /// Specular points of all segments at a time of the frame, s, each in full view of the radar.
+    /// Specular points of all segments at a time of the frame, s, each with a free line of sight to the radar.
     fn keys(&self, time_s: f64) -> Vec<PathSample> {
         let (h, time_s, here) = (2e-4, self.start_s + time_s, ImageIndex::default());
         let (before, body, after) =
@@ -70,7 +70,7 @@ impl Walk {
         map(&samples.collect::<Vec<f64>>())
     }
 
-    /// Map of echoes that are traced at the ends of `count - 1` stretches, and a little before and after them.
+    /// Map of echoes that are traced at the ends of `count - 1` segments, and a little before and after them.
     fn interpolated(&self, count: usize) -> Vec<f64> {
         let step_s = CHIRPS as f64 * INTERVAL_S / (count - 1) as f64;
         let apart_s = 1e-3;
@@ -98,7 +98,7 @@ impl Walk {
         })
     }
 
-    /// Map of echoes that are traced once, in the middle of the frame, and go on with the velocity that they have there.
+    /// Map of echoes that are traced once, in the middle of the frame, and extrapolated at their velocities there.
     fn once(&self) -> Vec<f64> {
         let middle_s = 0.5 * CHIRPS as f64 * INTERVAL_S;
         let traced = self.keys(middle_s);
@@ -109,7 +109,7 @@ impl Walk {
     }
 }
 
-/// Power of a map, `[doppler][range]`, of one receiver's samples: Hann on both axes.
+/// Power map, `[doppler][range]`, of one receiver's samples, with Hann windows on both axes.
 fn map(samples: &[f64]) -> Vec<f64> {
     let fft = radome_dsp::spectrum::real_fft(SAMPLES);
     let hann = |i: usize, n: usize| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos();
@@ -129,7 +129,7 @@ fn map(samples: &[f64]) -> Vec<f64> {
     (0..CHIRPS).flat_map(|d| (0..SAMPLES / 2).map(move |k| (d, k))).map(|(d, k)| cell(d, k)).collect()
 }
 
-/// Root of the mean square of the difference in dB over the pixels near the reference's peak.
+/// Rms difference in dB over the pixels near the reference's peak.
 fn rms_db(map: &[f64], reference: &[f64]) -> f64 {
     let floor = reference.iter().copied().fold(0.0, f64::max) * 10f64.powf(-0.1 * DEPTH_DB);
     let pixels = map.iter().zip(reference).filter(|(_, r)| **r > floor);
@@ -137,10 +137,11 @@ fn rms_db(map: &[f64], reference: &[f64]) -> f64 {
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-/// Frames over a whole gait cycle of a walker who comes, goes, and crosses, against echoes traced anew at every chirp. Traced
-/// once and moved on with their velocities they are wrong by many decibels: feet accelerate by 20 m/s^2 and more. Two keys that
-/// know how the paths bend leave less than 0.15 dB in every frame, three less than 0.02 dB. The hardest is somebody seen from
-/// behind who lifts a shank: the specular point runs all along it within the frame, and its amplitude bends as much as its delay.
+/// Frames over a whole gait cycle of a walker who approaches, recedes and crosses, against echoes traced at every
+/// chirp. Echoes traced once and extrapolated at their velocities are wrong by many decibels: feet accelerate by 20
+/// m/s^2 and more. Two samples with the derivatives of the paths leave less than 0.15 dB in every frame, three less
+/// than 0.02 dB. The hardest case is a person seen from behind who lifts a shank. The specular point runs along the
+/// whole shank within the frame, and its amplitude has as much curvature as its delay.
 #[test]
 fn a_walkers_map_takes_two_keys_and_not_one() {
     let scene = parse(&hall(NOBODY));
@@ -181,13 +182,13 @@ fn a_walkers_map_takes_two_keys_and_not_one() {
     }
 }
 
-/// First receiver's map of what comes back from people.
+/// First receiver's map of the echoes of people.
 fn map_of(samples: &[f32]) -> Vec<f64> {
     map(&samples[..CHIRPS * SAMPLES].iter().map(|&x| f64::from(x)).collect::<Vec<f64>>())
 }
 
-/// Frames with the key times that the program chooses itself, against the program with a trace for every
-/// chirp: walls, shadows of limbs and of each other, and what cannot be heard left out as ever.
+/// Frames with the sample times that the program chooses itself, against the program with a trace for every chirp.
+/// Walls, diffraction by limbs and by other people, and the omission of inaudible paths are included.
 #[test]
 fn the_programs_own_keys_hold_its_frames() {
     let walker = |from: [f64; 2], to: [f64; 2]| {

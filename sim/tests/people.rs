@@ -1,5 +1,5 @@
-//! Motion of people: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, and ways around
-//! furniture.
+//! Motion of people: feet that stay, turns with a bounded rate, squats of the requested depth, bodies that lie and
+//! breathe, and walks around furniture.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -30,7 +30,7 @@ fn builder() -> MotionBuilder {
     MotionBuilder::new(person(), 0.0, [1.0, 1.0], 0.0).turning_at(Some(TURN_RAD_PER_S))
 }
 
-/// Everything that somebody can do, and when it is over.
+/// Motion with every possible action, and its end time.
 fn everything() -> (Motion, f64) {
     let path = builder().walk_to([3.0, 1.0], 1.2).walk_to([3.0, 2.0], 1.2).walk_to([1.5, 2.0], 0.9);
     let path = path.stand(1.5).squat(0.4, 5.0).face(0.3).walk_to(BED.stand_m(&person().build), 0.8).lie(&BED, 16.0);
@@ -44,8 +44,8 @@ fn rate(of: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
     (of(t + h) - of(t - h)) / (2.0 * h)
 }
 
-/// No place and no speed of any part ever jumps: in a millisecond a foot goes no further than 8 mm, and its speed changes by no
-/// more than the 100 m/s^2 of a heel strike.
+/// No place and no speed of any part ever jumps: in a millisecond a foot moves at most 8 mm, and its acceleration is at
+/// most the 100 m/s^2 of a heel strike.
 #[test]
 fn places_and_velocities_are_continuous_whatever_is_done() {
     let (motion, end_s) = everything();
@@ -66,7 +66,7 @@ fn places_and_velocities_are_continuous_whatever_is_done() {
     assert!(fastest < 8.0 && hardest < 100.0, "{fastest} m/s, {hardest} m/s^2");
 }
 
-/// Whoever stands sways by millimetres; squatting and sitting down do not move feet either.
+/// A standing person sways by millimetres; squatting and sitting down do not move the feet either.
 #[test]
 fn feet_do_not_slide_where_somebody_stands_squats_or_sits_down() {
     let path = builder().walk_to([3.0, 1.0], 1.2);
@@ -123,7 +123,7 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
         assert!(fastest <= TURN_RAD_PER_S * 1.001, "{fastest} rad/s");
         assert!(angle.abs() < 0.4 || highest > 0.02, "feet are lifted: {highest} m");
     }
-    // Corners of all kinds on the way, close together as well.
+    // The path has corners of all kinds, some of them close together.
     let places = [[3.0, 1.0], [3.0, 2.5], [1.0, 2.5], [3.0, 2.4], [3.3, 2.6], [3.3, 2.3], [1.0, 1.0]];
     let path = places.iter().fold(builder(), |path, &to| path.walk_to(to, 1.2)).stand(1.0);
     let end_s = path.time_s();
@@ -143,8 +143,8 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
     }
 }
 
-/// Radial speeds seen from ahead: the trunk goes as the walk does, feet stand and overtake it twofold to fourfold; who stands
-/// has next to none.
+/// Radial speeds seen from ahead: the trunk moves at walking speed, while feet stand and overtake it twofold to
+/// fourfold. A standing person has almost none.
 #[test]
 fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
     let walker = |stride: f64, arm_swing: f64| {
@@ -178,7 +178,8 @@ fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
     assert!((cycles(1.25) * 1.25 / cycles(1.0) - 1.0).abs() < 1e-9);
 }
 
-/// The front of the chest of who lies goes up and down with the breath by millimetres, seen from above; all else rests.
+/// The front of the chest of a lying person moves up and down with the breath by millimetres, seen from above; the rest
+/// of the body is still.
 #[test]
 fn who_lies_breathes_upwards_and_rests() {
     let motion = builder().lying(&BED, 60.0).stay();
@@ -197,15 +198,15 @@ fn who_lies_breathes_upwards_and_rests() {
     let body = motion.body(20.0);
     assert!(body.iter().all(|e| (0.45..0.9).contains(&e.centre.z)), "all of the body is on the bed");
     assert!(body[0].centre.x < 3.5 && body[11].centre.x > 4.6, "feet point where they should");
-    // And up again, in front of the bed.
+    // The person stands up again in front of the bed.
     let stands = motion.body(70.0);
     let before = BED.stand_m(&person().build);
     assert!(stands[0].centre.z > 1.5, "{}", stands[0].centre.z);
     assert!((stands[PELVIS].centre.truncate() - glam::DVec2::from_array(before)).length() < 0.05);
 }
 
-/// The skin follows the body into whatever it does: closed, as large as before within what bent joints fold away, and its
-/// velocities are the rates of its places.
+/// The skin follows the body in every action. It stays closed, its volume changes only by the folds of bent joints, and
+/// its velocities are the rates of its positions.
 #[test]
 fn skins_squat_and_lie_without_losing_flesh() {
     let (motion, end_s) = everything();
@@ -254,7 +255,7 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
     while t < until_s {
         for (_, motion) in Scenario::new(scene, seed, None).between(t, t) {
             let p = motion.body(t)[PELVIS].centre;
-            // On seats and beds, and in doorways, they may be where they are.
+            // On seats and beds and in doorways, people may be near furniture and walls.
             let seated = file.seat.iter().any(|s| near(p, s.position_m, 0.55));
             let in_bed = file.bed.iter().any(|b| near(p, b.position_m, b.edge_m.abs() + 0.45));
             if seated || in_bed || file.door.iter().any(|d| near(p, d.position_m, 0.9)) {
@@ -271,7 +272,7 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
     (from_furniture, from_walls)
 }
 
-/// Scripts and chance alike.
+/// Walking paths keep their distance from furniture and walls, for scripted and for random motion.
 #[test]
 fn ways_keep_off_furniture_and_walls() {
     for name in ["bedroom", "bathroom"] {
@@ -316,7 +317,7 @@ fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
     (20..22).flat_map(|i| simulator.frame(i).codes).collect()
 }
 
-/// Nothing that is not asked for changes a byte, for both kinds of bodies; what is asked for does, and by the seed alone.
+/// Disabled features do not change a byte, for both kinds of bodies. Enabled features do, and depend on the seed alone.
 #[test]
 fn what_is_off_leaves_every_byte_as_it_was() {
     for body in [BodyFile::Ellipsoids, BodyFile::Mesh] {
@@ -329,7 +330,7 @@ fn what_is_off_leaves_every_byte_as_it_was() {
     }
 }
 
-/// Strongest cell around somebody's range over the median of the map, dB.
+/// Strongest cell around a person's range relative to the median of the map, dB.
 fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
     let rendered: Frame = simulator.frame(frame);
     let map = map_db(&rendered, 0);
@@ -343,7 +344,7 @@ fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
     near.fold(f64::NEG_INFINITY, f64::max) - sorted[sorted.len() / 2]
 }
 
-/// Whoever moves in the shipped scenes stands far out of the noise; who lies or stands still shows now and then.
+/// Moving people in the shipped scenes are far above the noise; people who lie or stand still are visible now and then.
 #[test]
 fn people_show_in_the_shipped_scenes() {
     for name in ["bedroom", "bathroom"] {
@@ -415,7 +416,7 @@ mod hard_cases {
         }
     }
 
-    /// Steps of no length or duration, beds against the wall, turns by nothing and all the way round.
+    /// Steps of zero length or duration, beds against the wall, and turns by zero and by a full circle.
     #[test]
     fn odd_scripts_still_make_bodies() {
         let path = builder().walk_to([1.0, 1.0], 1.0).face(0.0).face(TAU).stand(0.0).squat(0.0, 0.0).squat(9.0, 0.1);

@@ -1,4 +1,4 @@
-//! Physics that frames must show: signs, levels, laws.
+//! Physical effects that frames must show: signs, levels and laws.
 
 use std::f64::consts::TAU;
 
@@ -37,12 +37,13 @@ fn who_walks_away_has_positive_velocity_at_the_right_range() {
     }
 }
 
-/// A metal wall on one side and a lossy one on the other: two echoes whose sum has a null where the closed form, with
-/// the lossy wall's complex coefficient, puts it. A slip of sign in conjugation moves it by twice that coefficient's angle.
+/// A metal wall on one side and a lossy one on the other: two echoes whose sum has a null where the closed form
+/// predicts it, with the lossy wall's complex coefficient. A sign error in conjugation moves it by twice that
+/// coefficient's angle.
 #[test]
 fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
     let material = Material::Glass;
-    // Thin against the wave: the coefficient is nearly imaginary, and conjugation shows.
+    // The wall is thin relative to the wavelength: the coefficient is nearly imaginary, so that conjugation shows.
     let thickness_m = 0.0003;
     let text = hall(NOBODY)
         .replace("y_low = { material = \"open\" }", "y_low = { material = \"metal\" }")
@@ -54,7 +55,7 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
     let prepared = PreparedScene::new(&scene, 0, 40.0);
     assert_eq!(prepared.static_paths.len(), 2);
 
-    // As simulated: in-phase and quadrature through the sampled synthesis; where is the envelope least?
+    // Minimum of the simulated envelope, with in-phase and quadrature samples from the sampled synthesis.
     let synthesiser = Synthesiser::new(256);
     let quadrature = |turn: Complex<f32>| {
         let mut grid = synthesiser.grid();
@@ -70,7 +71,7 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
     let (re, im) = (quadrature(Complex::new(1.0, 0.0)), quadrature(Complex::new(0.0, -1.0)));
     let envelope: Vec<f64> = re.iter().zip(&im).map(|(a, b)| f64::from(a.hypot(*b))).collect();
 
-    // Closed form, written down separately: reflection of glass by multiple internal bounces, amplitude 1/length.
+    // Independently written closed form: reflection of glass by multiple internal bounces, amplitude 1/length.
     let w = scene.waveform();
     let permittivity = material.permittivity(w.centre_frequency_hz()).expect("dielectric");
     let n = permittivity.sqrt();
@@ -80,7 +81,7 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
     let trip = (Complex64::new(0.0, -2.0 * k * thickness_m) * n).exp();
     let glass: Complex64 = r - (0..400).map(|i| transmitted * r * trip * (r * r * trip).powu(i)).sum::<Complex64>();
     let filters = Filters::new(scene.receiver(), w);
-    // By the mirrored antennas: TX 3 mm to one side of the package's middle, RX1 4.5 mm to the other.
+    // Mirrored antennas: TX 3 mm to one side of the package's middle, RX1 4.5 mm to the other.
     let lengths = (2.0 * 9.53 - 0.003 + 0.0045, 2.0 * 10.47 + 0.003 - 0.0045);
     let closed = |conjugate: bool| -> Vec<f64> {
         (0..256)
@@ -138,7 +139,8 @@ fn level_follows_the_radar_equation_with_the_fourth_power() {
     }
 }
 
-/// |X|^2 of thermal noise is exponential: sigma of its decibels is 5.57, their mean 2.51 below the decibels of the mean.
+/// Power |X|^2 of thermal noise is exponential. The standard deviation of its decibels is 5.57, and their mean is 2.51
+/// below the decibels of the mean.
 #[test]
 fn empty_maps_are_exponential_noise() {
     let scene = parse(&hall(NOBODY));
@@ -146,7 +148,7 @@ fn empty_maps_are_exponential_noise() {
     let mut all = Vec::new();
     for index in 0..6 {
         let map = map_db(&simulator.frame(index), 0);
-        // Zero Doppler has lost its mean, bin 0 is not one-sided.
+        // Zero Doppler has lost its mean, and bin 0 is not one-sided.
         all.extend(
             map.chunks(128).enumerate().filter(|(d, _)| d.abs_diff(64) > 1).flat_map(|(_, row)| row[2..].to_vec()),
         );
@@ -160,7 +162,8 @@ fn empty_maps_are_exponential_noise() {
     assert!((10.0 * power.log10() - expected).abs() < 0.15, "{} {expected}", 10.0 * power.log10());
 }
 
-/// Levels of public recordings: density at 23 dB gain (64 samples, 2 MHz), sigma of a sample at 48 dB (128 samples, 2 MHz).
+/// Levels of public recordings: density at 23 dB gain (64 samples, 2 MHz), sigma of a sample at 48 dB (128 samples, 2
+/// MHz).
 #[test]
 fn noise_has_the_measured_spectrum_at_both_gains() {
     let mut scene = parse(&hall(NOBODY));
@@ -210,12 +213,12 @@ fn drawn_noise_has_the_density_it_was_asked_for() {
         }
     }
     for (bin, (got, wanted)) in power.iter().zip(&density).enumerate() {
-        // Rounding's twelfth is left to the quantiser; 6000 draws are good to 2 %.
+        // Rounding's twelfth is left to the quantiser; 6000 draws are accurate to 2 %.
         assert!((got / (wanted - 1.0 / 12.0) - 1.0).abs() < 0.07, "bin {bin}: {got} for {wanted}");
     }
 }
 
-/// A beat beyond half the rate folds, weakened by the filter at its true frequency.
+/// A beat beyond half the rate folds, attenuated by the filter at its true frequency.
 #[test]
 fn far_walls_fold_as_the_chip_folds_them() {
     let scene = parse(
@@ -259,7 +262,7 @@ fn truth_counts_who_has_a_part_in_the_room() {
     assert_eq!(common::simulator(&scene, 1, Some(1)).truth(130).occupancy, Occupancy::One);
 }
 
-/// One who stands exactly behind another is shaded; beside them, not.
+/// A person exactly behind another is shaded; beside the other, not.
 #[test]
 fn a_person_in_front_shades_the_one_behind() {
     let energy = |front_y: f64| {
@@ -268,7 +271,7 @@ fn a_person_in_front_shades_the_one_behind() {
              {{ step = [{{ walk_to_m = [9.0, 10.0] }}, {{ walk_to_m = [7.0, 10.0], speed_m_per_s = 1.0 }}] }}]\n"
         ));
         let map = map_db(&simulator(&parse(&text), 2, None).frame(10), 0);
-        // Cells about the walker behind: 6.5 to 8.5 m, approaching.
+        // Cells around the walker behind: 6.5 to 8.5 m, approaching.
         (10..58)
             .flat_map(|d| (38..50).map(move |r| (d, r)))
             .map(|(d, r)| 10f64.powf(0.1 * map[d * 128 + r]))
@@ -293,7 +296,8 @@ mod hard_cases {
         assert_eq!(quantise(f32::NEG_INFINITY), 0);
     }
 
-    /// From far away to 5 cm, standing in the antenna, and through it: finite, counted, below what the ADC can hold.
+    /// From far away to 5 cm, at the antenna, and through it: frames are finite, such cases are counted, and levels are
+    /// below the ADC limit.
     #[test]
     fn somebody_at_five_centimetres_and_somebody_walking_through_the_radar() {
         let close = hall("[people]\nactor = [{ step = [{ walk_to_m = [1.17, 10.0] }] }]\n");

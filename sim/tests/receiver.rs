@@ -1,4 +1,4 @@
-//! Effects of the receiver on echoes: phase noise, and clutter that does not stand still.
+//! Effects of the receiver on echoes: phase noise, and clutter that fluctuates.
 
 use num_complex::Complex64;
 use radome_dsp::Frame;
@@ -10,7 +10,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::common::{NOBODY, hall, parse, range_bin, scene, simulator};
 
-/// A board before a metal wall 2.4 m away; nothing else, and a quiet receiver that stands still.
+/// Board in front of a metal wall 2.4 m away, without other objects, with a quiet and stable receiver.
 fn wall(clutter: &str, receiver: &str) -> Scene {
     let text = hall(NOBODY)
         .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
@@ -25,19 +25,19 @@ fn wall(clutter: &str, receiver: &str) -> Scene {
     parse(&text)
 }
 
-/// Echo of a frame's mean chirp in the range bin at a distance (Hann's window): amplitude, and phase in rad.
+/// Echo of a frame's mean chirp in the range bin at a distance (Hann window): amplitude, and phase in rad.
 fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
     let bin = (range_m / scene.waveform().range_step_m(frame.shape.samples)).round();
     let sum: Complex64 = range_bin(frame, bin).iter().sum();
     (sum.norm(), sum.arg())
 }
 
-/// An angle within half a turn of zero.
+/// Wraps an angle to within half a turn of zero.
 fn within_half_a_turn(angle_rad: f64) -> f64 {
     angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
 }
 
-/// Phase (rad, turning on) and amplitude of the wall's range bin in frame after frame of its mean chirp.
+/// Unwrapped phase (rad) and amplitude of the wall's range bin in the mean chirp of successive frames.
 fn series(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
     let simulator = simulator(scene, seed, Some(0));
     let (mut last, mut turned, mut all) = (0.0, 0.0, Vec::new());
@@ -50,15 +50,15 @@ fn series(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
     all
 }
 
-/// Root mean square of the changes over so many frames.
+/// Rms of the changes over `frames` frames.
 fn change(values: &[f64], frames: usize) -> f64 {
     let square = |(a, b): (&f64, &f64)| (b - a).powi(2);
     let count = values.len() - frames;
     (values.iter().zip(&values[frames..]).map(square).sum::<f64>() / count as f64).sqrt()
 }
 
-/// Drift and jitter are as measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to 4 % of
-/// amplitude; and in an empty room there is more than noise left after static removal, though far less than a person.
+/// Drift and jitter are as measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to
+/// 4 % of amplitude. In an empty room more than noise remains after static removal, though far less than a person.
 #[test]
 fn clutter_jitters_and_drifts_as_measured() {
     let typical = "phase_jitter_rad = 0.03\nphase_drift_rad_per_10s = 0.3\namplitude_jitter = 0.01";
@@ -69,7 +69,7 @@ fn clutter_jitters_and_drifts_as_measured() {
         let mean = series.iter().map(|(_, level)| level).sum::<f64>() / series.len() as f64;
         let level: Vec<f64> = series.iter().map(|(_, level)| level / mean).collect();
         jitters.push(change(&phase, 1) / 2f64.sqrt());
-        // Seconds, so that jitter is no drift.
+        // Values are averaged over seconds, so that jitter does not count as drift.
         let seconds: Vec<f64> = phase.chunks(10).map(|of| of.iter().sum::<f64>() / 10.0).collect();
         drifts.push(change(&seconds, 10));
         amplitudes.push(change(&level, 1) / 2f64.sqrt());
@@ -80,7 +80,7 @@ fn clutter_jitters_and_drifts_as_measured() {
     let still = series(&wall("", ""), 1, 40);
     let phase: Vec<f64> = still.iter().map(|(phase, _)| *phase).collect();
     assert!(change(&phase, 1) < 1e-3 && change(&phase, 20) < 1e-3);
-    // What static removal leaves.
+    // Residual after static removal.
     let left_db = |scene: &Scene| {
         let simulator = simulator(scene, 1, Some(0));
         let mut slow_time = SlowTimeStatistics::new(scene.waveform(), 10.0);
@@ -93,7 +93,8 @@ fn clutter_jitters_and_drifts_as_measured() {
     assert!((-30.0..-8.0).contains(&jittering) && resting < -50.0, "{jittering} dB, at rest {resting} dB");
 }
 
-/// Half of the power of what echoes drift by is the chip's and so common to all of them: two posts, 400 boards, ten seconds.
+/// Half of the power of the echoes' drift comes from the chip and is common to all echoes: two posts, 400 boards, ten
+/// seconds.
 #[test]
 fn half_of_the_drift_is_common_to_all_echoes() {
     let post = |x: f64| {
@@ -123,7 +124,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
     assert!((correlation - 0.5).abs() < 0.15, "{correlation}");
 }
 
-/// Datasets whose maps are of one receiver are simulated without those behind it: what it hears is the same to the bit.
+/// Datasets whose maps use one receiver are simulated without the receivers behind it: its samples are bit-identical.
 #[test]
 fn a_receiver_hears_the_same_whoever_else_listens() {
     for (name, people) in [("corridor", 2), ("room", 1), ("bathroom", 1)] {
@@ -141,7 +142,7 @@ fn a_receiver_hears_the_same_whoever_else_listens() {
     }
 }
 
-/// Skins are looked at from the middle of all antennas: that of fewer lies elsewhere, by millimetres.
+/// Skins are evaluated from the middle of all antennas, which differs by millimetres for fewer antennas.
 #[test]
 fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
     let all = scene("corridor-mesh");
@@ -156,7 +157,7 @@ fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
     }
 }
 
-/// Steps come about as often as asked, about as large, and nothing changes in between.
+/// Steps have about the requested rate and size, and nothing changes between them.
 #[test]
 fn clutter_steps_now_and_then() {
     let scene = wall("phase_step_rad = 0.6\nphase_step_interval_s = 4.0", "");
@@ -171,7 +172,7 @@ fn clutter_steps_now_and_then() {
     assert!((0.4..0.85).contains(&typical), "{typical} rad");
 }
 
-/// A wall's noise is as strong as the delay makes it: what phase noise adds to the codes, beside the closed form.
+/// The phase noise of a wall is proportional to its delay: its contribution to the codes agrees with the closed form.
 #[test]
 fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
     let noise = PhaseNoise { level_dbc_per_hz: -50.0, offset_hz: 1e5 };
@@ -188,18 +189,18 @@ fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
     let wall_rms = rms(&frames[1].codes[..per_rx].iter().map(|&c| f64::from(c) - dc).collect::<Vec<_>>());
     let delay_s = 2.0 * 2.4 / radome_dsp::SPEED_OF_LIGHT_M_PER_S;
     let rate = std::f64::consts::TAU * noise.offset_hz * (1e-5 * with.waveform().sample_rate_hz).sqrt();
-    // The two have rounding of their own.
+    // Each of the two frames is rounded separately.
     let expected = ((wall_rms * delay_s * rate).powi(2) + 1.0 / 6.0).sqrt();
     let got = rms(&added[..per_rx]);
     assert!(wall_rms > 20.0 && expected > 1.0, "{wall_rms} LSB, {expected} LSB");
     assert!((got / expected - 1.0).abs() < 0.08, "{got} LSB, expected {expected} LSB");
-    // The same oscillator in all receivers, which see the wall at nearly the same phase.
+    // All receivers share one oscillator and see the wall at nearly the same phase.
     let product: f64 = added[..per_rx].iter().zip(&added[per_rx..2 * per_rx]).map(|(a, b)| a * b).sum();
     assert!(product / per_rx as f64 > 0.5 * got * got, "{product}");
 }
 
-/// People, as ellipsoids and as skins: what phase noise adds is the phase's rate times the derivative of the echoes themselves
-/// over `2 pi` times the slope, since a beat's frequency is the slope times its delay.
+/// People, as ellipsoids and as skins: the phase-noise contribution is the phase's rate times the derivative of the
+/// echoes over `2 pi` times the slope, since a beat frequency is the slope times its delay.
 #[test]
 fn phase_noise_of_people_follows_their_delays() {
     let noise = PhaseNoise { level_dbc_per_hz: -30.0, offset_hz: 1e5 };
@@ -233,7 +234,7 @@ fn phase_noise_of_people_follows_their_delays() {
                 let slope = (8.0 * (at(n + 1) - at(n - 1)) - at(n + 2) + at(n - 2)) / 12.0;
                 let expected = f64::from(*rate) * slope / per_cycle;
                 let i = chirp * shape.samples + n;
-                // What people add to what phase noise adds; clutter in their shade is another's business.
+                // Contribution of people to the phase noise; clutter in their shadow is tested elsewhere.
                 let code = |frame: &radome_dsp::Frame| f64::from(frame.codes[i]);
                 let got = code(&noisy) - code(&plain) - (code(&empty_noisy) - code(&empty));
                 product += expected * got;

@@ -59,14 +59,14 @@ fn images_of_the_corridor_lie_where_the_reference_has_them() {
         assert!((length - expected).abs() < 1e-12, "{row}: {length}");
         let phase = (-WAVENUMBER * length).rem_euclid(TAU);
         let difference = (phase - row["phase_rad"].as_f64().expect("phase") + PI).rem_euclid(TAU) - PI;
-        // Of the length alone: the conductors' signs are in the field, see below.
+        // Phase of the length alone: the conductors' signs are in the field, see below.
         assert!(difference.abs() < 1e-6, "{row} {difference}");
         assert!((1.0 / length - row["amp_1_over_d"].as_f64().expect("amplitude")).abs() < 1e-9, "{row}");
     }
     assert!(rows.len() >= 60);
 }
 
-/// A mirrored dipole with the sign -1 for each conductor: what the dyads must give, whatever order of walls.
+/// A mirrored dipole with the sign -1 for each conductor: the dyads must give it for any order of walls.
 #[test]
 fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
     let room = conducting_box();
@@ -78,7 +78,7 @@ fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
         let sign = if order(index).is_multiple_of(2) { 1.0 } else { -1.0 };
         let expected = sign * (mirrored - got.direction * got.direction.dot(mirrored));
         assert!((got.field.re - expected).length() < 1e-12 && got.field.im.length() < 1e-12, "{index:?}");
-        // Folding the way back keeps its length and ends where it should.
+        // Folding the path back keeps its length and its end points.
         let line = room.polyline(index, tx.position, target);
         let folded: f64 = line.windows(2).map(|w| w[0].distance(w[1])).sum();
         assert!((folded - got.distance_m).abs() < 1e-9, "{index:?}");
@@ -104,7 +104,7 @@ fn two_ray_ground_has_its_nulls_and_gains() {
     }
 }
 
-/// Physical optics, summed densely: `int cos e^{-jk(Rt+Rr)}/(Rt Rr) dS` over the side that both see.
+/// Dense sum of physical optics: `int cos e^{-jk(Rt+Rr)}/(Rt Rr) dS` over the side that both see.
 fn dense_physical_optics(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> Complex64 {
     let (rows, columns) = (1400usize, 2800usize);
     let mut sum = Complex64::ZERO;
@@ -137,7 +137,7 @@ fn specular_points_agree_with_dense_physical_optics_in_amplitude_and_phase() {
     let cases = [
         (limb, DVec3::new(1.0, 0.3, 0.2), DVec3::new(1.0, 0.3, 0.2)),
         (head, DVec3::new(0.5, 0.5, 0.9), DVec3::new(0.5, 0.5, 0.9)),
-        // Bistatic, as image pairs are: 50 degrees apart, at unequal distances.
+        // Bistatic cases, as for image pairs: 50 degrees apart, at unequal distances.
         (limb, DVec3::new(1.2, 0.2, 0.1), DVec3::new(0.8, 1.1, 0.0)),
         (head, DVec3::new(0.9, -0.5, 0.3), DVec3::new(0.7, 0.6, 0.2)),
     ];
@@ -147,7 +147,8 @@ fn specular_points_agree_with_dense_physical_optics_in_amplitude_and_phase() {
         let (rt, rr) = h.distances_m;
         let ours = PI / WAVENUMBER * h.cosine / (h.det_j.sqrt() * rt * rr);
         let error_db = 20.0 * (ours / integral.norm()).log10();
-        // Apart, the sum's own border (where one of the two no longer sees the body) adds an edge that no specular point has.
+        // For separate antennas, the sum's border (where one of the two no longer sees the body) adds an edge that is
+        // absent in the specular point.
         let tolerance_db = if tx == rx { 0.05 } else { 0.2 };
         assert!(error_db.abs() < tolerance_db, "{tx} {rx}: {error_db} dB");
         let phase = (integral * Complex64::from_polar(1.0, WAVENUMBER * (rt + rr))).arg();
@@ -169,7 +170,7 @@ fn near_field_cross_section_is_that_of_the_reference_bodies() {
         let e = Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m: b };
         let radar = triple("dir").normalize() * (row["R0"].as_f64().expect("range") + b.max_element());
         let h = e.specular_point(radar, radar, None).expect("visible");
-        // The closest point: the line of sight is the normal there.
+        // At the closest point the line of sight is the normal.
         assert!((h.normal - (radar - h.point).normalize()).length() < 1e-5);
         assert!(((h.point / b).length() - 1.0).abs() < 1e-9);
         // Gaussian and mean curvature of an ellipsoid (Goldman, "Curvature formulas for implicit curves and surfaces").
@@ -213,7 +214,7 @@ mod hard_cases {
         assert!((two / one - 2.0).norm() < 1e-6);
     }
 
-    /// The specular point must be found, once and finite, wherever the pair stands, the body's inside included.
+    /// The specular point must be unique and finite for any position of the pair, including inside the body.
     #[test]
     fn specular_points_of_touching_and_swallowed_antennas_are_finite() {
         let e = Ellipsoid {

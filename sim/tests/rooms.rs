@@ -1,4 +1,4 @@
-//! Rooms from meshes, and materials of a scene's own.
+//! Rooms from meshes, and materials defined by a scene.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,7 +10,7 @@ use radome_sim::material::Material;
 use crate::common;
 use crate::surfaces::rooms::{self, Quad, faces};
 
-/// A text STL of quadrilaterals, in so many units a metre.
+/// Text STL of quadrilaterals, with `per_metre` units a metre.
 fn stl(quads: &[Quad], per_metre: f64) -> String {
     rooms::stl(&rooms::triangles(quads), per_metre)
 }
@@ -44,7 +44,7 @@ permittivity = [2.4, 0.15]
 band_ghz = [50, 70]
 "#;
 
-/// A room of 5 by 4 by 2.5 m whose low corner is at (-1, -2, 0), with a metal box in it, in a folder of its own.
+/// Folder with a room of 5 by 4 by 2.5 m whose low corner is at (-1, -2, 0), and a metal box in it.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let room = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
@@ -56,7 +56,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// A scene in that folder.
+/// Scene in that folder.
 fn scene(folder: &tempfile::TempDir, meshes: &str) -> Result<Scene, radome_sim::SceneError> {
     rooms::parse(meshes, "", folder.path())
 }
@@ -75,18 +75,18 @@ fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
     assert_eq!(room.walls[..4], [slab(Material::Plasterboard, 0.0125); 4]);
     assert_eq!(room.walls[4], Wall::Slab { permittivity: num_complex::Complex64::new(2.4, -0.15), thickness_m: 0.02 });
     assert_eq!(room.walls[5], slab(Material::Concrete, 0.2));
-    // The desk is where it was, from the corner of the room.
+    // The desk keeps its place relative to the corner of the room.
     let [desk] = scene.file().furniture.as_slice() else { panic!("{:?}", scene.file().furniture) };
     let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
     assert!(near(desk.position_m, [2.0, 2.0, 0.0]) && near(desk.size_m, [1.0, 0.5, 0.7]), "{desk:?}");
-    // A quarter of the sides and the top; what stands on the floor has no underside.
+    // A quarter of the sides and the top; an object on the floor has no underside.
     let area_m2 = 2.0 * 0.7 * 1.5 + 0.5;
     assert!((desk.cross_section_dbsm() - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
     let simulator = common::simulator(&scene, 1, None);
     assert!(simulator.frame_with_report(0).1.static_paths > 10);
 }
 
-/// Walls drawn as solids have an outer face as well: the room is what lies within.
+/// Walls drawn as solids have an outer face as well; the room is their interior.
 #[test]
 fn an_obj_room_of_solid_walls_is_what_lies_within() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -173,7 +173,7 @@ mod hard_cases {
         wrong("walls.stl", &|_| "solid x\nendsolid x\n".to_owned(), &["walls.stl", "no triangle", "hint: "]);
         wrong("desk.stl", &|t| t.replace("vertex 1 ", "vertex 1e30 "), &["desk.stl", "hint: "]);
         wrong("desk.stl", &|_| stl(&[[[0.0; 3]; 4]], 1.0), &["desk.stl", "no triangle", "hint: "]);
-        // Turned by 30 degrees, nothing faces along the axes but floor and ceiling.
+        // After a rotation by 30 degrees, only floor and ceiling are perpendicular to an axis.
         let turned = |quads: &[Quad]| {
             let turn = |[x, y, z]: [f64; 3]| [0.866 * x - 0.5 * y, 0.5 * x + 0.866 * y, z];
             stl(&quads.iter().map(|q| q.map(turn)).collect::<Vec<_>>(), 1000.0)
@@ -192,7 +192,7 @@ mod hard_cases {
         told(scene(&folder, &small), &["0.0050 x 0.0040", "unit = \"mm\"", "hint: "]);
     }
 
-    /// The file has eight corners: triangles are counted, not bytes.
+    /// The file has eight corners: the limit counts triangles, not bytes.
     #[test]
     fn two_million_triangles_are_refused_with_the_limit() {
         let folder = folder();

@@ -1,4 +1,4 @@
-//! Scene and receiver files: what is wrong is said with file, line and expectation.
+//! Scene and receiver files: errors name the file, the line and the expected content.
 
 use std::path::Path;
 
@@ -104,7 +104,7 @@ mod hard_cases {
         }
     }
 
-    /// A scene in a folder of its own, which names a receiver, a mesh or an actor.
+    /// Scene in a folder of its own, which names a receiver, a mesh or an actor.
     fn in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
         let (_, text) = common::fixture("room-mesh");
         let people = if actor.is_empty() { "" } else { "[people]\nbody = \"mesh\"\n" };
@@ -180,7 +180,7 @@ mod hard_cases {
         let frames = good.replace("chirps_per_frame = 128", "chirps_per_frame = 1000000000");
         refused(frames.as_bytes(), &["chirps_per_frame"]);
         assert_ne!(frames, good);
-        // Cut off anywhere, it is a scene or an error with a place.
+        // A file that is cut off anywhere gives a scene or an error with a place.
         for end in 0..good.len() {
             if let Err(error) = Scene::parse(&good[..end], &path) {
                 assert!(error.to_string().contains("scene.toml:"), "{end}: {error}");

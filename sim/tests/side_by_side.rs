@@ -1,4 +1,4 @@
-//! Paths that are traced side by side against paths that are traced one by one.
+//! Paths that are traced together, compared with paths that are traced one by one.
 
 use radome_sim::echo::{EchoReport, Paths, Snapshot};
 use radome_sim::prepared_scene::PreparedScene;
@@ -8,8 +8,8 @@ use crate::common;
 
 const FRAME_S: f64 = 0.064;
 
-/// All of somebody's paths at an instant, side by side and one by one. Returns how many there are, and how many of them are as
-/// loud as this.
+/// Compares all paths of a person at an instant, traced together and one by one. Returns the number of paths, and the
+/// number of those louder than `least_lsb`.
 fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usize; 2] {
     let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
     let (mut report, mut report_of_one) = (EchoReport::default(), EchoReport::default());
@@ -30,7 +30,7 @@ fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usi
             assert!((met.delay_rate - one.delay_rate).abs() < 1e-14, "{at}, path {path}: {met:?} {one:?}");
             let (error_lsb, lsb) = ((met.amplitude - one.amplitude).norm(), one.amplitude.norm());
             assert!(error_lsb < 1e-6 * lsb + 1e-9 * least_lsb, "{at}, path {path}: {met:?} {one:?}");
-            // People make nothing louder: what is not heard without them is not heard.
+            // People increase no amplitude: a path that is inaudible without them is inaudible with them.
             assert!(met.amplitude.norm() <= bare.amplitude.norm() * (1.0 + 1e-12), "{at}, path {path}");
         }
         loud += usize::from(keys.first().is_some_and(|key| key.amplitude.norm() > least_lsb));

@@ -1,4 +1,4 @@
-//! Echoes of people with skins beside dense physical optics in every chirp.
+//! Echoes of people with skins, compared with dense physical optics in every chirp.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use num_complex::Complex64;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-/// A hall without walls, a few chirps, one receiver: all that the slow way can do in seconds.
+/// Hall without walls, with a few chirps and one receiver: the slow method takes seconds for it.
 const HALL: &str = r#"
 format = 1
 name = "hall"
@@ -67,7 +67,7 @@ fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
     (apart / power).sqrt()
 }
 
-/// Phase and strength in every chirp and range, not only on the mean: 2 percent is 0.17 dB.
+/// Phase and amplitude agree in every chirp and range, not only on average: 2 percent is 0.17 dB.
 #[test]
 fn skins_are_dense_physical_optics_in_every_chirp() {
     let frame = 12;
@@ -88,7 +88,7 @@ fn skins_are_dense_physical_optics_in_every_chirp() {
     }
 }
 
-/// Somebody who stands still has a still echo: nothing of the numerics moves.
+/// A person who stands still has a still echo: numerical errors do not make it move.
 #[test]
 fn who_breathes_only_moves_only_that_much() {
     let still = HALL.replace(", { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.2 }", "");
@@ -105,7 +105,7 @@ fn who_breathes_only_moves_only_that_much() {
     assert!((last[strongest].norm() / first[strongest].norm() - 1.0).abs() < 0.2);
 }
 
-/// The same bytes whoever makes them.
+/// Frames are byte-identical on any number of threads.
 #[test]
 fn frames_of_skins_are_the_same_on_any_number_of_threads() {
     let frames = |threads: usize| {
@@ -119,7 +119,7 @@ fn frames_of_skins_are_the_same_on_any_number_of_threads() {
 mod hard_cases {
     use super::*;
 
-    /// Right through the radar.
+    /// The person walks through the radar.
     #[test]
     fn a_skin_around_the_radar_is_finite_and_counted() {
         let through = HALL

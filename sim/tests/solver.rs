@@ -1,4 +1,5 @@
-//! The integrators of scenes against reference values that were computed independently: closed forms, Mie, dense quadrature.
+//! The integrators of scenes, compared with independently computed reference values: closed forms, Mie, dense
+//! quadrature.
 
 use std::f64::consts::PI;
 
@@ -85,7 +86,7 @@ fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
         let error = db(outcome.sigma_m2) - expected;
         assert!(error.abs() < 0.01, "{row}: {error} dB");
         assert!(outcome.estimate_db.expect("estimate") < 0.01);
-        // The quadrature that the program prints beside it.
+        // Quadrature that the program prints beside the result.
         assert!((known_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
     }
 }
@@ -98,10 +99,10 @@ fn a_dihedral_far_and_near() {
     for range in [None, Some(100.0), Some(1000.0)] {
         let s = setup(range, 45.0, 0.0, Wall::Conductor);
         let error = db(solve(&dihedral, &s, Method::Images, None, 0.01).sigma_m2) - expected;
-        // All orders together: the single bounces off both faces at 45 degrees have their part of it.
+        // Sum of all orders: the single bounces off both faces at 45 degrees contribute to it.
         assert!(error.abs() < 0.051, "{range:?}: {error} dB");
     }
-    // Near, the wave fronts bend: 4.9 dB less at 2 m (dense integration of both orders, alone).
+    // In the near field wave fronts are curved: 4.9 dB less at 2 m (dense integration of both orders, alone).
     let near = db(solve(&dihedral, &setup(Some(2.0), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.01).sigma_m2);
     assert!((near - (expected - 4.9)).abs() < 0.3, "{near}");
 }
@@ -135,7 +136,7 @@ fn mie_is_the_reference_mie() {
     }
 }
 
-/// A sphere of 20 thousand triangles against Mie, conductor and skin, from several sides of its mesh.
+/// Spheres of 20 thousand triangles agree with Mie, for conductor and skin, from several sides of the mesh.
 #[test]
 fn spheres_of_twenty_thousand_triangles_are_mies() {
     for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
@@ -156,7 +157,7 @@ fn spheres_of_twenty_thousand_triangles_are_mies() {
     }
 }
 
-/// Physical optics over facets against its own closed form, to its tolerance.
+/// Physical optics over facets agrees with its own closed form to its tolerance.
 #[test]
 fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
     let reference = common::reference();
@@ -169,7 +170,8 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
     }
 }
 
-/// Meshes of every body of the reference, at its directions, against the specular point formula that dense integration confirmed.
+/// Meshes of every reference body, at its directions, agree with the specular point formula that dense integration
+/// confirmed.
 #[test]
 fn ellipsoids_on_meshes() {
     let reference = common::reference();
@@ -179,7 +181,7 @@ fn ellipsoids_on_meshes() {
         let semi_axes_m = triple("axes");
         let target = Target::Ellipsoid { semi_axes_m };
         let towards = triple("dir").normalize();
-        // The reference measures from the centre, and a box around the body.
+        // The reference's range begins at the largest semi-axis from the centre.
         let range_m = number(&row["R0"]) + semi_axes_m.max_element() - target.reference_point(towards).length();
         let (azimuth, elevation) = (towards.y.atan2(towards.x).to_degrees(), towards.z.asin().to_degrees());
         let s = setup(Some(range_m), azimuth, elevation, Wall::Conductor);
@@ -189,7 +191,7 @@ fn ellipsoids_on_meshes() {
     }
 }
 
-/// A torso on a 14 mm mesh, all around, near and far: 0.2 dB asked, a tenth of it kept.
+/// A torso on a 14 mm mesh, all around, near and far: the requirement is 0.2 dB, and the error is within a tenth of it.
 #[test]
 fn a_torso_on_a_14_mm_mesh() {
     let target = Target::Ellipsoid { semi_axes_m: DVec3::new(0.12, 0.17, 0.3) };
@@ -216,7 +218,7 @@ fn cylinders_far_and_near() {
         let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - known_db(&target, &s);
         assert!(error.abs() < 0.1, "{name}: {error} dB");
     }
-    // The Fresnel integral along a cylinder without end is the reference's.
+    // The Fresnel integral along an infinite cylinder equals the reference's.
     for row in reference["cylinder_infinite"]["rows"].as_array().expect("rows") {
         let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Wall::Conductor);
         let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
@@ -224,7 +226,7 @@ fn cylinders_far_and_near() {
     }
 }
 
-/// Through the focus of a concave mirror, where geometrical optics is infinite.
+/// The cross-section stays finite through the focus of a concave mirror, where geometrical optics is infinite.
 #[test]
 fn a_mirror_is_finite_at_its_caustic() {
     let reference = common::reference();
@@ -242,7 +244,8 @@ fn a_mirror_is_finite_at_its_caustic() {
     }
 }
 
-/// Files know nothing but triangles: a ball of them is a ball, a corner a corner, and who stands behind another is not seen.
+/// Files contain only triangles: a mesh of a ball acts as a ball, a corner as a corner, and a body hidden behind
+/// another is not seen.
 #[test]
 fn meshes_without_normals_are_what_they_look_like() {
     let ball = shape::icosphere(DVec3::splat(0.05), 32);
@@ -254,7 +257,7 @@ fn meshes_without_normals_are_what_they_look_like() {
     let error = db(outcome.sigma_m2) - known_db(&Target::Sphere { radius_m: 0.05 }, &s);
     assert!(error.abs() < 0.1, "{error} dB");
 
-    // The same ball right behind a larger one: nothing but the larger one.
+    // With the same ball right behind a larger one, only the larger one is seen.
     let large = shape::icosphere(DVec3::splat(0.2), 32);
     let mut two = large.mesh();
     let count = two.vertices.len() as u32;
@@ -266,7 +269,7 @@ fn meshes_without_normals_are_what_they_look_like() {
     let (one, both) = (solved(&large.mesh()), solved(&two));
     assert!((both.sigma_m2 / one.sigma_m2 - 1.0).abs() < 1e-3, "{} {}", both.sigma_m2, one.sigma_m2);
 
-    // A trihedral of three triangles.
+    // Trihedral of three triangles.
     let vertices = vec![DVec3::ZERO, DVec3::X * 0.1, DVec3::Y * 0.1, DVec3::Z * 0.1];
     let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1]] };
     let corner = Target::Surface { surface: Surface::from_mesh(&mesh, 0.6) };
@@ -276,7 +279,7 @@ fn meshes_without_normals_are_what_they_look_like() {
     assert!(error.abs() < 0.3, "{error} dB");
 }
 
-/// A person behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
+/// A target behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
 #[test]
 fn two_ways_through_plasterboard() {
     use radome_sim::em::fresnel::{slab, straight_through};
@@ -290,16 +293,16 @@ fn two_ways_through_plasterboard() {
     let behind = db(free * through.norm_sqr().powi(2));
     let expected = known_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
     assert!((behind - expected).abs() < 0.1, "{behind} {expected}");
-    // 5.5 dB each way, as the design study has it.
+    // 5.5 dB each way, according to the design study.
     assert!((40.0 * through.norm().log10() + 11.0).abs() < 0.2);
 }
 
-/// The rows of the design study's table of numerically hard cases that are fields.
+/// The field-related rows of the design study's table of numerically hard cases.
 mod hard_cases {
     use super::*;
 
-    /// Caustic: through the focus of a concave mirror in steps of half a per cent, where geometrical optics is infinite and up to
-    /// 18 dB wrong beside it. What is computed without being told follows the exact integral all the way.
+    /// Caustic: through the focus of a concave mirror in steps of half a per cent, where geometrical optics is infinite
+    /// and up to 18 dB wrong beside it. The solver follows the exact integral everywhere, without special settings.
     #[test]
     fn the_focus_of_a_mirror_is_passed_smoothly() {
         let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
@@ -311,7 +314,8 @@ mod hard_cases {
         }
     }
 
-    /// Facet integral near specular: a plate turned through its specular direction by steps down to 1e-16 rad is smooth.
+    /// Facet integral near specular: a plate rotated through its specular direction by steps down to 1e-16 rad gives a
+    /// smooth result.
     #[test]
     fn nothing_happens_at_the_specular_direction() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
@@ -321,13 +325,14 @@ mod hard_cases {
         let peak = at(0.0);
         for exponent in 3..16 {
             let off = 10f64.powi(-exponent);
-            // sinc^2 at k a sin(angle): quadratic in the angle.
+            // sinc^2 at k a sin(angle) is quadratic in the angle.
             let u = 125.750_7 * off.to_radians().sin();
             assert!((at(off) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{off}");
         }
     }
 
-    /// Both polarisations and every direction of the edges (edge-degenerate ones too) against a rotated plate.
+    /// Both polarisations and every direction of the edges (including edge-degenerate ones), compared with a rotated
+    /// plate.
     #[test]
     fn turning_everything_together_changes_nothing() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -348,7 +353,7 @@ mod hard_cases {
         }
     }
 
-    /// The scalar path for conductors against the vectors that it stands for: a conductor as the limit of a dielectric.
+    /// The scalar code path for conductors agrees with the vector form: a conductor as the limit of a dielectric.
     #[test]
     fn the_scalar_path_is_the_vectors() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -362,7 +367,7 @@ mod hard_cases {
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
 
-    /// Permuted triangles and rotated corners: the same sum but for rounding, the same facets.
+    /// Permuted triangles and rotated corners give the same sum within rounding, and the same facets.
     #[test]
     fn the_order_of_triangles_does_not_matter() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -378,7 +383,8 @@ mod hard_cases {
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
     }
 
-    /// Needles, triangles without area, points upon each other: finite, and nothing but what has an area counts.
+    /// Needles, triangles without area and coincident points give finite results; only triangles with an area
+    /// contribute.
     #[test]
     fn degenerate_triangles_add_nothing() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -388,12 +394,12 @@ mod hard_cases {
         let mut worse = plain.clone();
         worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
         let of = |s| facet::integrate(s, accuracy, |p, n| path.sample(p, n, true, &Wall::Conductor, k)).value;
-        // 0, 1 and 2 lie in a row: no area.
+        // Vertices 0, 1 and 2 are collinear, so the triangle has no area.
         assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
         assert!(!worse.is_smooth());
     }
 
-    /// A radar that touches the surface, or sits on it, gives a finite answer.
+    /// A radar that touches the surface, or is on it, gives a finite answer.
     #[test]
     fn no_range_is_too_short_for_a_finite_answer() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -420,7 +426,7 @@ mod hard_cases {
         }
     }
 
-    /// Half-lit facets: however coarse the mesh, a sphere's shadow line does not show.
+    /// Half-lit facets: the shadow line of a sphere is invisible in the result for any mesh size.
     #[test]
     fn shadow_lines_do_not_show() {
         let target = Target::Sphere { radius_m: 0.05 };

@@ -1,4 +1,4 @@
-//! Streams of frames: determinism, threads, keys in slow time, fixture scenes.
+//! Streams of frames: determinism, threads, path samples in slow time, fixture scenes.
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
@@ -54,7 +54,7 @@ fn a_stream_ends_after_the_frames_asked_for() {
     assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::End);
 }
 
-/// Three keys against the specular point traced at every chirp, for all segments of a fast walker.
+/// Three samples, compared with the specular point traced at every chirp, for all segments of a fast walker.
 #[test]
 fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
     let person = Person::draw(1, [0, 0], 1.8);
@@ -161,7 +161,7 @@ fn desk_people_are_drawn_or_forced() {
     }
 }
 
-/// A chest that breathes shows its rate in slow time over frames.
+/// A breathing chest shows its rate in slow time over frames.
 #[test]
 fn breathing_is_seen_over_half_a_minute() {
     let scene = scene("desk");
@@ -176,7 +176,7 @@ fn breathing_is_seen_over_half_a_minute() {
         (2.0 * simulator.people(0)[0].range_m * w.slope_hz_per_s / 299_792_458.0 / w.sample_rate_hz * 64.0).round();
     let phases: Vec<Complex64> =
         (0..400).map(|i| range_bin(&simulator.frame(i), bin - 3.0).iter().take(8).sum()).collect();
-    // Centimetres are several turns at 60 GHz: unwrap, then look for the rate.
+    // Centimetres are several turns at 60 GHz, so the phase is unwrapped before the rate is estimated.
     let mut unwrapped = vec![0.0];
     for pair in phases.windows(2) {
         let last = unwrapped[unwrapped.len() - 1];
@@ -198,7 +198,7 @@ fn breathing_is_seen_over_half_a_minute() {
 mod hard_cases {
     use super::*;
 
-    /// Threads: no sum depends on who came first, nor on which frames were asked for before.
+    /// No sum depends on the order of threads, nor on which frames were requested before.
     #[test]
     fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
         let scene = scene("corridor");

@@ -19,7 +19,7 @@ use crate::common;
 const MM: &str = "unit = \"mm\"\nup = \"z\"";
 const M: &str = "unit = \"m\"\nup = \"z\"";
 
-/// Edges that diffract, each once: of a wedge, the one that its lower face lists.
+/// Diffracting edges, each once: a wedge is represented by the edge that its lower face lists.
 fn diffracting(room: &Surfaces) -> impl Iterator<Item = &FaceEdge> {
     room.edges.iter().filter(|edge| match edge.kind {
         EdgeKind::Wedge { other: Some(other), .. } => edge.face < other,
@@ -33,8 +33,8 @@ fn angle_rad(edge: &FaceEdge, point: DVec3) -> f64 {
     edge.air.dot(from_edge).atan2(edge.inwards.dot(from_edge)).rem_euclid(2.0 * PI)
 }
 
-/// Whether an edge diffracts what comes from a point: of a wedge, whether the point lies in its air. A corner of two sheets is a
-/// wedge for who is outside, and none for who is inside.
+/// Returns whether an edge diffracts waves from a point; for a wedge, whether the point lies in its air. A corner of
+/// two sheets is a wedge for points outside, and none for points inside.
 fn diffracts_from(edge: &FaceEdge, point: DVec3) -> bool {
     match edge.kind {
         EdgeKind::Free => true,
@@ -47,7 +47,7 @@ fn room_quads() -> [Quad; 6] {
     faces([0.0; 3], SIZE_M)
 }
 
-/// A room of plasterboard over corners, with other tables of the plan.
+/// Keys of a plasterboard room over given corners, with further tables of the plan.
 fn plan_keys(corners: &[[f64; 2]], tables: &str) -> String {
     format!(
         "floor = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n\
@@ -97,7 +97,7 @@ fn a_box_is_the_same_from_toml_obj_stl_gltf_and_a_plan() {
         let name = file.0;
         assert_same(&from_files("", &[file]), &expected, name);
     }
-    // Wherever the origin of the file is.
+    // The origin of the file does not matter.
     let moved = faces([-3.0, -2.0, 1.0], [2.25, 2.5, 3.75]);
     assert_same(&from_files("", &[("room.gltf", "", gltf(&moved))]), &expected, "moved");
     for corners in [RECTANGLE, reversed(RECTANGLE)] {
@@ -142,7 +142,7 @@ fn furniture_of_a_material_has_faces_and_wedges() {
         let face = &room.faces[edge.face].polygon;
         assert!(face.height_m(out) > 0.9 && edge.inwards.dot(face.normal).abs() < 1e-12);
     }
-    // With a cross-section alone it stays points.
+    // Furniture with only a cross-section remains a set of points.
     assert_eq!(surfaces(&box_keys("plasterboard"), cupboard).faces.len(), 6);
     // A board without depth is one sheet with air on both sides.
     let board = "[[furniture]]\nname = \"board\"\nposition_m = [2.0, 2.0, 0.5]\nsize_m = [0.8, 0.0, 1.0]\n\
@@ -164,7 +164,7 @@ fn an_l_shaped_room_has_one_wedge_at_its_inner_corner() {
         let [edge] = all.as_slice() else { panic!("{all:?}") };
         assert!(edge.ends.iter().all(|end| end.truncate().distance(glam::DVec2::splat(2.0)) < 1e-9), "{edge:?}");
         assert!(matches!(edge.kind, EdgeKind::Wedge { air_rad, .. } if (air_rad - 1.5 * PI).abs() < 1e-9), "{edge:?}");
-        // The normals look into the room.
+        // The normals point into the room.
         for face in &room.faces {
             let inside = face.polygon.inner_point() + face.polygon.normal * 0.01;
             let floor = &room.faces.iter().find(|face| face.name == "floor").expect("a floor").polygon;
@@ -216,7 +216,8 @@ fn doors_open_about_their_hinges() {
         assert_eq!(leaf.sides, Sides::Two);
         let mut lower: Vec<DVec3> = leaf.polygon.outline.iter().filter(|c| c.z == 0.0).copied().collect();
         lower.sort_by(|a, b| a.y.abs().total_cmp(&b.y.abs()));
-        // The jamb of the lock, the head, the threshold; the leaf's far edge and its top; outside its lower edge, too.
+        // Free edges: the jamb of the lock, the head, the threshold, the leaf's far edge and its top; for a door that
+        // opens outwards, also the leaf's lower edge.
         assert_eq!(count(&room, is_free), if open_deg > 0.0 { 5 } else { 6 }, "{:?}", room.edges);
         let hung: Vec<f64> = room
             .edges
@@ -236,7 +237,7 @@ fn doors_open_about_their_hinges() {
     near(&end("from", 60.0, &RECTANGLE, 0), [[3.0, 0.0], [3.0 + cosine, sine]]);
     near(&end("to", 60.0, &RECTANGLE, 0), [[3.9, 0.0], [3.9 - cosine, sine]]);
     near(&end("from", -60.0, &RECTANGLE, 0), [[3.0, 0.0], [3.0 + cosine, -sine]]);
-    // The other way round, wall 2 leads from (5.25, 0) to the origin.
+    // With reversed corners, wall 2 leads from (5.25, 0) to the origin.
     near(&end("from", 60.0, &reversed(RECTANGLE), 2), [[2.25, 0.0], [2.25 - cosine, sine]]);
 }
 
@@ -252,9 +253,9 @@ fn partitions_have_air_on_both_sides_and_end_freely() {
     assert_eq!(kinds.len(), 4);
     assert_eq!(kinds.iter().filter(|kind| is_inner(kind)).count(), 3, "{kinds:?}");
     assert_eq!((count(&room, is_free), diffracting(&room).count()), (1, 1));
-    // Walls are closed as they were.
+    // Walls remain closed.
     assert_eq!(room.faces.iter().filter(|face| face.sides == Sides::One).count(), 6);
-    // With an opening of its own, and lower than the room.
+    // Partition with its own opening, lower than the room.
     let low = format!(
         "{partition}height_m = 2.0\n[[room.plan.partition.opening]]\nfrom_m = 1.0\nto_m = 1.5\nsill_m = 1.0\nhead_m = 1.5\n"
     );
@@ -275,7 +276,7 @@ fn fixtures_have_the_surfaces_that_they_are_for() {
     assert!(diffracting(&cupboard).count() >= 5);
     assert_eq!(face(&of("half-open-door"), "door in partition 0").1.sides, Sides::Two);
     assert_eq!(face(&of("glass-wall"), "partition 0").1.sides, Sides::Two);
-    // A table within the walls: all of the room's six sides, and the table's.
+    // A table within the walls: all six sides of the room, and those of the table.
     assert_eq!(of("room-mesh").faces.iter().filter(|face| face.sides == Sides::One).count(), 12);
 }
 
@@ -313,7 +314,7 @@ mod hard_cases {
         assert_eq!(expected.faces.len(), 5);
         assert!(expected.faces.iter().all(|face| face.sides == Sides::Two));
         assert_eq!(count(&expected, is_free), 4);
-        // Who is inside meets the rim alone; the corners of the sheets diffract outside.
+        // From inside, only the rim diffracts; the corners of the sheets diffract outside.
         let inside = DVec3::new(0.5, 1.0, 1.2);
         assert_eq!(diffracting(&expected).filter(|edge| diffracts_from(edge, inside)).count(), 4);
         assert_eq!(diffracting(&expected).count(), 4 + 8);
@@ -329,7 +330,7 @@ mod hard_cases {
         assert_same(&surfaces(&plan, ""), &expected, "plan");
     }
 
-    /// A wall in many triangles beside walls of two: edges are found along parts of edges.
+    /// A wall of many triangles beside walls of two: edges are found along parts of edges.
     #[test]
     fn finely_split_walls_are_one_face() {
         let expected = surfaces(&box_keys("plasterboard"), "");
@@ -369,7 +370,7 @@ mod hard_cases {
         let poster: Quad = [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0], [2.0, 0.0, 2.0], [1.0, 0.0, 2.0]];
         let expected = surfaces(&box_keys("plasterboard"), "");
         let mut all: Vec<(Quad, &str)> = quads.iter().map(|&quad| (quad, "plaster")).collect();
-        // A wall twice, and a poster on another one.
+        // A duplicated wall, and a poster on another wall.
         all.push((quads[1], "pane"));
         all.push((poster, "steel"));
         let room = from_files("", &[("room.obj", M, obj(&all))]);
@@ -378,7 +379,7 @@ mod hard_cases {
         assert_same(&room, &expected, "once");
     }
 
-    /// Strips a millimetre wide are faces, what is below the least area stays triangles, and both hang together.
+    /// Strips a millimetre wide are faces, parts below the least area remain triangles, and both are connected.
     #[test]
     fn slivers_are_faces_and_small_things_stay_triangles() {
         let quads = room_quads();
@@ -448,7 +449,7 @@ mod hard_cases {
         told(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
     }
 
-    /// Meshes that a box cannot show are not taken for one.
+    /// Rooms that a box cannot represent are not treated as boxes.
     #[test]
     fn a_plan_is_simulated_and_is_no_box() {
         let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");

@@ -1,4 +1,4 @@
-//! Empty rooms and receivers that do not stand still within a frame: swaying reflectors, vibration, settling, spurious tones, and
+//! Empty rooms and receivers that change within a frame: swaying reflectors, vibration, settling, spurious tones, and
 //! people who disturb static echoes.
 
 use std::f64::consts::TAU;
@@ -9,7 +9,7 @@ use radome_sim::Scene;
 
 use crate::common::{NOBODY, fixture, hall, map_db, parse, range_bin, refusal, scene, simulator, statistics};
 
-/// One scattering point this far ahead of the radar of [`hall`].
+/// One scattering point at a range ahead of the radar of [`hall`].
 fn post(range_m: f64, cross_section_dbsm: f64) -> String {
     let x = 1.0 + range_m;
     format!(
@@ -18,7 +18,7 @@ fn post(range_m: f64, cross_section_dbsm: f64) -> String {
     )
 }
 
-/// A hall with a quiet receiver, and more.
+/// Hall with a quiet receiver, and further tables.
 fn quiet(extra: &str) -> Scene {
     parse(&hall(extra).replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5"))
 }
@@ -28,7 +28,7 @@ fn slow_time(scene: &Scene, frame: &Frame, range_m: f64) -> Vec<Complex64> {
     range_bin(frame, (range_m / scene.waveform().range_step_m(frame.shape.samples)).round())
 }
 
-/// Phase that a range bin turns by from the first chirp of a frame to its last, by a straight line, rad.
+/// Phase change of a range bin from the first chirp of a frame to its last, from a straight-line fit, rad.
 fn slope_rad(bins: &[Complex64]) -> f64 {
     let mean = bins.iter().sum::<Complex64>();
     let middle = 0.5 * (bins.len() as f64 - 1.0);
@@ -72,14 +72,15 @@ fn a_swaying_reflector_has_the_doppler_of_its_speed() {
     // 2 pi times 2 Hz times 10 mm; a frame of 64 ms averages over an eighth of a period.
     let expected = TAU * 2.0 * 0.01 * 0.974;
     assert!((rms(&speeds) / expected - 1.0).abs() < 0.05, "{} m/s, expected {expected} m/s", rms(&speeds));
-    // Five frames are a period.
+    // Five frames are one period.
     for (now, later) in speeds.iter().zip(&speeds[5..]) {
         assert!((now - later).abs() < 0.01, "{now} {later}");
     }
 }
 
-/// A reflector 25 dB below a static echo, both in one range bin: the phase of the bin turns within frames by as much as the weak echo's
-/// amplitude and phase rate make it, either way. Without it the bin stands still.
+/// A reflector 25 dB below a static echo, both in one range bin. The phase of the bin turns within frames, in either
+/// direction, by the amount given by the weak echo's amplitude and phase rate. Without the reflector the bin is
+/// constant.
 #[test]
 fn weak_sway_turns_a_strong_bin_within_a_frame() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -25.0\nspread_db = 0.0\n\
@@ -95,7 +96,7 @@ fn weak_sway_turns_a_strong_bin_within_a_frame() {
     let [with, without] = [sway, ""].map(|sway| slopes(&quiet(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)))));
     let active_s = 0.064;
     let wavelength_m = quiet(NOBODY).waveform().wavelength_m();
-    // Phase rate of the weak echo, rms, times what it is to the strong one, times the mean of a cosine over all phases.
+    // Phase rate of the weak echo, rms, times its relative amplitude, times the mean of a cosine over all phases.
     let rate_rad_per_s = 2.0 * TAU / wavelength_m * (TAU * 2.0 * 0.0002);
     let expected = 10f64.powf(-25.0 / 20.0) * rate_rad_per_s * active_s * 0.5f64.sqrt();
     assert!((0.6..1.4).contains(&(rms(&with) / expected)), "{} rad, expected {expected} rad", rms(&with));
@@ -104,8 +105,8 @@ fn weak_sway_turns_a_strong_bin_within_a_frame() {
     assert!((30..90).contains(&up), "{up} of 120 turn upwards");
 }
 
-/// A motion in step with the frames, as of what the mains drive: the slope within a frame is the same in every frame, while the mean
-/// phase does not move.
+/// A motion synchronous with the frames, as of objects driven by the mains: the slope is the same in every frame, while
+/// the mean phase does not change.
 #[test]
 fn sway_in_step_with_the_frames_repeats_in_each() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -10.0\nspread_db = 0.0\n\
@@ -121,7 +122,7 @@ fn sway_in_step_with_the_frames_repeats_in_each() {
     assert!(variation(&frames[0]) > 0.01, "{}", variation(&frames[0]));
 }
 
-/// Power at one velocity bin either side of zero over that far from it, dB, over range bins in which clutter is.
+/// Power at one velocity bin either side of zero relative to that far from it, dB, over range bins with clutter.
 fn slow_over_noise_db(scene: &Scene) -> f64 {
     let (mut slow, mut noise) = (0.0, 0.0);
     for seed in 0..6 {
@@ -139,7 +140,8 @@ fn slow_over_noise_db(scene: &Scene) -> f64 {
     10.0 * (slow / noise).log10()
 }
 
-/// Halls of the training set with swaying reflectors: cells beside zero Doppler rise with their strength, from nothing.
+/// Halls of the training set with swaying reflectors: cells beside zero Doppler rise with the strength of the
+/// reflectors, from zero.
 #[test]
 fn an_empty_hall_that_sways_has_slow_echoes() {
     let (path, text) = fixture("hall");
@@ -184,7 +186,7 @@ fn vibration_of_the_radar_turns_all_echoes_alike() {
     assert!(product > 0.9 * rms(&near) * rms(&far), "{product}");
 }
 
-/// Posts 3 m and 6 m away and a quiet receiver whose clutter has more keys.
+/// Posts 3 m and 6 m away and a quiet receiver, with further clutter keys.
 fn two_posts(clutter: &str) -> Scene {
     let text = hall(&format!("{}{}{NOBODY}", post(3.0, 10.0), post(6.0, 20.0)))
         .replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5")
@@ -201,7 +203,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
         let frame = simulator.frame(index);
         for range_m in [3.0, 6.0] {
             let bins = slow_time(&scene, &frame, range_m);
-            // From the first chirp to the last, six time constants later.
+            // Phase change from the first chirp to the last, six time constants later.
             let turned = (bins[0] * bins[bins.len() - 1].conj()).arg();
             let expected = TAU * 1e6 * 2.0 * range_m / radome_dsp::SPEED_OF_LIGHT_M_PER_S;
             assert!((turned / expected - 1.0).abs() < 0.2, "{range_m} m: {turned} rad, expected {expected} rad");
@@ -209,7 +211,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
     }
 }
 
-/// The gain wanders over seconds, and late chirps turn far echoes more than near ones.
+/// The gain drifts over seconds, and jitter of chirp times turns far echoes more than near ones.
 #[test]
 fn gain_drifts_and_chirps_jitter_as_asked() {
     let drifting = two_posts("gain_drift_per_10s = 0.1\n");
@@ -233,7 +235,7 @@ fn gain_drifts_and_chirps_jitter_as_asked() {
     }
 }
 
-/// A clock of its own stands in one cell of the map, above the noise.
+/// A spurious tone with a free-running clock appears in one cell of the map, above the noise.
 #[test]
 fn a_free_spur_stands_in_one_cell() {
     let text = hall(NOBODY)
@@ -249,8 +251,8 @@ fn a_free_spur_stands_in_one_cell() {
     assert!(strongest(&parse(&hall(NOBODY))).0 < 15.0);
 }
 
-/// A static echo 5 m away while somebody walks past 2 m before the radar: beside the body, where one edge leaves it alone, both sides
-/// of a strip make it flicker; behind the body it is dark in both.
+/// A static echo 5 m away while a person walks past 2 m in front of the radar. Beside the body, a single knife edge
+/// leaves it unchanged, and both sides of a strip make it fluctuate. Behind the body both models weaken it strongly.
 #[test]
 fn people_disturb_static_echoes_behind_and_beside_them() {
     let people = |shadow: &str| {
@@ -286,7 +288,7 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
     assert!(mean(1) > 0.02 && mean(1) > 3.0 * mean(0), "strip {}, edge {}", mean(1), mean(0));
 }
 
-/// Keys that ask for nothing change nothing, to the bit.
+/// Neutral values of keys do not change a bit.
 #[test]
 fn neutral_keys_leave_frames_as_they_are() {
     let (path, text) = fixture("hall");
@@ -378,7 +380,7 @@ mod hard_cases {
         }
     }
 
-    /// In a corner, at the antenna, at the greatest motions: frames are made, and codes are codes.
+    /// Reflectors in a corner, at the antenna and with the largest motions: frames are made, and codes are valid.
     #[test]
     fn reflectors_at_the_ends_of_their_ranges_are_simulated() {
         for position_m in ["[0.0, 0.0, 0.0]", "[1.0, 10.0, 1.2]", "[20.0, 20.0, 3.0]"] {

@@ -1,4 +1,4 @@
-//! Receivers that share a path against paths of their own.
+//! Receivers that share a path, compared with separate paths for each receiver.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ const SAMPLES: usize = 256;
 const STRETCH_S: f64 = 0.032;
 const APART_S: f64 = 1e-3;
 
-/// Keys of every path to every receiver at a time, and how they bend there: `[path][receiver]`.
+/// Samples of every path to every receiver at a time, and their derivatives: `[path][receiver]`.
 fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<(PathSample, PathDerivatives)>> {
     let pairs = audible_pairs(prepared, motion, 1.5);
     let paths = Paths::new(prepared, motion, 0, &pairs);
@@ -33,8 +33,8 @@ fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<
     (0..paths.count()).map(bent).collect()
 }
 
-/// A walker in the corridor, over half a frame: what all receivers hear of tracks that they share against the sum of each one's
-/// own stretches.
+/// A walker in the corridor, over half a frame: the samples of all receivers from shared tracks, compared with the sum
+/// of each receiver's own segments.
 #[test]
 fn receivers_that_share_a_path_hear_their_own() {
     let prepared = PreparedScene::new(&scene("corridor"), 0, 10.0);

@@ -1,4 +1,4 @@
-//! Through thin walls: who stands behind plasterboard is heard as much weaker as two ways through it make.
+//! Transmission through thin walls: the echo of a person behind plasterboard is weaker by two transmissions.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -19,8 +19,8 @@ use crate::common::{NOBODY, WAVENUMBER, hall, parse};
 
 const THICKNESS_M: f64 = 0.0125;
 
-/// A board's transmission in place of the air that it displaces, wave by wave: in, across, and each pair of reflections inside
-/// one after another.
+/// Transmission of a board relative to the air that it displaces, wave by wave: entry, crossing, and each pair of
+/// internal reflections.
 fn through_board(permittivity: Complex64, cosine: f64, tm: bool, wavenumber: f64) -> Complex64 {
     let q = (permittivity - (1.0 - cosine * cosine)).sqrt();
     let (air, inside) = if tm { (permittivity * cosine, q) } else { (Complex64::from(cosine), q) };
@@ -45,7 +45,7 @@ fn plasterboard() -> Complex64 {
     Material::Plasterboard.permittivity(60e9).expect("dielectric")
 }
 
-/// A torso of skin behind the wall at x = 4 m, seen from the middle of the room.
+/// Echo of a torso of skin behind the wall at x = 4 m, seen from the middle of the room.
 fn torso_echo(room: &BoxRoom, radar: DVec3, polarisation: DVec3, centre: DVec3) -> (Complex64, f64) {
     let body = Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m: DVec3::new(0.115, 0.165, 0.22) };
     let element =
@@ -55,8 +55,8 @@ fn torso_echo(room: &BoxRoom, radar: DVec3, polarisation: DVec3, centre: DVec3) 
     (reflect_at_skin(field, -h.towards.0, h.normal).received_by(field), h.towards.0.x.abs())
 }
 
-/// At normal incidence and at 40 degrees, electric field across the plane of incidence and in it: what comes back over what
-/// comes back without the wall is the board's transmission, twice, in strength and in phase.
+/// At normal incidence and at 40 degrees, with the electric field perpendicular to the plane of incidence and in it.
+/// The ratio of the echoes with and without the wall is the board's transmission squared, in amplitude and phase.
 #[test]
 fn a_torso_behind_plasterboard_is_two_transmissions_weaker() {
     let radar = DVec3::new(1.0, 4.0, 1.2);
@@ -86,7 +86,7 @@ fn scene(material: &str, transmission: bool) -> Scene {
     parse(&text)
 }
 
-/// Echoes of somebody who stands at a place, `[pair][segment]`, first receiver.
+/// Echoes of a person who stands at a place, `[pair][segment]`, first receiver.
 fn person(scene: &Scene, place: [f64; 2]) -> Vec<Complex64> {
     let prepared = PreparedScene::new(scene, 0, 20.0);
     let motion = Arc::new(MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, place, 3.0).stand(9.0).stay());
@@ -97,8 +97,8 @@ fn person(scene: &Scene, place: [f64; 2]) -> Vec<Complex64> {
     keys.iter().step_by(prepared.rx.len()).map(|k| k.amplitude).collect()
 }
 
-/// A whole person of the simulator, behind the board: the chest's echo to a tenth of a decibel of the closed form at its angle,
-/// straight ahead and 40 degrees off.
+/// A whole simulated person behind the board: the chest's echo is within a tenth of a decibel of the closed form at its
+/// angle, straight ahead and 40 degrees off.
 #[test]
 fn a_person_behind_plasterboard_is_heard_through_it() {
     for off_m in [0.0f64, 4.2] {
@@ -113,7 +113,7 @@ fn a_person_behind_plasterboard_is_heard_through_it() {
     }
 }
 
-/// Off, nobody is there; through metal neither.
+/// Without transmission a person behind the wall gives no echo; behind metal neither.
 #[test]
 fn without_transmission_nobody_is_behind_a_wall() {
     for (material, transmission) in [("plasterboard", false), ("open", false), ("metal", true)] {
@@ -123,7 +123,7 @@ fn without_transmission_nobody_is_behind_a_wall() {
     assert!(!parse(&hall("[people.desk]\nmax_people = 0\n")).room().transmission, "off unless asked for");
 }
 
-/// Transmission through walls makes no difference to who is in the room, to the last bit.
+/// Transmission through walls does not change the echoes of people in the room, to the last bit.
 #[test]
 fn inside_the_room_it_makes_no_difference() {
     for place in [[2.0, 9.0], [3.0, 12.0]] {
@@ -136,8 +136,8 @@ fn inside_the_room_it_makes_no_difference() {
 mod hard_cases {
     use super::*;
 
-    /// From in front of the wall through it and beyond, and round the room's corner: no step from one millimetre to the next, no
-    /// image beyond, and nothing that is not a number on the planes themselves.
+    /// A path from in front of the wall through it and beyond, and around the room's corner. The field has no step from
+    /// one millimetre to the next, no image exists beyond, and values on the planes themselves are finite.
     #[test]
     fn nothing_is_switched_on_the_way_through_a_wall() {
         let wall = Wall::Slab { permittivity: plasterboard(), thickness_m: THICKNESS_M };

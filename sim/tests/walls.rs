@@ -1,4 +1,5 @@
-//! People and the walls of rooms that are no boxes: nobody walks through them, and who is beyond them is not in the room.
+//! People and the walls of rooms that are not boxes: nobody walks through walls, and people beyond them are not in the
+//! room.
 
 use std::path::Path;
 
@@ -10,11 +11,12 @@ use radome_sim::scenario::Scenario;
 use crate::common;
 use crate::surfaces::rooms::{Quad, obj};
 
-/// A corridor that turns: two arms of 6 x 2 m. Its inner corner is at (2, 2), and what lies beyond both 2 m is outside.
+/// Corridor that turns: two arms of 6 x 2 m. Its inner corner is at (2, 2), and the region beyond 2 m on both axes is
+/// outside.
 const CORNERS: [[f64; 2]; 6] = [[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]];
 const HEIGHT_M: f64 = 2.6;
 
-/// A scene with what stands in `[room]` and somebody's steps. The radar is at (0.5, 1, 1.2) and looks along x.
+/// Makes a scene with keys of `[room]` and the steps of one person. The radar is at (0.5, 1, 1.2) and looks along x.
 fn made(room: &str, steps: &str, folder: &Path) -> Scene {
     let text = common::hall_with_room(room, &format!("[[people.actor]]\nstep = [{steps}]\n"));
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
@@ -42,7 +44,7 @@ fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
     [("plan", made(&plan, steps, folder)), ("file", made(file, steps, folder))]
 }
 
-/// Middles of the only person's chest every 50 ms, m.
+/// Positions of the only person's chest every 50 ms, m.
 fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
     let scenario = Scenario::new(&scene.drawn(1).expect("a scene"), 1, None);
     let steps = (until_s / 0.05) as usize;
@@ -55,7 +57,7 @@ fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
     (0..steps).map(at).collect()
 }
 
-/// From one arm into the other the straight way leads through both inner walls.
+/// The straight line from one arm into the other crosses both inner walls.
 #[test]
 fn a_walker_in_an_l_crosses_no_wall() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -71,7 +73,7 @@ fn a_walker_in_an_l_crosses_no_wall() {
     }
 }
 
-/// Within the box around the room, but beyond its walls, nobody counts.
+/// A person within the box around the room, but beyond its walls, does not count.
 #[test]
 fn who_is_beyond_a_wall_is_not_in_the_room() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -86,7 +88,7 @@ fn who_is_beyond_a_wall_is_not_in_the_room() {
     }
 }
 
-/// The leaf of the half-open door stands in the line x + y = 5, from its hinge at (3.5, 1.5) 0.9 m into the room.
+/// The leaf of the half-open door is in the line x + y = 5, from its hinge at (3.5, 1.5) 0.9 m into the room.
 #[test]
 fn nobody_walks_through_a_door_leaf() {
     let (path, text) = common::fixture("half-open-door");

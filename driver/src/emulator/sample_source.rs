@@ -412,7 +412,7 @@ impl SampleSource {
 
 /// Message of a thread that panicked.
 fn panic_message(thread: JoinHandle<()>) -> String {
-    let Err(payload) = thread.join() else { return "the source went without a word".into() };
+    let Err(payload) = thread.join() else { return "the sample source ended without an error message".into() };
     let words =
         payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(String::as_str));
     format!("the source panicked: {}", words.unwrap_or("without a word"))

@@ -60,7 +60,7 @@ pub(crate) fn packet(packet: &Packet<'_>) {
 
 /// Traces bytes that are not a message.
 pub(crate) fn damaged() {
-    tracing::trace!(target: TARGET, received = "what is no message");
+    tracing::trace!(target: TARGET, received = "bytes that are no message");
 }
 
 /// Traces a read that failed.

@@ -8,9 +8,10 @@ use super::{Mesh, Surface};
 use crate::math::Sets;
 
 impl Surface {
-    /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
-    /// same place are one. A vertex' normal is the mean of its triangles' by the angles that they have there. Triangles
-    /// without area are left out. A mesh with an open side is a sheet and reflects on either side.
+    /// Makes a surface from a mesh, smooth across every side whose triangles meet at less than the crease angle.
+    /// Vertices at the same place are merged. A vertex normal is the mean of its triangles' normals, weighted by their
+    /// angles at the vertex. Triangles without area are left out. A mesh with an open side is a sheet and reflects on
+    /// either side.
     pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
         let mut places: HashMap<[u64; 3], u32> = HashMap::new();
         let place_of: Vec<u32> = mesh
@@ -55,7 +56,7 @@ impl Surface {
     }
 }
 
-/// For each corner of each triangle a number that it shares with the corners it is smooth with; and whether some side has
+/// For each corner of each triangle, a number shared by all corners that it is smooth with. Also whether some side has
 /// no triangle behind it.
 fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> (Vec<u32>, bool) {
     let mut smooth = Sets::new(3 * triangles.len());
@@ -70,13 +71,13 @@ fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) 
     let mut open = false;
     for run in sides.chunk_by(|p, q| p.0 == q.0) {
         open |= run.len() == 1;
-        // More than two triangles on a side: no surface continues there.
+        // With more than two triangles on a side, no surface continues there.
         let [(_, t, i), (_, u, j)] = *run else { continue };
         if triangles[t].2.angle_between(triangles[u].2) >= crease_rad {
             continue;
         }
         for (k, l) in [(i, (j + 1) % 3), ((i + 1) % 3, j)] {
-            // The side runs the other way in the neighbour; where it does not, the two are not one sheet.
+            // The side runs in the opposite direction in the neighbour; otherwise the two triangles are not one sheet.
             if triangles[t].0[k] != triangles[u].0[l] {
                 continue;
             }
@@ -103,7 +104,7 @@ mod tests {
         assert!(smooth.normals.iter().zip(&smooth.vertices).all(|(n, v)| n.dot(*v - DVec3::splat(0.5)) > 0.8));
     }
 
-    /// A soup of triangles is welded, what has no area dropped, and the normals come out as the sphere's.
+    /// A triangle soup is welded, triangles without area are dropped, and the normals are those of the sphere.
     #[test]
     fn a_soup_becomes_a_sphere() {
         let sphere = shape::icosphere(DVec3::splat(0.05), 12);

@@ -1,31 +1,32 @@
-//! Edges: which triangles meet where, and how sharply.
+//! Edges of a mesh: adjacent triangles and the angle between them.
 
 use super::Mesh;
 
-/// An edge of a mesh.
+/// Edge of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Edge {
-    /// Its vertices, in the direction in which `left` goes around.
+    /// Vertices of the edge, in the winding direction of `left`.
     pub vertices: [u32; 2],
-    /// The triangle that has it on its border; of several the first.
+    /// Triangle that has the edge on its border; of several the first.
     pub left: u32,
-    /// The triangle beyond, which goes around the other way. `None` at a border.
+    /// Adjacent triangle, which winds the other way. `None` at a border.
     pub right: Option<u32>,
-    /// Angle between the normals of the two, rad: positive where the surface is convex (an outer corner: pi/2 for a cube),
-    /// negative where it is concave (a corner of a room seen from within), zero at a border.
+    /// Angle between the two triangles' normals, rad. It is positive where the surface is convex (an outer corner: pi/2
+    /// for a cube) and negative where it is concave (a corner of a room seen from within). It is zero at a border.
     pub turn_rad: f64,
-    /// Three or more triangles meet here, or two that face different ways.
+    /// Whether three or more triangles meet at the edge, or two that face different ways.
     pub tangled: bool,
 }
 
 impl Edge {
-    /// Whether the surface turns here by more than an angle, or ends.
+    /// Returns whether the surface turns at the edge by more than an angle, or ends.
     pub fn is_crease(&self, least_turn_rad: f64) -> bool {
         self.right.is_none() || self.turn_rad.abs() > least_turn_rad
     }
 }
 
-/// All edges of a mesh, by their lower and then their higher vertex. A closed surface has no boundary and no tangle.
+/// All edges of a mesh, sorted by their lower and then their higher vertex. A closed surface has no boundary and no
+/// tangle.
 pub fn edges(mesh: &Mesh) -> Vec<Edge> {
     // (lower, higher vertex, triangle, goes upwards)
     let mut sides: Vec<(u32, u32, u32, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
@@ -52,13 +53,13 @@ pub fn edges(mesh: &Mesh) -> Vec<Edge> {
 fn turn_rad(mesh: &Mesh, [from, to]: [u32; 2], left: u32, right: u32) -> f64 {
     let [Some(from), Some(to)] = [from, to].map(|v| mesh.vertices.get(v as usize)) else { return 0.0 };
     let [n, m] = [left, right].map(|t| mesh.area_vector(t as usize).normalize_or_zero());
-    // Over an outer corner the normal turns about the edge as the left triangle runs along it.
+    // At an outer corner the normal turns about the edge in the direction in which the left triangle runs along it.
     let along = (*to - *from).normalize_or_zero();
     n.cross(m).dot(along).atan2(n.dot(m))
 }
 
-/// Triangles beyond the edges of every triangle (first to second corner, second to third, third to first); `u32::MAX` where there is
-/// none.
+/// Adjacent triangles of every triangle, per edge (first to second corner, second to third, third to first); `u32::MAX`
+/// where there is none.
 pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
     let mut all = vec![[u32::MAX; 3]; mesh.triangles.len()];
     for edge in edges(mesh) {

@@ -1,8 +1,8 @@
-//! A closed mesh of where a smooth function is zero.
+//! Closed mesh of the zero set of a smooth function.
 //!
-//! Naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998): one vertex in every cell for each
-//! sheet of the surface in it, one quadrilateral across every edge of the grid that it crosses. Vertices are then relaxed along
-//! the surface, which makes triangles even, and put on it by Newton's step.
+//! The method is naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998): one vertex in every cell
+//! for each sheet of the surface in it, and one quadrilateral across every grid edge that it crosses. Vertices are then
+//! relaxed along the surface, which makes triangles even, and projected onto it by Newton's step.
 
 use std::collections::BTreeMap;
 
@@ -10,13 +10,13 @@ use glam::{DVec3, IVec3};
 
 use super::Mesh;
 
-/// Rounds of relaxation: beyond these, triangles' shapes no longer change visibly.
+/// Number of relaxation rounds: further rounds do not change the triangles' shapes visibly.
 const ROUNDS: usize = 6;
-/// Step of the gradient's differences, as a part of the cell.
+/// Step of the gradient's finite differences, as a part of the cell.
 const GRADIENT_STEP: f64 = 1e-3;
 
-/// The surface on which a function, negative inside, is zero, within a box that it does not touch; triangles face outwards and
-/// their edges are about as long as a cell. Features finer than two cells are lost or pinched.
+/// Meshes the zero set of a function, negative inside, within a box that the surface does not touch. Triangles face
+/// outwards and their edges are about as long as a cell. Features finer than two cells are lost or pinched.
 pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(DVec3) -> f64 + Sync) -> Mesh {
     let size = ((greatest - least) / cell_m).ceil().as_ivec3() + IVec3::ONE;
     let place = |p: IVec3| least + p.as_dvec3() * cell_m;
@@ -31,7 +31,7 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
     let value = |p: IVec3| values.get(index(p)).copied().unwrap_or(f64::INFINITY);
 
     let mut mesh = Mesh::default();
-    // Of every crossed edge of a cell, by (cell, edge of the cell): the vertex of the sheet that crosses it.
+    // For every crossed edge of a cell, by (cell, edge of the cell): the vertex of the sheet that crosses it.
     let mut vertex_of = BTreeMap::new();
     for p in grid().filter(|p| p.cmplt(size - IVec3::ONE).all()) {
         let corners = std::array::from_fn(|corner| value(p + offset(corner)));
@@ -55,7 +55,7 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
             if !q.cmplt(size).all() || (value(p) < 0.0) == (value(q) < 0.0) {
                 continue;
             }
-            // Around the edge, counter-clockwise seen from its far end.
+            // The four cells around the edge, counter-clockwise seen from its far end.
             let around = [(1, 1), (0, 1), (0, 0), (1, 0)].map(|(i, j)| {
                 let cell = p - u * i - v * j;
                 vertex_of.get(&(index(cell), 4 * axis + (i + 2 * j) as usize)).copied()
@@ -63,7 +63,7 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
             let [Some(a), Some(b), Some(c), Some(d)] = around else { continue };
             let [a, b, c, d] = if value(p) < 0.0 { [a, b, c, d] } else { [d, c, b, a] };
             let at = |i: u32| mesh.vertices.get(i as usize).copied().unwrap_or_default();
-            // The shorter diagonal.
+            // The quadrilateral is cut along its shorter diagonal.
             if at(a).distance_squared(at(c)) < at(b).distance_squared(at(d)) {
                 mesh.triangles.extend([[a, b, c], [a, c, d]]);
             } else {
@@ -75,20 +75,21 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
     mesh
 }
 
-/// A corner of a cell: bit 0 is x, 1 is y, 2 is z.
+/// Offset of a corner of a cell: bit 0 is x, 1 is y, 2 is z.
 fn offset(corner: usize) -> IVec3 {
     IVec3::new((corner & 1) as i32, (corner >> 1 & 1) as i32, (corner >> 2 & 1) as i32)
 }
 
-/// Corners of an edge of a cell: four edges along each axis, by their place along the next axis and the one after.
+/// Corners of an edge of a cell: four edges along each axis, ordered by their place along the next axis and the one
+/// after.
 fn ends(edge: usize) -> (usize, usize) {
     let axis = edge / 4;
     let from = (edge & 1) << ((axis + 1) % 3) | (edge >> 1 & 1) << ((axis + 2) % 3);
     (from, from | 1 << axis)
 }
 
-/// The edges of a cell that the surface crosses, by connected sheet. Two sheets in one cell get a vertex each, or the mesh
-/// would be pinched there (Nielson, "Dual marching cubes", IEEE Visualization 2004).
+/// Edges of a cell that the surface crosses, grouped by connected sheet. Two sheets in one cell get a vertex each;
+/// otherwise the mesh would be pinched there (Nielson, "Dual marching cubes", IEEE Visualization 2004).
 fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
     let inside = corners.map(|v| v < 0.0);
     if inside.iter().all(|&i| i == inside[0]) {
@@ -102,7 +103,7 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
         let edges: Vec<usize> = crossed.iter().copied().filter(|&e| on_face(ends(e).0) && on_face(ends(e).1)).collect();
         for (i, &e) in edges.iter().enumerate() {
             for &f in edges.iter().skip(i + 1) {
-                // Of a face that is crossed four times, those at the same inner corner belong together.
+                // On a face that is crossed four times, crossings at the same inner corner belong together.
                 let shared = |c: usize| inside[c] && (c == ends(f).0 || c == ends(f).1);
                 if edges.len() == 2 || shared(ends(e).0) || shared(ends(e).1) {
                     let (from, to) = (sheet_of[e], sheet_of[f]);
@@ -118,8 +119,9 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
     sheets.into_values().collect()
 }
 
-/// Does something to every item, by its place in the list: the same on any number of threads. Not by a pool that others wait in:
-/// a body is made while somebody holds a lock for it.
+/// Applies a function to every item and its index; the result does not depend on the number of threads. It does not use
+/// the shared thread pool: a body is made while a thread holds a lock for it, and waiting in the pool could block
+/// others.
 fn on_all_cores<T: Send>(items: &mut [T], each: impl Fn(usize, &mut T) + Sync) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = items.len().div_ceil(threads).max(1);
@@ -131,10 +133,10 @@ fn on_all_cores<T: Send>(items: &mut [T], each: impl Fn(usize, &mut T) + Sync) {
     });
 }
 
-/// Moves every vertex to the middle of its neighbours, along the surface, and onto it.
+/// Moves every vertex to the middle of its neighbours along the surface, and projects it onto the surface.
 fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)) {
     let h = cell_m * GRADIENT_STEP;
-    // Newton's step to the surface, and its normal there.
+    // Moves a vertex by Newton's step to the surface, and returns its normal there.
     let settle = |vertex: &mut DVec3| {
         let value = function(*vertex);
         let slope = DVec3::AXES.map(|axis| (function(*vertex + axis * h) - value) / h);
@@ -143,11 +145,11 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)
         *vertex -= newton.clamp_length_max(cell_m);
         slope.normalize_or_zero()
     };
-    // Each with its normal.
+    // Vertices with their normals.
     let mut all: Vec<(DVec3, DVec3)> = mesh.vertices.iter().map(|&vertex| (vertex, DVec3::ZERO)).collect();
     on_all_cores(&mut all, |_, (vertex, normal)| *normal = settle(vertex));
     for _ in 0..ROUNDS {
-        // An inner edge is seen from both its triangles, in both directions: each neighbour is counted once.
+        // An inner edge belongs to two triangles and is visited in both directions: each neighbour is counted once.
         let mut sums = vec![(DVec3::ZERO, 0.0); all.len()];
         for &[a, b, c] in &mesh.triangles {
             for (from, to) in [(a, b), (b, c), (c, a)] {

@@ -1,21 +1,21 @@
-//! Defects of a mesh before it is simulated.
+//! Detection of mesh defects before simulation.
 
 use glam::{DVec2, DVec3};
 
 use super::polygon::{doubled_area, sides};
 use super::{Mesh, edges};
 
-/// Coplanar triangles that cover each other by more than this are reported, m^2: two surfaces at one place are both lit.
+/// Least common area of coplanar triangles that is reported, m^2: overlapping surfaces would both be lit.
 pub const LEAST_OVERLAP_M2: f64 = 1e-6;
-/// Triangles this near to each other's planes count as coplanar, m.
+/// Largest distance of triangles from each other's planes to count as coplanar, m.
 const SAME_PLANE_M: f64 = 1e-5;
 
-/// The search for overlaps ends after so many of them, or so many pairs of triangles: a damaged mesh would have as many as the
-/// square of its triangles.
+/// Limits on overlaps and on pairs of triangles after which the search for overlaps ends. A damaged mesh would have as
+/// many as the square of its number of triangles.
 const MOST_OVERLAPS: usize = 1000;
 const MOST_PAIRS: usize = 50_000_000;
 
-/// Two coplanar triangles that cover each other.
+/// Two coplanar triangles that overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Overlap {
     /// The triangles, lower first.
@@ -24,21 +24,22 @@ pub struct Overlap {
     pub area_m2: f64,
 }
 
-/// Findings.
+/// Defects found in a mesh.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Lint {
-    /// Edges of three triangles or more, or of two that face different ways.
+    /// Number of edges of three or more triangles, or of two that face different ways.
     pub tangled_edges: usize,
-    /// Overlaps above [`LEAST_OVERLAP_M2`], by triangles; the first thousand that are found.
+    /// Overlaps above [`LEAST_OVERLAP_M2`], sorted by triangles; the first thousand that are found.
     pub overlaps: Vec<Overlap>,
 }
 
-/// Looks for tangled edges and faces that cover each other. Weld first: vertices apart by rounding are borders.
+/// Finds tangled edges and overlapping faces. The mesh must be welded first: vertices that differ by rounding form
+/// borders.
 pub fn lint(mesh: &Mesh) -> Lint {
     Lint { tangled_edges: edges(mesh).iter().filter(|e| e.tangled).count(), overlaps: overlaps(mesh) }
 }
 
-/// Pairs of coplanar triangles that cover each other: swept along x, compared where boxes touch.
+/// Pairs of coplanar triangles that overlap, found by a sweep along x over their bounding boxes.
 fn overlaps(mesh: &Mesh) -> Vec<Overlap> {
     let mut boxes: Vec<(DVec3, DVec3, u32)> = (0..mesh.triangles.len())
         .filter_map(|t| mesh.corners(t).map(|[a, b, c]| (a.min(b).min(c), a.max(b).max(c), t as u32)))
@@ -66,7 +67,7 @@ fn overlaps(mesh: &Mesh) -> Vec<Overlap> {
     found
 }
 
-/// Area that two triangles share in the plane of the first; zero unless they are coplanar.
+/// Common area of two triangles in the plane of the first; zero unless they are coplanar.
 fn common_area_m2(mesh: &Mesh, first: u32, second: u32) -> f64 {
     let (Some(p), Some(q)) = (mesh.corners(first as usize), mesh.corners(second as usize)) else { return 0.0 };
     let normal = (p[1] - p[0]).cross(p[2] - p[0]).normalize_or_zero();
@@ -99,7 +100,7 @@ fn common_area_m2(mesh: &Mesh, first: u32, second: u32) -> f64 {
 mod hard_cases {
     use super::*;
 
-    /// Two cubes side by side touch with a whole face; one cube a millimetre away does not.
+    /// Two cubes side by side share a whole face; a cube one millimetre away shares none.
     #[test]
     fn faces_that_cover_each_other_are_found_with_their_area() {
         let near = Mesh::cube();
@@ -112,7 +113,7 @@ mod hard_cases {
         let touching = area_m2(&lint(&near.joined(&at(DVec3::new(1.0, 0.25, 0.0)))));
         assert!((touching - 0.75).abs() < 1e-9, "{touching}");
         assert_eq!(lint(&near.joined(&at(DVec3::new(1.001, 0.25, 0.0)))).overlaps, []);
-        // The same cube twice: every face twice over.
+        // With the same cube twice, every face overlaps.
         let twice = area_m2(&lint(&near.joined(&near)));
         assert!((twice - 6.0).abs() < 1e-9, "{twice}");
         assert_eq!(lint(&Mesh::default()), Lint::default());

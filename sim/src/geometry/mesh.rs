@@ -3,10 +3,10 @@
 use glam::DVec3;
 use thiserror::Error;
 
-/// Coordinates beyond this are refused, m: traversal is in f32, which would not tell a wavelength from the next there.
+/// Largest accepted coordinate, m: beyond it, the f32 of traversal would not resolve a wavelength.
 pub const FARTHEST_M: f64 = 10_000.0;
 
-/// A mesh that is none.
+/// Error for an invalid mesh.
 #[derive(Debug, Error, PartialEq)]
 pub enum MeshError {
     /// A triangle names a vertex that does not exist.
@@ -14,24 +14,24 @@ pub enum MeshError {
         "triangle {triangle} names vertex {vertex}, but there are {vertices}\n\nhint: the mesh's indices are damaged; export it again"
     )]
     NoSuchVertex {
-        /// The triangle.
+        /// Index of the triangle.
         triangle: usize,
-        /// The vertex it names.
+        /// Index of the vertex that it names.
         vertex: u32,
-        /// Vertices of the mesh.
+        /// Number of vertices of the mesh.
         vertices: usize,
     },
-    /// A vertex is not a place.
+    /// A vertex has no valid position.
     #[error(
         "vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m\n\nhint: check the unit of the mesh"
     )]
     NoPlace {
-        /// The vertex.
+        /// Index of the vertex.
         vertex: usize,
-        /// Place, m.
+        /// Position, m.
         position: DVec3,
     },
-    /// A length that is none.
+    /// A length is not positive and finite.
     #[error("{what} is {given_m} m, expected a positive number")]
     Length {
         /// Purpose of the length.
@@ -41,7 +41,7 @@ pub enum MeshError {
     },
 }
 
-/// Triangles over shared vertices, counter-clockwise seen from outside, metres.
+/// Triangle mesh with shared vertices, counter-clockwise seen from outside, in metres.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
     /// Positions, m.
@@ -51,7 +51,7 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// Refuses indices without a vertex and vertices without a place.
+    /// Checks that every index has a vertex and every vertex a valid position.
     ///
     /// # Errors
     /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
@@ -94,9 +94,9 @@ impl Mesh {
     }
 }
 
-/// Refuses vertices without a place.
+/// Checks that every vertex has a valid position.
 fn check_places(vertices: &[DVec3]) -> Result<(), MeshError> {
-    // Written so that NaN is refused.
+    // This form of the test rejects NaN.
     match vertices.iter().position(|v| !(v.is_finite() && v.abs().max_element() <= FARTHEST_M)) {
         Some(vertex) => Err(MeshError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),
         None => Ok(()),

@@ -1,5 +1,5 @@
-//! Surfaces as triangle meshes: vertices merged ([`weld`]), faults found ([`lint`]), planes and edges extracted ([`planes`],
-//! [`edges`]), files read ([`import`]).
+//! Surfaces as triangle meshes: merging of vertices ([`weld`]), detection of defects ([`lint`]), extraction of planes
+//! and edges ([`planes`], [`edges`]), and import of files ([`import`]).
 
 mod creases;
 mod edges;

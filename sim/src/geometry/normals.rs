@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
-/// Unit normals at the vertices of triangles, from those around each: enough where a mesh is as smooth as what it stands for.
-/// Weights are Max's, which are exact on a sphere ("Weights for computing vertex normals from facet normals", J. Graphics Tools
-/// 4(2), 1999).
+/// Unit normals at the vertices of triangles, from the triangles around each vertex. This suffices for meshes as smooth
+/// as the surface that they represent. Weights are Max's, which are exact on a sphere ("Weights for computing vertex
+/// normals from facet normals", J. Graphics Tools 4(2), 1999).
 pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
     for &corners in triangles {
@@ -12,7 +12,8 @@ pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Ve
         let (ab, bc, ca) = (b - a, c - b, a - c);
         let area_vector = ab.cross(-ca);
         let [ab, bc, ca] = [ab, bc, ca].map(DVec3::length_squared);
-        // Over the squares of the two sides that meet in a corner. Of no area: of no weight.
+        // The area vector is divided by the squares of the two sides that meet in a corner. A triangle without area has
+        // no weight.
         let product = ab * bc * ca;
         let weighted = if product > 0.0 { area_vector * (1.0 / product) } else { DVec3::ZERO };
         for (at, square) in corners.into_iter().zip([bc, ca, ab]) {

@@ -1,9 +1,10 @@
-//! Triangles of a surface that go around the same way.
+//! Consistent orientation of the triangles of a surface.
 
 use super::Mesh;
 
-/// Turns triangles so that neighbours across an edge of exactly two go around the same way, as the lowest of those that hang
-/// together does. On surfaces with one side only (a Moebius strip) some edge stays as it was.
+/// Reverses triangles so that neighbours across an edge of exactly two have the same orientation. The lowest triangle
+/// of each connected part determines it. On surfaces with one side only (a Moebius strip) some edge remains
+/// inconsistent.
 pub fn oriented(mesh: &Mesh) -> Mesh {
     // (lower, higher vertex, triangle, goes upwards)
     let mut sides: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
@@ -16,7 +17,7 @@ pub fn oriented(mesh: &Mesh) -> Mesh {
     let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); mesh.triangles.len()];
     for run in sides.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
         let [(.., t, up), (.., u, other_up)] = *run else { continue };
-        // Two that run the same way along their edge face different ways.
+        // Two triangles that run in the same direction along their edge face different ways.
         next[t].push((u, up == other_up));
         next[u].push((t, up == other_up));
     }

@@ -1,4 +1,4 @@
-//! Plane polygons with holes: the surfaces that walls, floors and the sides of furniture consist of.
+//! Plane polygons with holes: the surfaces of walls, floors and furniture.
 
 use std::iter::once;
 
@@ -7,14 +7,14 @@ use glam::DVec3;
 
 use super::{Mesh, Plane, polygon};
 
-/// A corner this near to the line through its neighbours is no corner, m: four times the rounding of an f32 at 4 m, and far
-/// below the height of the arcs that outlines of round things consist of.
+/// Largest distance from the line through its neighbours at which a corner is removed, m. It is four times the rounding
+/// of an f32 at 4 m, and far below the height of the arcs in outlines of round objects.
 const STRAIGHT_M: f64 = 2e-6;
 
-/// A polygon in a plane.
+/// Polygon in a plane, with holes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanarPolygon {
-    /// Corners, m: counter-clockwise seen from where the normal points to. No three in a row lie on a line.
+    /// Corners, m: counter-clockwise when the normal points to the viewer. No three in a row lie on a line.
     pub outline: Vec<DVec3>,
     /// Corners of the holes, m: clockwise.
     pub holes: Vec<Vec<DVec3>>,
@@ -24,18 +24,18 @@ pub struct PlanarPolygon {
     pub offset_m: f64,
 }
 
-/// Place of a point relative to the edges of a polygon.
+/// Position of a point relative to the edges of a polygon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clearance {
     /// Distance to the nearest edge, m: positive inside, negative outside.
     pub distance_m: f64,
-    /// Index of that edge, as in [`PlanarPolygon::edges`].
+    /// Index of the nearest edge, as in [`PlanarPolygon::edges`].
     pub edge: usize,
 }
 
 impl PlanarPolygon {
-    /// Makes a polygon of corners that lie in a plane but for rounding; the outline decides where the normal points to.
-    /// `None` where they enclose no area.
+    /// Makes a polygon from corners that lie in a plane within rounding; the outline determines the direction of the
+    /// normal. `None` where they enclose no area.
     pub fn from_corners(outline: &[DVec3], holes: &[Vec<DVec3>]) -> Option<Self> {
         let normal = polygon::normal(outline);
         let offset_m = polygon::centroid(outline).dot(normal);
@@ -52,8 +52,8 @@ impl PlanarPolygon {
         Some(made)
     }
 
-    /// Makes polygons of a plane's outlines: one, unless the plane falls apart. None where the outlines do not enclose the area
-    /// of the plane's triangles: edges of a damaged mesh do not close.
+    /// Makes polygons from a plane's outlines: one, unless the plane is not connected. The list is empty if the
+    /// outlines do not enclose the area of the plane's triangles, since edges of a damaged mesh do not close.
     pub fn of_plane(mesh: &Mesh, plane: &Plane) -> Vec<Self> {
         let place = |v: &u32| mesh.vertices.get(*v as usize).copied();
         let corners = |outline: &Vec<u32>| outline.iter().map(place).collect::<Option<Vec<DVec3>>>();
@@ -81,7 +81,7 @@ impl PlanarPolygon {
     }
 
     fn in_plane(outline: &[DVec3], normal: DVec3, offset_m: f64) -> Option<Self> {
-        // Written so that NaN is refused.
+        // This form of the test rejects NaN.
         if !(normal.length_squared() > 0.5 && offset_m.is_finite()) {
             return None;
         }
@@ -89,14 +89,14 @@ impl PlanarPolygon {
         (!outline.is_empty()).then_some(PlanarPolygon { outline, holes: Vec::new(), normal, offset_m })
     }
 
-    /// The same polygon seen from its other side.
+    /// Returns the same polygon seen from its other side.
     pub fn flipped(mut self) -> Self {
         self.outline.reverse();
         self.holes.iter_mut().for_each(|hole| hole.reverse());
         PlanarPolygon { normal: -self.normal, offset_m: -self.offset_m, ..self }
     }
 
-    /// The outline and the holes.
+    /// Iterates over the outline and the holes.
     pub fn loops(&self) -> impl Iterator<Item = &[DVec3]> {
         once(self.outline.as_slice()).chain(self.holes.iter().map(Vec::as_slice))
     }
@@ -106,23 +106,24 @@ impl PlanarPolygon {
         self.loops().flat_map(polygon::sides)
     }
 
-    /// Unit vector in the plane from an edge into the polygon; zero where there is no such edge.
+    /// Unit vector in the plane from an edge into the polygon; zero for an invalid index.
     pub fn inwards(&self, edge: usize) -> DVec3 {
         self.edges().nth(edge).map_or(DVec3::ZERO, |[a, b]| self.normal.cross((b - a).normalize_or_zero()))
     }
 
-    /// Distance of a point from the plane, m: positive where the normal points to.
+    /// Signed distance of a point from the plane, m; positive on the side of the normal.
     pub fn height_m(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset_m
     }
 
-    /// Whether a point of the plane is in the polygon. A point on an edge that two polygons of a plane share is in one of them.
+    /// Returns whether a point of the plane is in the polygon. A point on an edge shared by two polygons of a plane is
+    /// in exactly one of them.
     pub fn contains(&self, point: DVec3) -> bool {
         let [i, j] = self.kept_axes();
         let (x, y) = (point[i], point[j]);
         let mut inside = false;
         for [a, b] in self.edges() {
-            // An edge gives the same answer in whichever direction it runs.
+            // The result for an edge does not depend on its direction.
             let (low, high) = if a[j] < b[j] { (a, b) } else { (b, a) };
             if (low[j] > y) != (high[j] > y) {
                 let side = (high[i] - low[i]) * (y - low[j]) - (x - low[i]) * (high[j] - low[j]);
@@ -155,12 +156,12 @@ impl PlanarPolygon {
         polygon::area_m2(&self.outline) - self.holes.iter().map(|hole| polygon::area_m2(hole)).sum::<f64>()
     }
 
-    /// Low and high corner of the box around it, m.
+    /// Low and high corner of the bounding box, m.
     pub fn bounds(&self) -> [DVec3; 2] {
         self.outline.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &c| [l.min(c), h.max(c)])
     }
 
-    /// Triangles that cover it, counter-clockwise seen from where the normal points to, m.
+    /// Triangles that cover the polygon, counter-clockwise when the normal points to the viewer, m.
     pub fn triangulate(&self) -> Vec<[DVec3; 3]> {
         let [i, j] = self.kept_axes();
         let corners: Vec<DVec3> = self.loops().flatten().copied().collect();
@@ -181,15 +182,15 @@ impl PlanarPolygon {
         found.as_chunks::<3>().0.iter().filter_map(triangle).collect()
     }
 
-    /// A point inside: the middle of the largest of its triangles.
+    /// Point inside the polygon: the middle of its largest triangle.
     pub fn inner_point(&self) -> DVec3 {
         let area = |t: &[DVec3; 3]| (t[1] - t[0]).cross(t[2] - t[0]).length_squared();
         let largest = self.triangulate().into_iter().max_by(|p, q| area(p).total_cmp(&area(q)));
         largest.map_or_else(|| polygon::centroid(&self.outline), |[a, b, c]| (a + b + c) / 3.0)
     }
 
-    /// The two axes that are left when the plane is seen along the third, on which its normal is longest: in the order that keeps
-    /// counter-clockwise.
+    /// The two axes that remain when the plane is projected along the axis with the longest normal component, in the
+    /// order that keeps the winding.
     fn kept_axes(&self) -> [usize; 2] {
         let axis = self.normal.abs().max_position();
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -197,7 +198,7 @@ impl PlanarPolygon {
     }
 }
 
-/// Corners in a plane, without those that are none; nothing where fewer than three are left.
+/// Projects corners onto a plane and removes those without a turn; empty if fewer than three remain.
 fn flattened(corners: &[DVec3], normal: DVec3, offset_m: f64) -> Vec<DVec3> {
     let mut corners: Vec<DVec3> = corners.iter().map(|&c| c - normal * (c.dot(normal) - offset_m)).collect();
     let mut kept = usize::MAX;
@@ -216,7 +217,8 @@ fn flattened(corners: &[DVec3], normal: DVec3, offset_m: f64) -> Vec<DVec3> {
     if corners.len() < 3 { Vec::new() } else { corners }
 }
 
-/// Whether a corner between two others lies on their line. What goes out and back on a line is straight, too.
+/// Returns whether a corner between two others lies on their line. An edge that goes out and back on a line is also
+/// straight.
 fn is_straight(before: DVec3, corner: DVec3, after: DVec3) -> bool {
     let across = after - before;
     let length_m = across.length();
@@ -234,7 +236,7 @@ mod tests {
     use super::*;
     use crate::geometry::planes;
 
-    /// Corners about a place at rising angles, at distances between two bounds.
+    /// Corners around a place at increasing angles, at distances between two bounds.
     fn star(rng: &mut Xoshiro256PlusPlus, centre: DVec3, radii_m: [f64; 2], corners: usize) -> Vec<DVec3> {
         (0..corners)
             .map(|i| {
@@ -245,7 +247,7 @@ mod tests {
             .collect()
     }
 
-    /// A star with up to three holes that touch neither it nor each other, somewhere in space; and the map of the xy plane there.
+    /// Star in a random plane with up to three disjoint holes, and the map from the xy plane to that plane.
     fn random_polygon(seed: u64) -> (PlanarPolygon, impl Fn(DVec3) -> DVec3) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
         let turn =
@@ -294,7 +296,7 @@ mod tests {
                 let expected = triangles.iter().any(|&t| is_in(point, t, polygon.normal));
                 assert_eq!(polygon.contains(point), expected, "seed {seed}: {point}");
                 assert_eq!(clearance.distance_m > 0.0, expected, "seed {seed}: {point}");
-                // The same from the other side.
+                // The result from the other side is the same.
                 assert_eq!(polygon.clone().flipped().contains(point), expected, "seed {seed}: {point}");
             }
         }
@@ -307,7 +309,7 @@ mod tests {
             let point = map(DVec3::new(0.31, 0.02 * seed as f64 - 0.5, 0.0));
             let found = polygon.clearance(point);
             let [a, b] = polygon.edges().nth(found.edge).expect("an edge");
-            // Sampled: never nearer than what was found.
+            // No sampled point of the edge is nearer than the distance found.
             let sampled = (0..=1000).map(|i| point.distance(a.lerp(b, f64::from(i) / 1000.0)));
             let nearest = sampled.fold(f64::INFINITY, f64::min);
             assert!((nearest - found.distance_m.abs()).abs() < 0.01, "seed {seed}: {nearest} {found:?}");
@@ -319,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_wall_with_a_window_keeps_its_corners_only() {
-        // Four by four squares of which the one at (1, 1) is missing.
+        // Grid of four by four squares without the one at (1, 1).
         let side = 5;
         let vertices =
             (0..25).map(|i| DVec3::new(f64::from(i % side), 0.0, f64::from(i / side)) * 0.5).collect::<Vec<_>>();
@@ -369,7 +371,7 @@ mod hard_cases {
         assert_eq!(sliver(1e-6), None);
     }
 
-    /// Corners within straight lines, twice the same corner, and a needle out and back are removed.
+    /// Corners within straight lines, duplicate corners, and a needle out and back are removed.
     #[test]
     fn corners_that_are_none_are_removed() {
         let corners = [
@@ -387,7 +389,8 @@ mod hard_cases {
         assert!((square.area_m2() - 2.0).abs() < 1e-15);
     }
 
-    /// Two sheets that meet in one corner are two polygons; a hole that touches the outline in a corner takes its area off.
+    /// Two sheets that meet in one corner are two polygons. The area of a hole that touches the outline in a corner is
+    /// subtracted.
     #[test]
     fn loops_that_touch_in_a_corner_enclose_what_they_should() {
         let side = 4u32;

@@ -1,4 +1,4 @@
-//! Large planar polygons from small triangles.
+//! Merging of small coplanar triangles into large planar polygons.
 
 use std::cmp::Reverse;
 
@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{Mesh, neighbours};
 
-/// Triangles that lie in one plane and hang together.
+/// Connected triangles that lie in one plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plane {
     /// Unit normal.
@@ -17,8 +17,8 @@ pub struct Plane {
     pub area_m2: f64,
     /// The triangles, ascending.
     pub triangles: Vec<u32>,
-    /// Closed loops of vertices around it: counter-clockwise outside, clockwise around holes. All vertices are kept, also
-    /// those within straight lines, so that neighbours still fit.
+    /// Closed loops of vertices around the plane: counter-clockwise outside, clockwise around holes. All vertices are
+    /// kept, including those within straight lines, so that neighbours still fit.
     pub outlines: Vec<Vec<u32>>,
 }
 
@@ -27,12 +27,12 @@ pub struct Plane {
 pub struct Planes {
     /// Index of the plane of every triangle. A triangle of a curved surface is a plane of its own.
     pub of_triangle: Vec<u32>,
-    /// The planes, by their lowest triangle.
+    /// Planes, sorted by their lowest triangle.
     pub planes: Vec<Plane>,
 }
 
-/// Groups triangles that hang together by edges and have all corners within a tolerance of the plane of the largest of them.
-/// 1 um is 0.003 rad of phase at 60 GHz and far above rounding; a body's facets differ by more.
+/// Groups triangles that are connected by edges and have all corners within a tolerance of the plane of the largest of
+/// them. 1 um is 0.003 rad of phase at 60 GHz and far above rounding; facets of a body differ by more.
 pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
     let next = neighbours(mesh);
     let mut by_area: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
@@ -99,7 +99,7 @@ fn plane(mesh: &Mesh, triangles: Vec<u32>) -> Plane {
     }
 }
 
-/// Loops of the edges that only one of some triangles has.
+/// Loops of the edges that belong to only one of some triangles.
 fn outlines(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
     let mut sides: Vec<[u32; 2]> = triangles
         .iter()
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
     use crate::geometry::isosurface;
 
-    /// A square of `n` by `n` quadrilaterals with one left out, bent along the middle when asked.
+    /// Square of `n` by `n` quadrilaterals with one left out, bent along the middle by `bend_m`.
     fn sheet(n: u32, bend_m: f64) -> Mesh {
         let side = n + 1;
         let vertices = (0..side * side)

@@ -1,8 +1,8 @@
-//! Plane polygons: convex ones cut by planes, and what outlines enclose.
+//! Plane polygons: clipping of convex polygons by planes, areas, and point-in-polygon tests.
 
 use glam::{DVec2, DVec3};
 
-/// The part of a convex polygon on the side of a plane to which its normal points (Sutherland and Hodgman).
+/// Clips a convex polygon to the side of a plane to which its normal points (Sutherland and Hodgman).
 pub fn clipped(polygon: &[DVec3], on_plane: DVec3, normal: DVec3) -> Vec<DVec3> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     let Some(&last) = polygon.last() else { return kept };
@@ -31,14 +31,14 @@ pub(crate) fn doubled_area(outline: &[DVec2]) -> f64 {
     sides(outline).map(|[a, b]| a.perp_dot(b)).sum()
 }
 
-/// Distance of a point from a line between two points.
+/// Distance of a point from a segment between two points.
 pub(crate) fn distance_to_line(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
     let along = b - a;
     let part = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
     point.distance(a + along * part)
 }
 
-/// Whether a point lies within a closed outline, by the number of sides that it has on one hand.
+/// Returns whether a point lies within a closed outline, by the parity of the sides on one side of it.
 pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     let mut inside = false;
     for [a, b] in sides(outline) {
@@ -49,7 +49,7 @@ pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     inside
 }
 
-/// Unit normal, by the right hand along the corners; zero for no area.
+/// Unit normal, by the right-hand rule along the corners; zero for no area.
 pub fn normal(polygon: &[DVec3]) -> DVec3 {
     area_vector(polygon).normalize_or_zero()
 }

@@ -1,7 +1,7 @@
 //! Canonical shapes as surfaces, with the exact normals of the shape at every vertex.
 //!
-//! Plates and mirrors look along +x, cylinders stand along z, corners have their edges on the positive axes. What an edge
-//! length asks for is the mean edge of the triangles.
+//! Plates and mirrors face +x, cylinders stand along z, and corners have their edges on the positive axes. A requested
+//! edge length is the mean edge of the triangles.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -10,12 +10,12 @@ use glam::DVec3;
 
 use super::Surface;
 
-/// Number of pieces of about this length into which a length is cut.
+/// Number of pieces of about `edge_m` into which a length is cut.
 fn pieces(length_m: f64, edge_m: f64) -> usize {
     ((length_m / edge_m).round() as usize).clamp(1, 4096)
 }
 
-/// A grid of quadrangles, each cut in two: `(columns + 1) x (rows + 1)` vertices by a function of (column, row).
+/// Grid of quadrangles, each cut in two: `(columns + 1) x (rows + 1)` vertices given by a function of (column, row).
 fn grid(columns: usize, rows: usize, vertex: impl Fn(usize, usize) -> (DVec3, DVec3)) -> Surface {
     let mut surface = Surface::default();
     for row in 0..=rows {
@@ -35,7 +35,7 @@ fn grid(columns: usize, rows: usize, vertex: impl Fn(usize, usize) -> (DVec3, DV
     surface
 }
 
-/// A flat rectangle about the origin, `width_m` along y and `height_m` along z, that reflects on either side.
+/// Flat rectangle about the origin, `width_m` along y and `height_m` along z, that reflects on either side.
 pub fn plate(width_m: f64, height_m: f64, edge_m: f64) -> Surface {
     let (columns, rows) = (pieces(width_m, edge_m), pieces(height_m, edge_m));
     let fraction = |i: usize, n: usize| i as f64 / n as f64 - 0.5;
@@ -46,7 +46,7 @@ pub fn plate(width_m: f64, height_m: f64, edge_m: f64) -> Surface {
     surface
 }
 
-/// The side of a cylinder about the z axis, without lids, closed around.
+/// Lateral surface of a cylinder about the z axis, without end caps.
 pub fn cylinder(radius_m: f64, height_m: f64, edge_m: f64) -> Surface {
     let columns = pieces(TAU * radius_m, edge_m).max(3);
     let rows = pieces(height_m, edge_m);
@@ -55,7 +55,7 @@ pub fn cylinder(radius_m: f64, height_m: f64, edge_m: f64) -> Surface {
         let normal = DVec3::new(cosine, sine, 0.0);
         (normal * radius_m + DVec3::Z * (height_m * (row as f64 / rows as f64 - 0.5)), normal)
     });
-    // The last column is the first one again.
+    // The last column coincides with the first one.
     let stride = columns as u32 + 1;
     for index in surface.triangles.iter_mut().flatten() {
         if *index % stride == columns as u32 {
@@ -65,13 +65,14 @@ pub fn cylinder(radius_m: f64, height_m: f64, edge_m: f64) -> Surface {
     surface
 }
 
-/// A concave spherical mirror: pole at the origin, centre of curvature on +x, aperture of this radius. Its rim is a polygon with
-/// the area of the round one: where the rest cancels, what a polygon within the circle lacks is 0.3 dB.
+/// Concave spherical mirror: pole at the origin, centre of curvature on +x, with an aperture of this radius. Its rim is
+/// a polygon with the area of the circle: where the other contributions cancel, the area missing from an inscribed
+/// polygon would cause 0.3 dB.
 pub fn mirror(radius_m: f64, aperture_radius_m: f64, edge_m: f64) -> Surface {
     let reach = (aperture_radius_m / radius_m).clamp(0.0, 1.0).asin();
     let rings = pieces(reach * radius_m, edge_m);
     let sectors = 6;
-    // Ring i has 6 i vertices; the triangles between two rings are as even as they can be.
+    // Ring i has 6 i vertices; the triangles between two rings are as even as possible.
     let mut surface = Surface { two_sided: true, ..Surface::default() };
     let mut add = |tilt: f64, around: f64| {
         let outwards = DVec3::new(0.0, around.cos(), around.sin()) * tilt.sin();
@@ -81,7 +82,7 @@ pub fn mirror(radius_m: f64, aperture_radius_m: f64, edge_m: f64) -> Surface {
     add(0.0, 0.0);
     for ring in 1..=rings {
         let between = TAU / (sectors * ring) as f64;
-        // Geodesics between the rim's vertices lie within its circle, on average by two thirds of the most.
+        // Geodesics between the rim's vertices lie within its circle, on average by two thirds of the maximum.
         let outside = if ring == rings { reach.sin() * reach.cos() * between * between / 12.0 } else { 0.0 };
         for i in 0..sectors * ring {
             add(reach * ring as f64 / rings as f64 + outside, between * i as f64);
@@ -103,7 +104,7 @@ pub fn mirror(radius_m: f64, aperture_radius_m: f64, edge_m: f64) -> Surface {
     surface
 }
 
-/// An ellipsoid with semi-axes along x, y, z; triangles with a mean edge of about `edge_m`.
+/// Ellipsoid with semi-axes along x, y, z; triangles have a mean edge of about `edge_m`.
 pub fn ellipsoid(semi_axes_m: DVec3, edge_m: f64) -> Surface {
     // Thomsen's approximation of the area; a triangle of edge h has sqrt(3)/4 h^2.
     let p = 1.6075;
@@ -131,14 +132,14 @@ pub(crate) fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     (corners, triangles)
 }
 
-/// An ellipsoid from an icosahedron whose edges are cut into `cuts` pieces: `20 cuts^2` triangles.
+/// Ellipsoid from an icosahedron whose edges are cut into `cuts` pieces: `20 cuts^2` triangles.
 pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
     let cuts = cuts.max(1);
     let (corners, faces) = icosahedron();
     let mut surface = Surface::default();
     let mut known: HashMap<[i64; 3], u32> = HashMap::new();
     let mut vertex = |point: DVec3| {
-        // Edges are cut from both of their faces: the same point, but for rounding.
+        // Edges are cut from both of their faces, which gives the same point within rounding.
         let key = (point * 1e9).to_array().map(|v| v.round() as i64);
         *known.entry(key).or_insert_with(|| {
             let unit = point.normalize();
@@ -171,13 +172,13 @@ pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
 mod tests {
     use super::*;
 
-    /// Every shape's triangles face where its normals do, and their areas add up.
+    /// Every shape's triangles face in the direction of its normals, and their areas add up.
     #[test]
     fn shapes_have_their_areas_and_face_outwards() {
         let cases = [
             (plate(0.1, 0.2, 0.01), 0.02),
             (cylinder(0.05, 0.3, 0.003), TAU * 0.05 * 0.3),
-            // A cap's area: 2 pi rho times its depth.
+            // Area of a cap: 2 pi rho times its depth.
             (mirror(1.0, 0.1, 0.005), TAU * (1.0 - 0.99f64.sqrt())),
             (ellipsoid(DVec3::splat(0.05), 0.002), 2.0 * TAU * 0.0025),
         ];

@@ -1,4 +1,4 @@
-//! A surface that knows its normals: smooth inside each patch, with edges only between patches.
+//! Surface with normals: smooth inside each patch, with edges only between patches.
 
 use std::collections::HashMap;
 
@@ -6,8 +6,8 @@ use glam::DVec3;
 
 use super::{Mesh, edges};
 
-/// Triangles whose shared vertices carry the normal of the smooth surface that they stand for. Vertices along a crease exist
-/// once on either side of it.
+/// Triangles whose shared vertices carry the normal of the smooth surface that they represent. Vertices along a crease
+/// are duplicated, one for each side.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surface {
     /// Positions, m.
@@ -16,7 +16,7 @@ pub struct Surface {
     pub normals: Vec<DVec3>,
     /// Indices into the vertices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// A sheet that reflects on either side, rather than a body's skin.
+    /// Whether the surface is a sheet that reflects on either side, and not the skin of a body.
     pub two_sided: bool,
 }
 
@@ -37,18 +37,19 @@ impl Surface {
         Some([corner(a)?, corner(b)?, corner(c)?])
     }
 
-    /// The mesh without its normals.
+    /// Returns the mesh without its normals.
     pub fn mesh(&self) -> Mesh {
         Mesh { vertices: self.vertices.clone(), triangles: self.triangles.clone() }
     }
 
-    /// Whether it has no edge: every side of every triangle has exactly one other triangle behind it, with the same normals.
+    /// Returns whether the surface has no edge: every side of every triangle has exactly one adjacent triangle, with
+    /// the same normals.
     pub fn is_smooth(&self) -> bool {
         edges(&self.mesh()).iter().all(|edge| edge.right.is_some())
     }
 
-    /// The same surface with each triangle cut into four: the middle of an edge lies on the curve that the normals at its ends
-    /// describe.
+    /// Returns the same surface with each triangle cut into four. The middle of an edge lies on the curve defined by
+    /// the normals at its ends.
     pub fn halved(&self) -> Self {
         let mut finer = Surface { triangles: Vec::new(), ..self.clone() };
         let corner = |v: u32| Some((*self.vertices.get(v as usize)?, *self.normals.get(v as usize)?));
@@ -75,35 +76,36 @@ impl Surface {
         finer
     }
 
-    /// Lowest and highest coordinates; both zero for no vertex.
+    /// Lowest and highest coordinates; both zero for an empty surface.
     pub fn bounds(&self) -> (DVec3, DVec3) {
         let Some(&first) = self.vertices.first() else { return (DVec3::ZERO, DVec3::ZERO) };
         self.vertices.iter().fold((first, first), |(low, high), &v| (low.min(v), high.max(v)))
     }
 }
 
-/// Distance of the surface from the middle of an edge, m, from the edge's ends and the unit normals there: the cubic over the
-/// edge that is tangential to the surface at both ends.
+/// Offset of the surface from the middle of an edge, m, from the edge's ends and the unit normals there. The surface is
+/// the cubic over the edge that is tangential to it at both ends.
 pub(crate) fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
     let d = b - a;
     0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
 }
 
-/// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
-/// tangential to the surface at its ends. No bit depends on which end comes first.
+/// Midpoint between two points of a surface with these normals, and the normal there, on the cubic that is tangential
+/// to the surface at both ends. The result is bit-identical if the ends are swapped.
 pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
     let d = b - a;
     let chord = d.length_squared();
     let mean = normal_a + normal_b;
-    // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
+    // Normal of a parabola over the edge: the mean, tilted back by the middle's slope as estimated from the ends'
+    // slopes.
     let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
     (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - lean).normalize_or(normal_a))
 }
 
-/// Parts of a triangle some of whose sides (from the first corner to the second, and so on) are cut at their middles. Of the two
-/// ways to divide a quadrangle the one with the shorter diagonal is taken.
+/// Parts of a triangle with some sides (from the first corner to the second, and so on) cut at their middles. A
+/// quadrangle is divided along its shorter diagonal.
 pub(crate) fn split<T: Copy>(corners: [T; 3], middles: [Option<T>; 3], distance: impl Fn(T, T) -> f64) -> Vec<[T; 3]> {
-    // Turned so that the first side is cut, and with two of them the last is not.
+    // The triangle is rotated so that the first side is cut, and with two cut sides the last is not.
     let turn = match middles.map(|middle| middle.is_some()) {
         [true, _, false] | [true, true, true] | [false, false, false] => 0,
         [false, true, _] => 1,

@@ -1,4 +1,4 @@
-//! Meshes for tests, and what tests ask of meshes.
+//! Meshes and mesh checks for tests.
 
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ impl Mesh {
         Mesh { vertices, triangles: quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect() }
     }
 
-    /// Both meshes, the triangles of this one before those of the other.
+    /// Joins two meshes, the triangles of this one before those of the other.
     pub(crate) fn joined(&self, other: &Mesh) -> Self {
         let first = self.vertices.len() as u32;
         let moved = other.triangles.iter().map(|corners| corners.map(|corner| corner + first));
@@ -22,7 +22,7 @@ impl Mesh {
         }
     }
 
-    /// Whether it is one closed surface that faces outwards and covers no place twice.
+    /// Returns whether the mesh is one closed surface that faces outwards without overlaps.
     pub(crate) fn is_solid(&self) -> bool {
         let is_closed = edges(self).iter().all(|edge| edge.right.is_some());
         is_closed && self.volume_m3() > 0.0 && lint(self).overlaps.is_empty()

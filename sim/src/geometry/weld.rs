@@ -1,4 +1,4 @@
-//! One vertex where there were several, and no triangles without area.
+//! Welding: merges coincident vertices and removes triangles without area.
 
 use std::collections::HashMap;
 
@@ -6,30 +6,32 @@ use glam::DVec3;
 
 use super::mesh::{Mesh, MeshError};
 
-/// A triangle is dropped when twice its area is below this part of its longest edge squared: its normal is rounding.
+/// A triangle is dropped if twice its area is below this part of its longest edge squared: its normal would be rounding
+/// error.
 const LEAST_HEIGHT: f64 = 1e-12;
 
-/// A mesh after welding.
+/// Mesh after welding.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Welded {
     /// The mesh.
     pub mesh: Mesh,
-    /// Index before welding of every triangle that is left: those without area are not.
+    /// Original index of every remaining triangle; triangles without area are removed.
     pub triangle_of: Vec<u32>,
 }
 
-/// Makes vertices within a tolerance one: each goes where the first of them is, so nothing moves farther than the tolerance.
-/// Files without indices (STL) and seams of textures come apart at edges otherwise: rays leak there, normals break.
+/// Merges vertices within a tolerance. Each moves to the first of its group, so no vertex moves farther than the
+/// tolerance. Otherwise files without indices (STL) and texture seams are open at edges: rays leak there and normals
+/// are wrong.
 ///
 /// # Errors
 /// [`MeshError`] for a mesh that [`Mesh::check`] refuses, and for a tolerance that is not positive and finite.
 pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     mesh.check()?;
-    // Written so that NaN is refused.
+    // This form of the test rejects NaN.
     if !(tolerance_m > 0.0 && tolerance_m.is_finite()) {
         return Err(MeshError::Length { what: "the tolerance of welding", given_m: tolerance_m });
     }
-    // Cells as wide as the tolerance: whatever is near enough is in the same or the next one.
+    // Cells are as wide as the tolerance, so all near vertices are in the same or an adjacent cell.
     let cell = |v: DVec3| (v / tolerance_m).floor();
     let mut firsts: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
     let key = |cell: DVec3| (cell + 0.0).to_array().map(f64::to_bits);
@@ -83,7 +85,7 @@ mod tests {
     use super::*;
     use crate::geometry::edges;
 
-    /// A cube as STL holds it: 36 corners of their own, a little beside each other.
+    /// Cube in the form of an STL file: 36 separate corners, slightly displaced.
     fn soup() -> Mesh {
         let cube = Mesh::cube();
         let mut mesh = Mesh::default();

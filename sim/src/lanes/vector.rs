@@ -1,5 +1,5 @@
-//! Vectors of one lane in double precision, for the bodies of loops over lanes: plain arrays, and nothing that is not compiled
-//! into its caller.
+//! Vectors of one lane in double precision, for the bodies of loops over lanes. They are plain arrays, and every
+//! function is inlined.
 
 use super::WideRow3;
 
@@ -24,7 +24,7 @@ pub fn subtract(a: Vector, b: Vector) -> Vector {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// Product with a number.
+/// Product with a scalar.
 #[inline(always)]
 pub fn scale(a: Vector, by: f64) -> Vector {
     [a[0] * by, a[1] * by, a[2] * by]
@@ -42,13 +42,13 @@ pub fn over(a: Vector, b: Vector) -> Vector {
     [a[0] / b[0], a[1] / b[1], a[2] / b[2]]
 }
 
-/// The vector over its length; no numbers where that is zero.
+/// The vector divided by its length; NaN for a zero vector.
 #[inline(always)]
 pub fn normalized(a: Vector) -> Vector {
     scale(a, 1.0 / dot(a, a).sqrt())
 }
 
-/// `a` where the condition holds, `b` elsewhere.
+/// Selects `a` where the condition holds, `b` elsewhere.
 #[inline(always)]
 pub fn choose(condition: bool, a: Vector, b: Vector) -> Vector {
     [if condition { a[0] } else { b[0] }, if condition { a[1] } else { b[1] }, if condition { a[2] } else { b[2] }]
@@ -68,7 +68,8 @@ pub fn cross(a: Vector, b: Vector) -> Vector {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// A unit vector across a unit vector (Duff and others, Building an Orthonormal Basis, Revisited, JCGT 6, 2017).
+/// Unit vector perpendicular to a unit vector (Duff and others, Building an Orthonormal Basis, Revisited, JCGT 6,
+/// 2017).
 #[inline(always)]
 pub fn tangent(to: Vector) -> Vector {
     let sign = 1f64.copysign(to[2]);

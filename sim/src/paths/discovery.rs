@@ -1,8 +1,10 @@
-//! Sequences of facets that paths from an antenna meet, found by rays; and the images of the antenna that they make.
+//! Discovery of the facet sequences that paths from an antenna meet, by launching rays, and of the antenna images that
+//! these sequences make.
 //!
-//! Rays go out in the directions of a subdivided icosahedron. Where the corners of one of its triangles report different facets,
-//! the triangle is divided into four, again and again: rays gather where facets end. A facet so small that all rays pass it is hit
-//! by those that are aimed at every facet. All of it depends on geometry alone, never on threads.
+//! Rays are launched in the directions of a subdivided icosahedron. Where the corners of one of its triangles report
+//! different facets, the triangle is divided into four, repeatedly, so that rays concentrate at the ends of facets. A
+//! facet so small that all these rays miss it is hit by rays that are aimed at every facet. The result depends on
+//! geometry alone, never on threads.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -14,29 +16,29 @@ use super::environment::Environment;
 use super::flat::{FacetId, Flat};
 use crate::geometry::shape::icosahedron;
 
-/// Most reflections of a path.
+/// Largest number of reflections of a path.
 pub const MAX_ORDER: usize = 6;
-/// Halvings of the icosahedron's edges at the start: 2,562 rays, 4 degrees apart.
+/// Initial halvings of the icosahedron's edges: 2,562 rays, 4 degrees apart.
 const FIRST_HALVINGS: u32 = 4;
-/// Images nearer to each other than this are one, m.
+/// Images nearer to each other than this are merged, m.
 const MERGE_M: f64 = 1e-9;
-/// Mirror matrices that differ less than this in all elements are one.
+/// Mirror matrices are merged if they differ less than this in all elements.
 const MERGE_MIRROR: f64 = 1e-10;
-/// Walls that a ray goes through at most on its way to the facets that mirror it.
+/// Largest number of walls that a ray crosses on its way to the facets that mirror it.
 const MOST_CROSSED: u32 = 1;
-/// Direction along no edge of what people build.
+/// Direction that is parallel to no typical edge of a building.
 const ASKEW: DVec3 = DVec3::new(1.0, 0.754_877_666_2, 0.569_840_291_0);
-/// Cosine up to which planes are at right angles.
+/// Cosine up to which planes count as perpendicular.
 const RIGHT_ANGLE: f64 = 1e-12;
 
-/// Settings of the launch of rays.
+/// Settings of the ray launch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaunchOptions {
-    /// Reflections that a path may have, at most [`MAX_ORDER`].
+    /// Largest number of reflections of a path, at most [`MAX_ORDER`].
     pub max_order: usize,
-    /// Times that triangles of directions are divided: four take rays 4 degrees apart to 0.26.
+    /// Number of divisions of the triangles of directions: four reduce the spacing from 4 degrees to 0.26.
     pub refinements: u32,
-    /// Rays after which no more triangles are divided.
+    /// Number of rays after which no more triangles are divided.
     pub max_rays: usize,
 }
 
@@ -51,13 +53,13 @@ impl Default for LaunchOptions {
 pub struct DiscoveryReport {
     /// Rays launched.
     pub rays: usize,
-    /// Times that triangles of directions were divided.
+    /// Number of divisions of the triangles of directions.
     pub refinements: u32,
-    /// Sequences of facets, the empty one included.
+    /// Facet sequences, including the empty one.
     pub sequences: usize,
-    /// Images that they make, the antenna itself included.
+    /// Images of these sequences, including the antenna itself.
     pub images: usize,
-    /// Whether some triangles were left undivided for the limit on rays.
+    /// Whether the limit on rays left some triangles undivided.
     pub reached_limit: bool,
 }
 
@@ -68,18 +70,18 @@ struct Chain {
     length: usize,
 }
 
-/// An image of an antenna and the sequences of facets that make it.
+/// Image of an antenna and the facet sequences that make it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
     /// Number of reflections.
     pub order: usize,
-    /// Place of the image of the antenna from which rays were launched, m.
+    /// Position of the image of the antenna from which rays were launched, m.
     pub position: DVec3,
-    /// Image of a vector of the antenna: product of the facets' reflections.
+    /// Mirror matrix of the antenna's vectors: product of the facets' reflections.
     pub mirror: DMat3,
     /// Image of the origin, m: a point at `x` has its image at `mirror * x + shift`.
     pub shift: DVec3,
-    /// The sequences, facets in the order in which waves meet them.
+    /// The sequences, with facets in the order in which waves meet them.
     pub sequences: Vec<Vec<FacetId>>,
 }
 
@@ -90,7 +92,7 @@ impl Image {
     }
 }
 
-/// Paths that leave an antenna, by its images.
+/// Paths that leave an antenna, represented by its images.
 #[derive(Debug, Clone)]
 pub struct ImagePaths {
     pub(super) environment: Arc<Environment>,
@@ -112,7 +114,7 @@ impl ImagePaths {
         ImagePaths { report: DiscoveryReport { rays, refinements, reached_limit, ..found.report }, ..found }
     }
 
-    /// The images of a point that given sequences make; the point itself is the first.
+    /// Builds the images of a point for given sequences; the point itself is the first.
     pub fn with_sequences(
         environment: Arc<Environment>,
         origin: DVec3,
@@ -143,8 +145,8 @@ impl ImagePaths {
     }
 }
 
-/// Whether waves from a point may meet facets in this order, as far as planes tell: each facet faces the image before it, and
-/// neighbours have some part before each other.
+/// Returns whether waves from a point may meet facets in this order, tested on planes only. Each facet must face the
+/// image before it, and neighbours must have some part before each other.
 pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[FacetId]) -> bool {
     let mut image = origin;
     let mut last = None;
@@ -164,13 +166,13 @@ pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[
     true
 }
 
-/// Whether some corner of a facet lies before another's plane.
+/// Returns whether some corner of a facet lies before another's plane.
 fn sees(of: &Flat, other: &Flat) -> bool {
     other.facet.corners.iter().any(|&corner| of.height(corner) > MERGE_M)
 }
 
-/// Sequences and what follows from them: reflections at planes at right angles may change places without another image, and
-/// what a sequence begins with is one itself.
+/// Adds the sequences that follow from those found. Reflections at perpendicular planes may change places without
+/// changing the image, and every prefix of a sequence is a sequence.
 fn completed(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<FacetId>>) -> BTreeSet<Vec<FacetId>> {
     let mut open: Vec<Vec<FacetId>> = found.iter().cloned().collect();
     let mut all = found;
@@ -195,7 +197,7 @@ fn completed(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<Facet
     all
 }
 
-/// Images of sequences, which come by length: those that coincide are one.
+/// Makes the images of sequences, which are ordered by length; coincident images are merged.
 fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Item = Vec<FacetId>>) -> Vec<Image> {
     let mut all: Vec<Image> = sequences
         .map(|sequence| {
@@ -206,9 +208,9 @@ fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Ite
             Image { order: sequence.len(), position, mirror, shift: zero, sequences: vec![sequence] }
         })
         .collect();
-    // Stable: of equal places the earlier sequence stays the first.
+    // The sort is stable: of equal places the earlier sequence stays the first.
     let mut order: Vec<usize> = (0..all.len()).collect();
-    // In rooms along the axes thousands of images share a coordinate; along this direction those that are one do.
+    // In axis-aligned rooms thousands of images share a coordinate; along this direction only coincident images do.
     let place = |all: &[Image], i: usize| all.get(i).map_or(0.0, |image| image.position.dot(ASKEW));
     order.sort_by(|&i, &j| place(&all, i).total_cmp(&place(&all, j)).then(i.cmp(&j)));
     let mut recent: Vec<usize> = Vec::new();
@@ -250,14 +252,14 @@ fn is_same(a: &Image, b: &Image) -> bool {
         && columns(&a.mirror).into_iter().zip(columns(&b.mirror)).all(|(p, q)| apart(p, q) <= MERGE_MIRROR)
 }
 
-/// Rays in all directions.
+/// Launch of rays in all directions.
 struct Launch<'a> {
     environment: &'a Environment,
     origin: DVec3,
     mount: Option<FacetId>,
     max_order: usize,
     directions: Vec<DVec3>,
-    /// By direction: what a ray meets that is mirrored everywhere, and rays that go through a wall.
+    /// Facets met, per direction: by the ray that is reflected everywhere, and by rays that cross a wall.
     chains: Vec<Vec<Chain>>,
     /// Triangles of directions that may be divided.
     triangles: Vec<[usize; 3]>,
@@ -287,7 +289,7 @@ impl<'a> Launch<'a> {
         launch
     }
 
-    /// Divides triangles whose corners differ.
+    /// Divides triangles whose corners meet different facets.
     fn refine(&mut self, options: &LaunchOptions) {
         for _ in 0..options.refinements {
             let chains = &self.chains;
@@ -299,7 +301,7 @@ impl<'a> Launch<'a> {
             if marked.is_empty() {
                 break;
             }
-            // Each triangle has three new corners at most, which most of them share with a neighbour.
+            // Each triangle has three new corners at most, and most of them are shared with a neighbour.
             if self.directions.len() + 3 * marked.len() / 2 > options.max_rays {
                 self.reached_limit = true;
                 break;
@@ -310,8 +312,8 @@ impl<'a> Launch<'a> {
         }
     }
 
-    /// Aims rays at the middle of each facet that faces the antenna and halfway from there to its corners, while there are fewer than
-    /// `max_rays`.
+    /// Aims rays at the middle of each facet that faces the antenna and halfway from there to its corners, until
+    /// `max_rays` is reached.
     fn aim(&mut self, max_rays: usize) {
         for facet in 0..self.environment.len() {
             let Some(flat) = self.environment.flat(facet as FacetId) else { continue };
@@ -331,7 +333,7 @@ impl<'a> Launch<'a> {
         self.trace_new();
     }
 
-    /// Takes the quarters of triangles for the triangles, with directions for their new corners.
+    /// Replaces triangles by their quarters, and adds directions for the new corners.
     fn divide(&mut self, triangles: &[[usize; 3]]) {
         let mut middles: HashMap<(usize, usize), usize> = HashMap::with_capacity(2 * triangles.len());
         let mut quarters = Vec::with_capacity(4 * triangles.len());
@@ -351,7 +353,7 @@ impl<'a> Launch<'a> {
         self.triangles = quarters;
     }
 
-    /// Traces the directions that have not been traced.
+    /// Traces the directions that have not been traced yet.
     fn trace_new(&mut self) {
         let first = self.chains.len();
         let new: Vec<Vec<Chain>> =
@@ -359,7 +361,7 @@ impl<'a> Launch<'a> {
         self.chains.extend(new);
     }
 
-    /// Follows a ray in a direction. Where walls let waves through, another one goes on behind each that it meets.
+    /// Traces a ray in a direction. If walls transmit waves, a further ray continues behind each wall that it meets.
     fn trace(&self, direction: DVec3) -> Vec<Chain> {
         let chain = Chain { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
         if let Some(flat) = self.mount.and_then(|facet| self.environment.flat(facet))
@@ -389,7 +391,7 @@ impl<'a> Launch<'a> {
         found
     }
 
-    /// Sequences that rays met, and those with which these begin.
+    /// Sequences that rays met, and all prefixes of these.
     fn sequences(&self) -> BTreeSet<Vec<FacetId>> {
         let mut chains: Vec<Chain> = self.chains.iter().flatten().copied().collect();
         chains.sort_unstable();
@@ -402,18 +404,18 @@ impl<'a> Launch<'a> {
     }
 }
 
-/// A ray on its way.
+/// State of a ray during tracing.
 #[derive(Debug, Clone, Copy)]
 struct Traced {
     from: DVec3,
     towards: DVec3,
     on: Option<FacetId>,
     chain: Chain,
-    /// Walls that it may still go through.
+    /// Number of walls that the ray may still cross.
     walls_left: u32,
 }
 
-/// Corners and triangles of an icosahedron, turned so that it has no plane in common with rooms.
+/// Corners and triangles of an icosahedron, rotated so that it has no plane in common with rooms.
 fn turned_icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     let turn = DMat3::from_rotation_z(0.377) * DMat3::from_rotation_x(0.611) * DMat3::from_rotation_y(0.213);
     let (corners, triangles) = icosahedron();

@@ -1,10 +1,11 @@
 //! Diffraction at straight edges of finite length, in Kirchhoff's approximation.
 //!
-//! The field behind a screen relative to free space is `1 - (j/2) int int exp(-j pi r^2/2)` over the screen as the way sees it,
-//! with lengths across the way in units of `sqrt(lambda d1 d2 / (2 (d1 + d2)))`. In polar coordinates around the way the
-//! integral along the radius is elementary and leaves one along the outline (Maggi and Rubinowicz's boundary wave):
-//! `1 - W + (1/2 pi) int exp(-j pi r^2/2) dphi`, with `W` 1 where the way meets the screen and 0 where it does not. Each side of
-//! the outline contributes by itself; of an endless side remains Fresnel's integral ([`half_plane`]).
+//! The field behind a screen relative to free space is `1 - (j/2) int int exp(-j pi r^2/2)` over the screen projected
+//! across the path. Lengths across the path are in units of `sqrt(lambda d1 d2 / (2 (d1 + d2)))`. In polar coordinates
+//! around the path the radial integral is elementary. One integral along the outline remains (Maggi and Rubinowicz's
+//! boundary wave): `1 - W + (1/2 pi) int exp(-j pi r^2/2) dphi`, where `W` is 1 if the path meets the screen and 0
+//! otherwise. Each side of the outline contributes separately; for an infinite side the contribution is Fresnel's
+//! integral ([`half_plane`]).
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,7 +13,7 @@ use num_complex::Complex64;
 
 use crate::diffraction::half_plane;
 
-/// Abscissae and weights of the Gauss-Legendre rules with 4, 8 and 16 places on -1..1, those of the positive half.
+/// Positive abscissae and weights of the Gauss-Legendre rules with 4, 8 and 16 nodes on -1..1.
 const GAUSS_4: [(f64, f64); 2] =
     [(0.339_981_043_584_856_3, 0.652_145_154_862_546_1), (0.861_136_311_594_052_6, 0.347_854_845_137_453_9)];
 const GAUSS_8: [(f64, f64); 4] = [
@@ -31,18 +32,19 @@ const GAUSS_16: [(f64, f64); 8] = [
     (0.944_575_023_073_232_6, 0.062_253_523_938_647_9),
     (0.989_400_934_991_649_9, 0.027_152_459_411_754_1),
 ];
-/// Up to these lengths of a side the rules with 4 and 8 places err by less than 1e-4.
+/// Lengths of a side up to which the rules with 4 and 8 nodes have errors below 1e-4.
 const SHORT: f64 = 1.5;
 const MEDIUM: f64 = 2.5;
 
-/// `(1/2 pi) int exp(-j pi r^2/2) dphi` along a part of a straight side: between two places on it, counted from the foot of the
-/// perpendicular, which is `distance` away (not negative). Places are of either sign and perhaps infinite.
+/// `(1/2 pi) int exp(-j pi r^2/2) dphi` along a part of a straight side, between two places on it. Places are measured
+/// from the foot of the perpendicular, which is `distance` away (not negative). They may have either sign and be
+/// infinite.
 pub fn side_between(distance: f64, [low, high]: [f64; 2]) -> Complex64 {
     let at_foot = half_plane(-distance);
     from_foot(distance, at_foot, high) - from_foot(distance, at_foot, low)
 }
 
-/// The same from the foot, of whose distance the half-plane is known, to a place.
+/// Same integral from the foot to a place, given the half-plane field at the distance of the foot.
 fn from_foot(distance: f64, at_foot: Complex64, along: f64) -> Complex64 {
     let (p, s) = (distance, along.abs());
     let part = if s.is_infinite() {
@@ -50,14 +52,15 @@ fn from_foot(distance: f64, at_foot: Complex64, along: f64) -> Complex64 {
     } else if s <= p {
         quadrature(p, s)
     } else {
-        // What lies beyond both of two crossed edges is a product of two of Fresnel's integrals, and the sum of their sides.
+        // The field beyond both of two crossed edges is a product of two Fresnel integrals, and equals the sum of their
+        // sides.
         0.5 * at_foot + half_plane(-s) * (0.5 - at_foot) - quadrature(s, p)
     };
     if along < 0.0 { -part } else { part }
 }
 
-/// The same for a place not farther along than the distance, where the integrand is smooth: with `t` along the side it is
-/// `exp(-j pi p^2/2) int_0^s exp(-j pi t^2/2) p / (p^2 + t^2) dt`.
+/// Same integral for a place not farther along than the distance, where the integrand is smooth. With `t` along the
+/// side it is `exp(-j pi p^2/2) int_0^s exp(-j pi t^2/2) p / (p^2 + t^2) dt`.
 fn quadrature(p: f64, s: f64) -> Complex64 {
     if s == 0.0 {
         return Complex64::ZERO;
@@ -83,7 +86,7 @@ fn quadrature(p: f64, s: f64) -> Complex64 {
 mod tests {
     use super::*;
 
-    /// The definition, by the midpoint rule over the angle.
+    /// Evaluates the definition by the midpoint rule over the angle.
     fn slowly(p: f64, s: f64) -> Complex64 {
         let steps = 200_000;
         let step = s.atan2(p) / f64::from(steps);
@@ -104,7 +107,7 @@ mod tests {
         }
     }
 
-    /// Every rule, over all lengths for which it is taken and all that edges within reach ask for.
+    /// Tests every rule over all lengths for which it is used, within the reach of edges.
     #[test]
     fn rules_of_few_places_are_the_integral() {
         for s in [0.1, 0.7, 1.49, 1.51, 2.0, 2.49, 2.51, 3.3, 4.24] {
@@ -115,7 +118,7 @@ mod tests {
         }
     }
 
-    /// An endless edge is a half-plane, and the sum does not jump where a way crosses an edge between its ends.
+    /// An infinite edge is a half-plane, and the sum is continuous where a path crosses an edge between its ends.
     #[test]
     fn endless_edges_are_half_planes() {
         for nu in [0.0, 0.4, 1.2, 3.0] {

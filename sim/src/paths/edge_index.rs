@@ -1,26 +1,27 @@
-//! Edges by place: a tree of boxes, so that a way asks a few of thousands.
+//! Spatial index of edges: a tree of boxes, so that a path tests a few of thousands of edges.
 
 use glam::DVec3;
 
 use super::edges::SoftEdge;
 
-/// Edges that a box holds without being divided.
+/// Largest number of edges in a box that is not divided.
 const FEW: usize = 4;
-/// Boxes that a search keeps in mind at once: a tree over 2^32 edges is as deep.
+/// Largest number of pending boxes in a search: the depth of a tree over 2^32 edges.
 const DEEPEST: usize = 64;
 
-/// A box around edges.
+/// Box around edges.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// First edge, in the tree's order; of an inner box, the box of its second half, as the first half follows the box.
+    /// First edge, in the tree's order. For an inner box, the index of the box of its second half; the first half
+    /// directly follows the box.
     first: u32,
     /// Number of edges; 0 for an inner box.
     count: u32,
 }
 
-/// A tree of boxes over edges.
+/// Tree of boxes over edges.
 #[derive(Debug, Clone, Default)]
 pub(super) struct EdgeIndex {
     nodes: Vec<Node>,
@@ -28,7 +29,7 @@ pub(super) struct EdgeIndex {
 }
 
 impl EdgeIndex {
-    /// A tree over edges, which are named by their numbers.
+    /// Builds a tree over edges, which are identified by their numbers.
     pub fn new(edges: &[SoftEdge]) -> Self {
         let ends: Vec<[DVec3; 2]> = edges.iter().map(|edge| edge.ends).collect();
         let mut index = EdgeIndex { nodes: Vec::new(), order: (0..ends.len() as u32).collect() };
@@ -38,7 +39,7 @@ impl EdgeIndex {
         index
     }
 
-    /// Makes the box around some edges of the order, and those within it.
+    /// Makes the box around some edges of the order, and the boxes within it.
     fn divide(&mut self, ends: &[[DVec3; 2]], first: usize, end: usize) {
         let of = |edge: &u32| ends.get(*edge as usize).copied().unwrap_or([DVec3::ZERO; 2]);
         let Some(part) = self.order.get_mut(first..end) else { return };
@@ -66,7 +67,7 @@ impl EdgeIndex {
         self.divide(ends, half, end);
     }
 
-    /// Numbers of all edges whose boxes come within a distance, m, of a straight way, ascending.
+    /// Numbers of all edges whose boxes come within a distance, m, of a straight segment, ascending.
     pub fn near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         found.clear();
         let grown = DVec3::splat(distance_m);
@@ -96,7 +97,8 @@ impl EdgeIndex {
     }
 }
 
-/// Whether a straight way from a point comes into a box. Of the way are given the inverses of its components, where it has them.
+/// Returns whether a straight segment from a point intersects a box. `per_m` holds the inverses of the segment's
+/// nonzero components.
 fn meets(low: DVec3, high: DVec3, from: DVec3, per_m: &[Option<f64>; 3]) -> bool {
     let (mut enters, mut leaves) = (0.0f64, 1.0f64);
     for (axis, per_m) in per_m.iter().enumerate() {
@@ -121,7 +123,7 @@ mod tests {
     use super::*;
     use crate::em::image::Wall;
 
-    /// Every edge that comes near a way is found, and few others.
+    /// Every edge near a segment is found, and few others.
     #[test]
     fn all_edges_near_a_way_are_found() {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);

@@ -1,29 +1,30 @@
-//! Edges at which waves bend: free edges of sheets and outward corners. Inner corners and seams within a plane are none: there
-//! the next facet takes over what the last one loses.
+//! Diffracting edges: free edges of sheets and outward corners. Inner corners and seams within a plane do not diffract,
+//! because the next facet reflects what the previous one loses.
 
 use glam::DVec3;
 
 use super::flat::{FacetId, Flat};
 use crate::geometry::polygon;
 
-/// Points nearer to a plane than this lie on it, m.
+/// Largest distance of a point from a plane in which it lies, m.
 pub(super) const SAME_M: f64 = 1e-6;
-/// Ends of edges nearer to each other than this are one, m: what vertices of meshes are welded by, and a fiftieth of a wave.
+/// Ends of edges nearer to each other than this coincide, m: the welding tolerance of mesh vertices, and a fiftieth of
+/// a wavelength.
 const SAME_END_M: f64 = 1e-4;
-/// Sine of the angle up to which two facets lie in one plane.
+/// Sine of the angle up to which two facets are coplanar.
 const FLAT: f64 = 1e-6;
 
-/// An edge that diffracts.
+/// Edge that diffracts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SoftEdge {
     /// Ends, m.
     pub ends: [DVec3; 2],
-    /// Whether it goes on beyond each end, as an edge between floor and ceiling does in their mirror images. Where another
-    /// soft edge begins it ends.
+    /// Whether the edge continues beyond each end, as an edge between floor and ceiling does in their mirror images. An
+    /// end at which another soft edge begins does not continue.
     pub goes_on: [bool; 2],
     facets: Vec<FacetId>,
     planes: Vec<u32>,
-    /// From the edge into each of its facets, unit vectors.
+    /// Unit vectors from the edge into each of its facets.
     inwards: Vec<DVec3>,
     normals: Vec<DVec3>,
     middle: DVec3,
@@ -31,12 +32,12 @@ pub struct SoftEdge {
 }
 
 impl SoftEdge {
-    /// The facets that it bounds.
+    /// Facets that the edge bounds.
     pub fn facets(&self) -> &[FacetId] {
         &self.facets
     }
 
-    /// Whether it bounds a facet in a plane.
+    /// Returns whether the edge bounds a facet in a plane.
     pub(super) fn bounds_plane(&self, plane: u32) -> bool {
         self.planes.contains(&plane)
     }
@@ -47,13 +48,13 @@ impl SoftEdge {
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Whether another facet begins at it before one of this normal: in that inner corner the other takes over what the one
-    /// loses, also where both are sheets whose backs make a wedge.
+    /// Returns whether another facet begins at the edge before a facet with this normal. In such an inner corner the
+    /// other facet reflects what the one loses, even if both are sheets whose backs form a wedge.
     pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
         self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
     }
 
-    /// Unit vector from the edge into that of its facets which looks the widest along a direction.
+    /// Unit vector from the edge into that of its facets with the largest extent across a direction.
     pub(super) fn widest(&self, direction: DVec3) -> DVec3 {
         let across = direction.cross(self.ends[1] - self.ends[0]);
         let width = |inwards: &DVec3| inwards.dot(across).abs();
@@ -61,9 +62,9 @@ impl SoftEdge {
         widest.copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Whether it lies on the outline of what it bounds, seen from a point along a direction: a free edge always does, a corner
-    /// does where one of its facets is seen from the front and the other from behind. A corner of two sheets has none for who is
-    /// between them.
+    /// Returns whether the edge lies on the outline of its facets, seen from a point along a direction. A free edge
+    /// always does. A corner does if one of its facets is seen from the front and the other from behind. A corner of
+    /// two sheets has no outline for a point between the sheets.
     pub(super) fn is_outline(&self, from: DVec3, direction: DVec3) -> bool {
         match (self.normals.as_slice(), self.inwards.as_slice()) {
             ([a, b], _) if a.dot(*b) > FLAT - 1.0 => direction.dot(*a) * direction.dot(*b) <= 0.0,
@@ -75,22 +76,23 @@ impl SoftEdge {
         }
     }
 
-    /// Whether a point lies between two sheets that begin at the edge, where they are at less than a straight angle.
+    /// Returns whether a point lies between two sheets that begin at the edge and enclose less than a straight angle.
     fn is_between(&self, first: &DVec3, second: &DVec3, point: DVec3) -> bool {
         let axis = first.cross(*second);
         let offset = point - self.ends[0];
-        // Signs of its parts along both of them.
+        // Signs of the point's components along both sheets.
         offset.cross(*second).dot(axis) > 0.0 && first.cross(offset).dot(axis) > 0.0
     }
 
-    /// Whether a point lies beyond an end at which the edge goes on in mirror images.
+    /// Returns whether a point lies beyond an end at which the edge continues in mirror images.
     pub(super) fn is_beyond(&self, point: DVec3) -> bool {
         let [a, b] = self.ends;
         let part = (point - a).dot(b - a) / a.distance_squared(b);
         self.goes_on[0] && part < 0.0 || self.goes_on[1] && part > 1.0
     }
 
-    /// Whether any of it may be within a distance, m, of a straight way: beside that, or beyond an end of what is beside it.
+    /// Returns whether part of the edge may be within a distance, m, of a straight segment. This includes extensions
+    /// beyond an end of an edge beside the segment.
     pub(super) fn is_near(&self, from: DVec3, direction: DVec3, length_m: f64, distance_m: f64) -> bool {
         let along = (self.middle - from).dot(direction).clamp(0.0, length_m);
         let apart = self.middle.distance_squared(from + direction * along);
@@ -98,7 +100,7 @@ impl SoftEdge {
         if apart > reach * reach {
             return false;
         }
-        // Seen along the way, from the way's own place.
+        // Coordinates along the segment, from its origin.
         let [a, b] = self.ends.map(|end| end - from);
         let (at_a, at_b) = (a.dot(direction), b.dot(direction));
         if at_a.max(at_b) <= 0.0 || at_a.min(at_b) >= length_m {
@@ -111,7 +113,7 @@ impl SoftEdge {
     }
 }
 
-/// A side of a facet.
+/// Side of a facet.
 struct Side {
     facet: FacetId,
     ends: [DVec3; 2],
@@ -137,7 +139,7 @@ fn sides(flats: &[Flat]) -> Vec<Side> {
     all
 }
 
-/// Sides that lie on each other.
+/// Groups sides that coincide.
 fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     let middle = |i: usize| sides.get(i).map_or(0.0, |side| 0.5 * (side.ends[0].x + side.ends[1].x));
     let mut order: Vec<usize> = (0..sides.len()).collect();
@@ -170,14 +172,14 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// Way in which two facets meet at an edge.
+/// Kind of junction of two facets at an edge.
 #[derive(PartialEq)]
 enum Meeting {
-    /// They end there back to back.
+    /// Free edge: the facets end there back to back.
     Sheet,
-    /// An outward corner.
+    /// Outward corner.
     Outward,
-    /// An inner corner, or a seam.
+    /// Inner corner or seam.
     Inner,
 }
 
@@ -199,7 +201,7 @@ fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
     }
 }
 
-/// Whether an edge stands on a facet of another plane, as that of a partition does on the floor.
+/// Returns whether an edge stands on a facet of another plane, as the edge of a partition stands on the floor.
 fn stands_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
     let Some(first) = sides.first() else { return false };
     let middle = 0.5 * (first.ends[0] + first.ends[1]);
@@ -214,7 +216,7 @@ fn stands_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
     })
 }
 
-/// Whether an edge of these sides diffracts.
+/// Returns whether an edge of these sides diffracts.
 fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
     if sides.iter().any(|side| side.given.is_some()) {
         return sides.iter().any(|side| side.given == Some(true));
@@ -260,7 +262,7 @@ pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
     edges
 }
 
-/// Whether another edge has an end where each end of each edge is.
+/// Returns, for each end of each edge, whether another edge has an end there.
 fn meeting_ends(edges: &[SoftEdge]) -> Vec<[bool; 2]> {
     let mut ends: Vec<(DVec3, usize, usize)> =
         edges.iter().enumerate().flat_map(|(i, edge)| [(edge.ends[0], i, 0), (edge.ends[1], i, 1)]).collect();

@@ -1,4 +1,4 @@
-//! The surfaces of a scene as paths meet them: plane polygons with a wall each, and a structure for rays over their triangles.
+//! Environment of propagation paths: plane polygons with a wall each, and a ray-tracing structure over their triangles.
 
 use glam::DVec3;
 
@@ -9,22 +9,22 @@ use super::flat::{Flat, PLANAR_M, WallTables};
 use crate::geometry::Mesh;
 use crate::rays::{Ray, World};
 
-/// Facets whose planes are nearer to each other than this lie in one plane, m.
+/// Facets whose planes are nearer to each other than this are coplanar, m.
 const COPLANAR_M: f64 = 1e-7;
 /// Sine of the angle up to which two planes are parallel.
 const PARALLEL: f64 = 1e-6;
-/// Edges farther from a way than this have no part in it, in units of the normalised clearance: three radii of the first Fresnel
-/// zone, where a half-plane changes the field by 5 percent. What they add fades out over the last third.
+/// Normalised clearance beyond which an edge does not affect a path: three radii of the first Fresnel zone, where a
+/// half-plane changes the field by 5 percent. The contribution fades out over the last third.
 const MOST_REACH: f64 = 3.0 * std::f64::consts::SQRT_2;
-/// However much may be missed, edges within the first Fresnel zone count.
+/// Lower limit of the reach: edges within the first Fresnel zone always count.
 const LEAST_REACH: f64 = std::f64::consts::SQRT_2;
 
-/// Facets and obstacles on the straight way between two points.
+/// Facets and obstacles on the straight segment between two points.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Passing {
-    /// Whether something lies there that lets nothing through.
+    /// Whether an opaque object blocks the segment.
     pub is_blocked: bool,
-    /// The facets that let waves through, one a plane.
+    /// Facets that transmit waves, one per plane.
     pub crossed: Vec<FacetId>,
 }
 
@@ -34,9 +34,9 @@ pub struct Environment {
     flats: Vec<Flat>,
     soft_edges: Vec<SoftEdge>,
     edge_index: EdgeIndex,
-    /// Whether waves go through walls.
+    /// Whether walls transmit waves.
     transmission: bool,
-    /// Normalised clearance from which on edges have no part in a way.
+    /// Normalised clearance beyond which edges do not affect a path.
     edge_reach: f64,
     world: World,
     facet_of_triangle: Vec<FacetId>,
@@ -46,18 +46,18 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// An environment of facets, whose materials are evaluated at a wave number.
+    /// Builds an environment of facets, whose materials are evaluated at a wavenumber.
     ///
     /// # Errors
-    /// If a facet is no plane polygon, or rays cannot be traced among them.
+    /// If a facet is not a plane polygon, or rays cannot be traced among them.
     pub fn new(facets: Vec<Facet>, wavenumber_per_m: f64) -> Result<Self, EnvironmentError> {
         Self::with_obstacles(facets, &[], wavenumber_per_m)
     }
 
-    /// An environment of facets and of triangles, m, that hide what is behind them and mirror nothing.
+    /// Builds an environment of facets, and of opaque triangles, m, that hide objects behind them and reflect nothing.
     ///
     /// # Errors
-    /// If a facet is no plane polygon, or rays cannot be traced among them.
+    /// If a facet is not a plane polygon, or rays cannot be traced among them.
     pub fn with_obstacles(
         facets: Vec<Facet>,
         obstacles: &[[DVec3; 3]],
@@ -84,7 +84,7 @@ impl Environment {
             let first = mesh.vertices.len() as u32;
             mesh.vertices.extend(corners);
             mesh.triangles.push([first, first + 1, first + 2]);
-            // Of no plane: rays that leave a facet or end on one meet all of them.
+            // Obstacles belong to no plane: rays that leave a facet or end on one meet all of them.
             groups.push(planes.len() as u32);
             facet_of_triangle.push(FacetId::MAX);
         }
@@ -111,26 +111,26 @@ impl Environment {
         })
     }
 
-    /// The same environment whose walls let waves through: those that leave more than -40 dB at normal incidence.
+    /// Sets whether walls transmit waves: those that leave more than -40 dB at normal incidence.
     pub fn with_transmission(mut self, transmission: bool) -> Self {
         self.transmission = transmission;
         self
     }
 
-    /// The same environment without edges that change a field by less than this part. At a normalised clearance `nu` the edge of
-    /// a half-plane changes it by `1 / (pi sqrt(2) nu)` at most.
+    /// Leaves out edges that change a field by less than this part. At a normalised clearance `nu` the edge of a
+    /// half-plane changes it by `1 / (pi sqrt(2) nu)` at most.
     pub fn with_least_part(mut self, part: f64) -> Self {
         let reach = std::f64::consts::FRAC_1_PI * std::f64::consts::FRAC_1_SQRT_2 / part.max(1e-9);
         self.edge_reach = reach.clamp(LEAST_REACH, MOST_REACH);
         self
     }
 
-    /// Normalised clearance from which on edges have no part in a way.
+    /// Normalised clearance beyond which edges do not affect a path.
     pub(super) fn edge_reach(&self) -> f64 {
         self.edge_reach
     }
 
-    /// Whether waves go through walls.
+    /// Returns whether walls transmit waves.
     pub(super) fn lets_through(&self) -> bool {
         self.transmission
     }
@@ -140,7 +140,7 @@ impl Environment {
         self.flats.len()
     }
 
-    /// Whether there is no facet.
+    /// Returns whether the environment has no facet.
     pub fn is_empty(&self) -> bool {
         self.flats.is_empty()
     }
@@ -150,7 +150,7 @@ impl Environment {
         self.flat(facet).map(|flat| &flat.facet)
     }
 
-    /// Triangles that cover a facet, m; none where it does not reflect.
+    /// Triangles that cover a facet, m; empty for a facet that does not reflect.
     pub fn triangles(&self, facet: FacetId) -> Vec<[DVec3; 3]> {
         let Some(flat) = self.flat(facet).filter(|flat| flat.reflects()) else { return Vec::new() };
         let corners: Vec<DVec3> = flat.facet.corners.iter().chain(flat.facet.holes.iter().flatten()).copied().collect();
@@ -159,7 +159,7 @@ impl Environment {
         triangles.filter_map(|[a, b, c]| Some([corner(a)?, corner(b)?, corner(c)?])).collect()
     }
 
-    /// The facet that a ray from a point of another one meets first, if it meets that from the front, and where.
+    /// First facet that a ray from a point of another facet meets, and the point, if the ray meets it from the front.
     pub fn met_from(&self, on: FacetId, from: DVec3, direction: DVec3) -> Option<(FacetId, DVec3)> {
         self.first_hit(from, direction, Some(on))
     }
@@ -174,17 +174,17 @@ impl Environment {
         &self.soft_edges
     }
 
-    /// Numbers of soft edges that may come within a distance, m, of a straight way, ascending.
+    /// Numbers of soft edges that may come within a distance, m, of a straight segment, ascending.
     pub(super) fn edges_near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         self.edge_index.near(from, to, distance_m, found);
     }
 
-    /// Wave number at which materials are evaluated, 1/m.
+    /// Wavenumber at which materials are evaluated, 1/m.
     pub fn wavenumber_per_m(&self) -> f64 {
         self.wavenumber_per_m
     }
 
-    /// Wave length, m.
+    /// Wavelength, m.
     pub fn wavelength_m(&self) -> f64 {
         std::f64::consts::TAU / self.wavenumber_per_m
     }
@@ -193,18 +193,18 @@ impl Environment {
         self.flats.get(facet as usize)
     }
 
-    /// The facet on which a point lies, if any: an antenna may be mounted on a wall.
+    /// Facet on which a point lies, if any: an antenna may be mounted on a wall.
     pub fn below(&self, point: DVec3) -> Option<FacetId> {
         self.all_below(point).next()
     }
 
-    /// The facets on which a point lies: several at an edge.
+    /// All facets on which a point lies: several at an edge.
     pub fn all_below(&self, point: DVec3) -> impl Iterator<Item = FacetId> + '_ {
         let holds = move |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
         (0..).zip(&self.flats).filter(move |(_, flat)| holds(flat)).map(|(facet, _)| facet)
     }
 
-    /// A ray from a point, perhaps on a facet.
+    /// Makes a ray from a point that may lie on a facet.
     fn ray(&self, ray: Ray, from: Option<FacetId>) -> Ray {
         match from.and_then(|facet| self.flat(facet)) {
             Some(flat) => ray.leaving(flat.plane, flat.normal),
@@ -212,7 +212,7 @@ impl Environment {
         }
     }
 
-    /// The facet that a ray meets first, if it meets that from the front, and where.
+    /// First facet that a ray meets, and the point, if the ray meets it from the front.
     pub(super) fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
         let hit = self.world.closest(&self.ray(Ray::new(from, direction), on))?;
         let met = *self.facet_of_triangle.get(hit.triangle as usize)?;
@@ -232,12 +232,12 @@ impl Environment {
         Some((others.iter().copied().find(holds)?, point))
     }
 
-    /// Distance from a point to the first thing that a ray in a direction meets, m.
+    /// Distance from a point to the first surface in a direction, m.
     pub fn distance_m(&self, from: DVec3, direction: DVec3) -> Option<f64> {
         self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
     }
 
-    /// Obstacles on the straight way between two points, each perhaps on a facet, whose planes are passed over.
+    /// Obstacles on the straight segment between two points. Each end may lie on a facet, whose plane is then ignored.
     pub(super) fn passing(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> Passing {
         let ray = self.ray_between(ends, on);
         let mut passing = Passing { is_blocked: self.world.blocked(&ray), crossed: Vec::new() };
@@ -262,7 +262,7 @@ impl Environment {
                 passing.crossed.push(facet);
             }
         }
-        // What only the ray's own test of nearness finds lies in a crease, which lets nothing through.
+        // A hit that only the ray's own proximity test finds lies in a crease, which transmits nothing.
         passing.is_blocked = is_opaque || passing.crossed.is_empty();
         passing
     }
@@ -283,7 +283,7 @@ fn number_planes(flats: &mut [Flat]) -> Vec<Vec<FacetId>> {
     order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
     let mut planes: Vec<Vec<FacetId>> = Vec::new();
     let mut numbers = vec![0u32; flats.len()];
-    // Planes at about the present distance from the origin: distance, number, a facet in it.
+    // Planes at about the same distance from the origin: distance, number, a facet in it.
     let mut recent: Vec<(f64, u32, usize)> = Vec::new();
     for i in order {
         let distance = key(i);
@@ -356,7 +356,7 @@ mod tests {
         assert_eq!(environment.soft_edges().len(), 8);
     }
 
-    /// Glass is passed once where both of its sides are met; metal and what mirrors nothing hide it.
+    /// Glass is crossed once where both of its sides are met; metal and obstacles hide it.
     #[test]
     fn glass_lets_waves_through_and_obstacles_do_not() {
         let glass = Wall::Slab { permittivity: num_complex::Complex64::new(6.31, -0.26), thickness_m: 0.01 };

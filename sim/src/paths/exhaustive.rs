@@ -1,11 +1,12 @@
-//! The slow, obvious way to find paths: every sequence of facets up to an order. What rays miss is measured against it.
+//! Brute-force search for paths: every sequence of facets up to an order. Ray discovery is tested against it.
 
 use glam::DVec3;
 
 use super::discovery::{MAX_ORDER, is_possible};
 use super::environment::{Environment, FacetId};
 
-/// Every sequence of at most so many facets, the empty one included, each of whose facets faces the image before it.
+/// Every sequence of at most `max_order` facets, including the empty one, in which each facet faces the image before
+/// it.
 pub fn all_sequences(environment: &Environment, origin: DVec3, max_order: usize) -> Vec<Vec<FacetId>> {
     let mut all = vec![Vec::new()];
     let mut first = 0;

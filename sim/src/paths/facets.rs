@@ -1,4 +1,5 @@
-//! Facets of a scene's surfaces: a face with air on both sides is two facets, and what is no face hides what is behind it.
+//! Facets of a scene's surfaces. A face with air on both sides becomes two facets, and surfaces that are not faces
+//! become obstacles.
 
 use glam::{DVec2, DVec3};
 
@@ -7,14 +8,15 @@ use super::triangulate::triangulate;
 use crate::geometry::PlanarPolygon;
 use crate::scene::surfaces::{EdgeKind, Face, FaceEdge, Sides, Surfaces};
 
-/// Triangles of a damaged face that are smaller than this are left out, m^2.
+/// Triangles of a damaged face smaller than this are left out, m^2.
 const LEAST_TRIANGLE_M2: f64 = 1e-8;
 
 impl Environment {
-    /// An environment of a scene's surfaces, and the name of each of its facets.
+    /// Builds the environment of a scene's surfaces, and the name of each of its facets.
     ///
     /// # Errors
-    /// If rays cannot be traced among the surfaces: places beyond 10 km, or triangles whose sizes differ by too many powers of two.
+    /// If rays cannot be traced among the surfaces: places beyond 10 km, or triangles whose sizes differ by too many
+    /// powers of two.
     pub fn of_surfaces(surfaces: &Surfaces, wavenumber_per_m: f64) -> Result<(Self, Vec<String>), EnvironmentError> {
         let mut edges: Vec<Vec<&FaceEdge>> = vec![Vec::new(); surfaces.faces.len()];
         for edge in &surfaces.edges {
@@ -38,7 +40,7 @@ impl Environment {
     }
 }
 
-/// The front of a face: one facet, or its triangles where its outlines cross.
+/// Facets of a face's front: one facet, or the face's triangles where its outlines cross.
 fn facets_of(face: &Face, edges: &[&FaceEdge]) -> Vec<Facet> {
     let polygon = &face.polygon;
     if is_simple(polygon) {
@@ -51,7 +53,7 @@ fn facets_of(face: &Face, edges: &[&FaceEdge]) -> Vec<Facet> {
     triangles.map(|corners| Facet::new(corners.to_vec(), face.wall)).collect()
 }
 
-/// Whether no outline of a polygon crosses itself or another.
+/// Returns whether no outline of a polygon crosses itself or another.
 fn is_simple(polygon: &PlanarPolygon) -> bool {
     if polygon.holes.is_empty() && polygon.outline.len() <= 3 {
         return true;
@@ -63,8 +65,8 @@ fn is_simple(polygon: &PlanarPolygon) -> bool {
     triangulate(&flat(&polygon.outline), &holes).is_some()
 }
 
-/// Corners of a face's outline, with further ones where what meets it changes, and whether the side from each to the next
-/// diffracts.
+/// Corners of a face's outline, with further corners where the adjoining object changes. Also whether the side from
+/// each corner to the next diffracts.
 fn outline(polygon: &PlanarPolygon, edges: &[&FaceEdge]) -> (Vec<DVec3>, Vec<bool>) {
     let (mut corners, mut soft) = (Vec::new(), Vec::new());
     for (number, [from, to]) in polygon.edges().take(polygon.outline.len()).enumerate() {
@@ -86,7 +88,7 @@ fn outline(polygon: &PlanarPolygon, edges: &[&FaceEdge]) -> (Vec<DVec3>, Vec<boo
     (corners, soft)
 }
 
-/// Whether two parts of an edge are one for waves.
+/// Returns whether two parts of an edge are one edge for waves.
 fn goes_on(before: &EdgeKind, part: &EdgeKind) -> bool {
     match (before, part) {
         (EdgeKind::Wedge { other: a, .. }, EdgeKind::Wedge { other: b, .. }) => a == b,
@@ -95,7 +97,7 @@ fn goes_on(before: &EdgeKind, part: &EdgeKind) -> bool {
     }
 }
 
-/// The other side of a facet.
+/// Reverse side of a facet.
 fn turned(facet: &Facet) -> Facet {
     let corners = facet.corners.iter().rev().copied().collect();
     // The last side leads back to the first corner, in either direction.

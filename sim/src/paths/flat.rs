@@ -1,4 +1,4 @@
-//! Facets: plane polygons with a wall each, and what follows from their planes.
+//! Facets: plane polygons with a wall each, and the geometry of their planes.
 
 use std::sync::Arc;
 
@@ -11,37 +11,38 @@ use crate::em::wall::WallTable;
 use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
 use crate::rays::WorldError;
 
-/// Corners may lie this far from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
+/// Largest distance of corners from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;
-/// Points beyond a side by this much still lie on a facet, m: those on the seam of two facets lie on one of them at least.
+/// Distance beyond a side up to which a point still lies on a facet, m. A point on the seam of two facets then lies on
+/// at least one.
 pub(super) const SEAM_M: f64 = 1e-9;
-/// Walls let waves through that leave more than this part of a field at normal incidence: -40 dB.
+/// Walls transmit waves if they leave more than this part of a field at normal incidence: -40 dB.
 const LEAST_TRANSMISSION: f64 = 0.01;
 
 /// Index of a facet in its environment.
 pub type FacetId = u32;
 
-/// A plane polygon that reflects on the side of its normal.
+/// Plane polygon that reflects on the side of its normal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Facet {
-    /// Outline, m: a simple polygon, counter-clockwise seen against the normal.
+    /// Outline, m: a simple polygon, counter-clockwise when the normal points to the viewer.
     pub corners: Vec<DVec3>,
     /// Outlines of holes, m, in any direction.
     pub holes: Vec<Vec<DVec3>>,
-    /// Material. Nothing is there where it is [`Wall::Open`].
+    /// Material; [`Wall::Open`] means that there is no surface.
     pub wall: Wall,
-    /// For each side of the outline, from its corner to the next: whether it diffracts as a free edge or an outward corner does.
-    /// Empty where that is to be found from the geometry, as it is for sides of holes.
+    /// For each side of the outline, from its corner to the next: whether it diffracts as a free edge or an outward
+    /// corner does. If empty, this is found from the geometry, as it is for sides of holes.
     pub soft_edges: Vec<bool>,
 }
 
-/// Facets from which no environment can be made.
+/// Error in facets from which no environment can be made.
 #[derive(Debug, Error, PartialEq)]
 pub enum EnvironmentError {
-    /// A facet is no plane polygon.
+    /// A facet is not a plane polygon.
     #[error("facet {facet}: {why}\n\nhint: an outline has three corners or more, in one plane within {PLANAR_M} m")]
     NoPolygon {
-        /// The facet.
+        /// Index of the facet.
         facet: usize,
         /// Reason.
         why: &'static str,
@@ -49,11 +50,11 @@ pub enum EnvironmentError {
     /// The list of soft edges is not as long as the outline.
     #[error("facet {facet}: {given} soft edges for {sides} sides, expected one a side or none")]
     SoftEdges {
-        /// The facet.
+        /// Index of the facet.
         facet: usize,
-        /// Sides of the outline.
+        /// Number of sides of the outline.
         sides: usize,
-        /// Soft edges given.
+        /// Number of soft edges given.
         given: usize,
     },
     /// Rays cannot be traced among the facets.
@@ -62,7 +63,7 @@ pub enum EnvironmentError {
 }
 
 impl Facet {
-    /// A facet without holes whose soft edges are found from the geometry.
+    /// Makes a facet without holes whose soft edges are found from the geometry.
     pub fn new(corners: Vec<DVec3>, wall: Wall) -> Self {
         Facet { corners, holes: Vec::new(), wall, soft_edges: Vec::new() }
     }
@@ -83,21 +84,21 @@ impl Facet {
     }
 }
 
-/// A facet with its plane.
+/// Facet with its plane.
 #[derive(Debug, Clone)]
 pub(super) struct Flat {
     pub facet: Facet,
     pub normal: DVec3,
     pub offset_m: f64,
-    /// Facets in the same plane, of either side, have the same number.
+    /// Plane number, shared by all facets in the same plane, of either side.
     pub plane: u32,
-    /// Indices of its soft edges, but for inner corners before it.
+    /// Indices of its soft edges, except inner corners before it.
     pub soft: Vec<u32>,
     /// Coefficients of its wall.
     pub table: Arc<WallTable>,
-    /// Whether its wall leaves enough of a wave that goes through it to be followed.
+    /// Whether its wall transmits enough of a wave to be followed.
     pub transmits: bool,
-    /// Middle and radius of a ball around it, m.
+    /// Centre and radius of a bounding sphere, m.
     pub middle: DVec3,
     pub radius_m: f64,
     axes: [DVec3; 2],
@@ -153,7 +154,7 @@ impl Flat {
         })
     }
 
-    /// Height of a point over the plane, m.
+    /// Signed distance of a point from the plane, m.
     pub fn height(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset_m
     }
@@ -163,18 +164,18 @@ impl Flat {
         point - self.normal * (2.0 * self.height(point))
     }
 
-    /// Mirror image of vectors.
+    /// Mirror matrix of vectors.
     pub fn mirror(&self) -> DMat3 {
         let n = self.normal;
         DMat3::from_cols(DVec3::X - n * (2.0 * n.x), DVec3::Y - n * (2.0 * n.y), DVec3::Z - n * (2.0 * n.z))
     }
 
-    /// Whether waves are reflected there at all.
+    /// Returns whether the facet reflects waves at all.
     pub fn reflects(&self) -> bool {
         self.facet.wall != Wall::Open
     }
 
-    /// Whether a point of the plane lies on the facet.
+    /// Returns whether a point of the plane lies on the facet.
     pub fn contains(&self, point: DVec3) -> bool {
         let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
         let within = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
@@ -182,31 +183,32 @@ impl Flat {
         within || all.any(|side| distance_to_line(p, side) < SEAM_M)
     }
 
-    /// Whether a point of the plane lies farther than a distance, m, from the ball around the facet.
+    /// Returns whether a point of the plane lies farther than a distance, m, from the bounding sphere.
     pub fn is_far(&self, point: DVec3, distance_m: f64) -> bool {
         let reach_m = self.radius_m + distance_m;
         self.middle.distance_squared(point) > reach_m * reach_m
     }
 
-    /// Whether a hole is counter-clockwise seen against the normal, as the outline is.
+    /// Returns whether a hole is counter-clockwise seen against the normal, as the outline is.
     pub fn is_positive(&self, hole: usize) -> bool {
         self.holes.get(hole).is_some_and(|hole| doubled_area(hole) > 0.0)
     }
 
-    /// Triangles that cover it, as numbers of its corners and then those of its holes; `None` where its outlines cross.
+    /// Triangles that cover the facet, as indices of its corners and then those of its holes; `None` where its outlines
+    /// cross.
     pub fn triangles(&self) -> Option<Vec<[u32; 3]>> {
         triangulate(&self.outline, &self.holes)
     }
 }
 
-/// Tables of walls, one for all that are equal.
+/// Tables of walls; equal walls share a table.
 pub(super) struct WallTables {
     wavenumber_per_m: f64,
     known: Vec<(Wall, Arc<WallTable>)>,
 }
 
 impl WallTables {
-    /// No tables yet, for a wave number.
+    /// Creates an empty set of tables for a wavenumber.
     pub fn new(wavenumber_per_m: f64) -> Self {
         WallTables { wavenumber_per_m, known: Vec::new() }
     }

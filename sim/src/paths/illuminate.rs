@@ -1,8 +1,9 @@
-//! Fields by way of images: the path is unfolded, checked against polygons and obstacles, and its reflections multiplied.
+//! Fields of antenna images: the path is unfolded, checked against polygons and obstacles, and its reflections are
+//! multiplied.
 //!
-//! As in [`crate::em::image`] the field is followed in the image's frame, where the direction never changes: each reflection
-//! multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal as the later facets mirror it. Where walls let waves
-//! through, each one between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
+//! As in [`crate::em::image`] the field is followed in the image's frame, where the direction never changes. Each
+//! reflection multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal mirrored by the later facets.
+//! Each wall that is crossed between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 
 use std::collections::HashMap;
 
@@ -18,24 +19,24 @@ use crate::em::fresnel::Reflection;
 use crate::em::image::{Element, Illumination};
 use crate::em::{Phasor3, incidence_frame};
 
-/// Distances from an edge to the ends of a path count as at least this, m.
+/// Lower limit of the distance from an edge to the ends of a path, m.
 const LEAST_DISTANCE_M: f64 = 1e-3;
-/// Ways that pass an edge nearer than this are free or blocked as rays say, not as f64 does, m: rays are traced in f32.
+/// Clearance from an edge below which the ray decides whether a path is free, and not f64, m: rays are traced in f32.
 const UNSURE_M: f64 = 5e-5;
-/// The same where a point lies on a facet or beside it, which f64 decides.
+/// Same limit for a point on a facet or beside it, which f64 decides.
 const UNSURE_ON_FACET_M: f64 = 1e-8;
-/// Beside an edge by this much, m, it is looked for a free way past it.
+/// Distance beside an edge at which a free path past it is searched, m.
 const BESIDE_M: f64 = 1e-4;
-/// Parts of a field that an edge adds or takes count from this on: Fresnel's integrals are met to no less.
+/// Smallest change of a relative field by an edge that counts: the accuracy of the Fresnel integrals.
 const LEAST_PART: f64 = 0.003;
-/// Edges near a leg that are made room for at first.
+/// Initial capacity for edges near a leg.
 const USUALLY_NEAR: usize = 64;
-/// Edges beside a way that is followed are looked for so much farther off, m: a trunk moves by it in most of a frame.
+/// Additional search distance for edges beside a path that is followed, m: a trunk moves this far in most of a frame.
 const MOVED_M: f64 = 0.05;
-/// Points must lie this far before a facet to be reflected, m.
+/// Least distance of a point before a facet for a reflection, m.
 const BEFORE_M: f64 = 1e-9;
 
-/// A path folded into the room: antenna, points of reflection, point.
+/// Path folded into the room: antenna, points of reflection, point.
 #[derive(Debug, Clone, Copy)]
 struct Folded {
     points: [DVec3; MAX_ORDER + 2],
@@ -55,7 +56,7 @@ impl Folded {
 /// Distance from an edge at which a leg from it begins, m.
 const OFF_EDGE_M: f64 = 1e-4;
 
-/// A straight piece of a path.
+/// Straight piece of a path.
 #[derive(Debug, Clone, Copy)]
 struct Leg {
     from: DVec3,
@@ -68,25 +69,25 @@ struct Leg {
 }
 
 impl Leg {
-    /// The same leg from a little farther on. A leg behind one without length begins on two facets, and may leave the second one
-    /// alone: the back of the first would be in its way.
+    /// Returns the same leg from a little farther on. A leg behind one without length begins on two facets. It may
+    /// leave the second one alone, and the back of the first would then block it.
     fn off_edge(&self) -> Leg {
         let off_m = OFF_EDGE_M.min(0.5 * self.length_m);
         Leg { from: self.from + self.direction * off_m, length_m: self.length_m - off_m, ..*self }
     }
 }
 
-/// Share of a field that is left.
+/// Relative field that remains.
 #[derive(Debug, Clone, Copy)]
 struct Kept {
-    /// Part of the field.
+    /// Relative field.
     field: Complex64,
-    /// Whether rays, too, go this way: edges take or add a little only.
+    /// Whether rays also take this path, so that edges change the field only a little.
     is_whole: bool,
 }
 
-/// Share that facets, edges and walls leave of an image's field about a point. Fields at points nearby that are past the same things
-/// can be had from it.
+/// Relative field of an image past facets, edges and walls, about a point. It also gives the fields at nearby points
+/// that are past the same objects.
 #[derive(Debug, Clone)]
 pub struct Obstruction<'a> {
     image: Option<&'a Image>,
@@ -94,40 +95,40 @@ pub struct Obstruction<'a> {
 }
 
 impl Obstruction<'_> {
-    /// Part of the field that is left, in magnitude, at most: that of all sequences together.
+    /// Upper bound of the magnitude of the relative field: sum over all sequences.
     pub fn left(&self) -> f64 {
         self.arrivals.iter().map(|arrival| arrival.part.norm()).sum()
     }
 }
 
-/// Edges beside the legs of ways to about one place, as they were found for the first of them, by numbers of the sequence and the
-/// leg: while somebody moves by centimetres, the same edges are seen.
+/// Edges beside the legs of paths to nearly the same place, as found for the first of them. The keys are the numbers of
+/// the sequence and the leg. The same edges remain valid while a person moves by centimetres.
 #[derive(Debug, Clone, Default)]
 pub struct EdgesBeside(HashMap<(u32, u32), Vec<u32>>);
 
 impl EdgesBeside {
-    /// Whether no edge is beside any leg.
+    /// Returns whether no edge is beside any leg.
     pub fn is_empty(&self) -> bool {
         self.0.values().all(Vec::is_empty)
     }
 }
 
-/// Edges that are known beside a leg, and the leg's number.
+/// Known edges beside a leg, and the leg's number.
 type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
 
-/// Share that is left of a field by a sequence of facets.
+/// Relative field that arrives by a sequence of facets.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
     sequence: &'a [FacetId],
-    /// Share that facets and edges leave of it.
+    /// Relative field past facets and edges.
     part: Complex64,
     is_whole: bool,
-    /// Walls that it goes through, each with the number of the leg that crosses it.
+    /// Walls that the path crosses, each with the number of the crossing leg.
     crossed: Vec<(usize, FacetId)>,
 }
 
 impl Kept {
-    /// Share that two of them in turn leave.
+    /// Combines two successive relative fields.
     fn and(self, other: Kept) -> Kept {
         Kept { field: self.field * other.field, is_whole: self.is_whole && other.is_whole }
     }
@@ -135,21 +136,22 @@ impl Kept {
 
 /// Passage of a leg by an edge.
 struct Passage {
-    /// Distance of the leg from the edge, and from the line of the edge, and places of the ends along that: normalised.
+    /// Normalised distance of the leg from the edge and from the edge's line, and normalised places of the edge's ends
+    /// along that line.
     nu: f64,
     nu_of_line: f64,
     along: [f64; 2],
     /// Distance of the leg from the line of the edge, m.
     clearance_m: f64,
-    /// Whether the leg passes on the side of what the edge bounds.
+    /// Whether the leg passes on the side of the facets that the edge bounds.
     is_behind: bool,
-    /// The nearest point of the edge, m, and the direction across the leg out of what it bounds.
+    /// Nearest point of the edge, m, and the direction across the leg away from the facets that the edge bounds.
     nearest: DVec3,
     outwards: DVec3,
 }
 
 impl Passage {
-    /// The edge's part of the field, but for its sign, where edges count up to a normalised clearance.
+    /// Contribution of the edge to the field, up to its sign; zero from a normalised clearance of `reach` on.
     fn part(&self, reach: f64) -> Complex64 {
         if self.nu >= reach {
             return Complex64::ZERO;
@@ -159,13 +161,13 @@ impl Passage {
 }
 
 impl Leg {
-    /// Edges farther from the path than this have no part in it, wherever along it they are, m.
+    /// Largest distance at which an edge affects the path, anywhere along it, m.
     fn reach_m(&self, environment: &Environment) -> f64 {
         let wavelength_m = environment.wavelength_m();
         environment.edge_reach() * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
     }
 
-    /// The same of edges beside this leg: Fresnel's zones are the widest in the middle of a path.
+    /// Same limit for edges beside this leg: Fresnel zones are widest in the middle of a path.
     fn own_reach_m(&self, environment: &Environment) -> f64 {
         let wavelength_m = environment.wavelength_m();
         let d1 = (0.5 * self.total_m).max(self.before_m).min(self.before_m + self.length_m);
@@ -173,7 +175,7 @@ impl Leg {
         environment.edge_reach() * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
     }
 
-    /// `None` where an edge is not beside the leg.
+    /// Computes the passage; `None` where the edge is not beside the leg.
     fn past(&self, edge: &SoftEdge, inwards: DVec3, wavelength_m: f64) -> Option<Passage> {
         let &Leg { from, direction, length_m, before_m, total_m } = self;
         let along = |p: DVec3| (p - from).dot(direction);
@@ -222,25 +224,25 @@ fn clipped([a, b]: [DVec3; 2], [at_a, at_b]: [f64; 2], length_m: f64) -> Option<
     Some([cut(a, at_a), cut(b, at_b)])
 }
 
-/// From 0 at 0 to 1 at 1, smoothly.
+/// Smooth step from 0 at 0 to 1 at 1.
 fn fade(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)
 }
 
 impl ImagePaths {
-    /// Field of an element's image at a point, as [`crate::em::image::BoxRoom::illuminate`] gives it: zero where no path leads
-    /// from the one to the other.
+    /// Field of an element's image at a point, as [`crate::em::image::BoxRoom::illuminate`] gives it; zero where no
+    /// path connects the two.
     pub fn illuminate(&self, element: &Element, image: usize, point: DVec3) -> Illumination {
         self.illuminate_past(element, &self.obstruction(image, element.position, point), point)
     }
 
-    /// Share that facets, edges and walls leave of the field of an antenna's image at a point.
+    /// Relative field of an antenna's image at a point past facets, edges and walls.
     pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
         self.obstruction_past(image, antenna, point, None)
     }
 
-    /// The same on a way that is followed: edges beside it are looked for only once.
+    /// Same relative field for a path that is followed: edges beside it are searched only once.
     pub fn obstruction_past(
         &self,
         image: usize,
@@ -252,13 +254,13 @@ impl ImagePaths {
         Obstruction { image, arrivals: image.map_or_else(Vec::new, |image| self.valid(image, antenna, point, known)) }
     }
 
-    /// Whether rays go from an antenna to a point by an image.
+    /// Returns whether an unobstructed ray leads from an antenna to a point by an image.
     pub fn is_lit(&self, image: usize, antenna: DVec3, point: DVec3) -> bool {
         let Some(image) = self.images.get(image) else { return false };
         image.sequences.iter().any(|sequence| self.is_free(sequence, antenna, point).unwrap_or(false))
     }
 
-    /// Whether a ray goes by a sequence of facets; `None` where planes are met from behind.
+    /// Returns whether a ray is free along a sequence of facets; `None` where it meets planes from behind.
     fn is_free(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<bool> {
         let folded = self.folded(sequence, antenna, point)?;
         let is_on = |(&facet, &met): (&FacetId, &DVec3)| self.environment.flat(facet).is_some_and(|f| f.contains(met));
@@ -272,7 +274,7 @@ impl ImagePaths {
         Some((0..=sequence.len()).all(is_clear))
     }
 
-    /// The facets on which a leg of a sequence begins and ends.
+    /// Facets on which a leg of a sequence begins and ends.
     fn ends_on(&self, sequence: &[FacetId], leg: usize, antenna: DVec3) -> [Option<FacetId>; 2] {
         let holds = |facet: &FacetId| {
             let flat = self.environment.flat(*facet);
@@ -282,7 +284,7 @@ impl ImagePaths {
         [first, sequence.get(leg).copied()]
     }
 
-    /// Field of an element's image at a point ([`ImagePaths::illuminate`]) past what is known to obstruct it: lengths, directions
+    /// Field of an element's image at a point ([`ImagePaths::illuminate`]) past known obstructions. Lengths, directions
     /// and reflections are those of the point.
     pub fn illuminate_past(&self, element: &Element, obstruction: &Obstruction, point: DVec3) -> Illumination {
         let position = obstruction.image.map_or(element.position, |image| image.of(element.position));
@@ -303,8 +305,8 @@ impl ImagePaths {
         Illumination { source: position, distance_m, direction, field }
     }
 
-    /// The way from an antenna to a point by an image: antenna, points of reflection, point. Of several the strongest; empty
-    /// where there is none.
+    /// Corners of the strongest path from an antenna to a point by an image: antenna, points of reflection, point.
+    /// Empty where there is no path.
     pub fn polyline(&self, image: usize, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         let strongest = self.strongest(image, antenna, point);
         strongest
@@ -312,19 +314,20 @@ impl ImagePaths {
             .map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
-    /// The facets that the strongest way from an antenna to a point by an image meets.
+    /// Facets of the strongest path from an antenna to a point by an image.
     pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
         strongest_of(&self.valid(self.images.get(image)?, antenna, point, None))
     }
 
-    /// Corners of the strongest way from an antenna to a point past what is known to obstruct it; empty where there is none.
+    /// Corners of the strongest path from an antenna to a point past known obstructions; empty where there is none.
     pub fn way_past(&self, obstruction: &Obstruction, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         let folded = strongest_of(&obstruction.arrivals).and_then(|sequence| self.folded(sequence, antenna, point));
         folded.map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
-    /// The way from an antenna to a point by an image, whether it is free or not: the first whose points of reflection lie on
-    /// their facets, or that beside these; empty where there is none. It takes no rays.
+    /// Corners of a path from an antenna to a point by an image, whether it is free or not. It is the first path whose
+    /// points of reflection lie on their facets, otherwise one with points beside them; empty where there is none. No
+    /// rays are traced.
     pub fn way(&self, image: usize, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         let Some(image) = self.images.get(image) else { return Vec::new() };
         let all = || image.sequences.iter().filter_map(|s| Some((s, self.folded(s, antenna, point)?)));
@@ -336,8 +339,8 @@ impl ImagePaths {
         found.map_or_else(Vec::new, |(_, folded)| folded.points().to_vec())
     }
 
-    /// Part of a field that is left on the straight way between two points, each perhaps on a facet: past edges and through
-    /// walls, in magnitude, of both polarisations the mean.
+    /// Relative field on the straight segment between two points, each perhaps on a facet, past edges and through
+    /// walls. It is the mean magnitude of both polarisations.
     pub fn straight(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> f64 {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
@@ -352,7 +355,7 @@ impl ImagePaths {
         kept.field.norm() * crossed.iter().map(through).product::<f64>()
     }
 
-    /// The sequences of an image by which something arrives, with the part of the field that facets and edges leave.
+    /// Sequences of an image by which a field arrives, with the relative field past facets and edges.
     fn valid<'a>(
         &self,
         image: &'a Image,
@@ -366,7 +369,8 @@ impl ImagePaths {
             let known = known.as_deref_mut().map(|known| (known, number));
             let Some(arrival) = self.arrival(sequence, antenna, point, known) else { continue };
             let is_whole = arrival.is_whole;
-            // Backwards from the point only one facet is met first: a second free path is the same path on the seam of two.
+            // Backwards from the point only one facet is met first: a second free path is the same path on the seam of
+            // two.
             if !(is_whole && has_whole) {
                 all.push(arrival);
             }
@@ -375,7 +379,7 @@ impl ImagePaths {
         all
     }
 
-    /// The path by a sequence if all its planes are met from the front, wherever on them.
+    /// The path by a sequence if it meets all planes from the front, at any place on them.
     fn folded(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<Folded> {
         let count = sequence.len();
         if count > MAX_ORDER {
@@ -393,7 +397,8 @@ impl ImagePaths {
             let flat = self.environment.flat(facet)?;
             let source = images.get(i + 1).copied()?;
             let (over, under) = (flat.height(target), flat.height(source));
-            // A way into a corner and back meets both faces in their common edge: the one's point lies in the other's plane.
+            // A path into a corner and back meets both faces in their common edge: one face's point lies in the other's
+            // plane.
             let least_m = if i + 1 == count { BEFORE_M } else { -SEAM_M };
             if over <= least_m || under >= -BEFORE_M {
                 return None;
@@ -405,7 +410,7 @@ impl ImagePaths {
         Some(Folded { points, count: count + 2 })
     }
 
-    /// Share that facets, edges and walls leave on the path by a sequence; `None` where nothing is left.
+    /// Relative field on the path by a sequence past facets, edges and walls; `None` where nothing is left.
     fn arrival<'a>(
         &self,
         sequence: &'a [FacetId],
@@ -423,7 +428,7 @@ impl ImagePaths {
         };
         let mut weight = Kept { field: Complex64::ONE, is_whole: true };
         let mut before_m = 0.0;
-        // Facets first: what they refuse needs no rays.
+        // Facets are tested first, because paths that they reject need no rays.
         for (i, &facet) in sequence.iter().enumerate() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
@@ -446,7 +451,7 @@ impl ImagePaths {
         Some(Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed })
     }
 
-    /// Reflection of a facet relative to that of its endless plane.
+    /// Reflection of a facet relative to that of its infinite plane.
     fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
         let flat = self.environment.flat(facet)?;
         let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
@@ -454,14 +459,14 @@ impl ImagePaths {
             return None;
         }
         let is_on = flat.contains(met);
-        // The way goes on behind the mirror: edges may lie beyond the point of reflection.
+        // The path continues behind the mirror: edges may lie beyond the point of reflection.
         let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
         let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
         let mut field = if is_on { Complex64::ONE } else { Complex64::ZERO };
         let mut is_left = is_on;
         for &number in &flat.soft {
             let Some(edge) = self.environment.soft_edges().get(number as usize) else { continue };
-            // What leaves a facet beyond an inner corner is met by the next facet, in a sequence of its own.
+            // The field that leaves a facet beyond an inner corner meets the next facet, in a separate sequence.
             if !is_on && edge.is_beyond(met) {
                 continue;
             }
@@ -474,7 +479,7 @@ impl ImagePaths {
         is_left.then_some(Kept { field, is_whole: is_on })
     }
 
-    /// Share that is left on a leg past all facets but those on which it ends, and the walls that it goes through.
+    /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses.
     fn on_leg(
         &self,
         leg: &Leg,
@@ -512,14 +517,14 @@ impl ImagePaths {
         is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
     }
 
-    /// Edges that diffract beside a leg: on the outline of what they bound, within reach, or so much farther off, and seen from
-    /// both ends.
+    /// Diffracting edges beside a leg: on the outline of their facets, within reach (or up to `farther_m` beyond), and
+    /// seen from both ends.
     fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<u32> {
         let environment = &*self.environment;
         let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
         let wavelength_m = environment.wavelength_m();
         let reach_m = leg.own_reach_m(environment);
-        // Where zones are narrow, at the ends of a path, what is out of reach stays so.
+        // At the ends of a path, where zones are narrow, edges out of reach stay out of reach.
         let most_nu = environment.edge_reach() * (1.0 + farther_m / reach_m);
         let mut near = Vec::with_capacity(USUALLY_NEAR);
         environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
@@ -540,7 +545,7 @@ impl ImagePaths {
         near
     }
 
-    /// Screen that the facets at an edge form for a way in a direction.
+    /// Screen that the facets at an edge form for a path in a direction.
     fn screen(&self, edge: &SoftEdge, direction: DVec3, passing: &Passing) -> Screen {
         let opaque = Screen { behind: Complex64::ONE, beside: Complex64::ONE, is_in_the_way: passing.is_blocked };
         if !self.environment.lets_through() {
@@ -556,8 +561,8 @@ impl ImagePaths {
         let Some(flat) = flats().find(|flat| is_crossed(flat)).or_else(|| flats().next()) else { return opaque };
         let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
         let through = 0.5 * (te + tm);
-        // By Babinet's principle a screen that lets a part through diffracts what it takes away. Where the way goes through the
-        // wall all of the field is multiplied by that part afterwards.
+        // By Babinet's principle a partially transmitting screen diffracts the part that it removes. Where the path
+        // crosses the wall, the whole field is multiplied by the transmitted part afterwards.
         let taken = 1.0 - through;
         let is_in_the_way = is_crossed(flat);
         let behind = if is_in_the_way && through.norm_sqr() > 1e-8 { taken / through } else { taken };
@@ -566,8 +571,8 @@ impl ImagePaths {
 }
 
 impl Environment {
-    /// Field after the reflections of a sequence and the walls that it goes through, each with the number of the leg that
-    /// crosses it. Fields and direction are in the image's frame.
+    /// Field after the reflections of a sequence and the walls that it crosses, each with the number of the crossing
+    /// leg. Fields and direction are in the image's frame.
     pub(crate) fn reflected(
         &self,
         sequence: &[FacetId],
@@ -575,7 +580,7 @@ impl Environment {
         direction: DVec3,
         launched: Phasor3,
     ) -> Phasor3 {
-        // What later facets make of vectors at each leg.
+        // Product of the later facets' mirrors at each leg.
         let mut frames = [DMat3::IDENTITY; MAX_ORDER + 1];
         let mut later = DMat3::IDENTITY;
         for (leg, &facet) in sequence.iter().enumerate().rev() {
@@ -603,16 +608,16 @@ impl Environment {
     }
 }
 
-/// Screen that the facets at an edge form for a way.
+/// Screen that the facets at an edge form for a path.
 struct Screen {
-    /// Factors of the edge's part of the field behind them and beside them.
+    /// Factors of the edge's contribution behind the facets and beside them.
     behind: Complex64,
     beside: Complex64,
-    /// Whether rays meet them.
+    /// Whether rays meet the facets.
     is_in_the_way: bool,
 }
 
-/// The facets of the strongest of some arrivals.
+/// Facets of the strongest arrival.
 fn strongest_of<'a>(arrivals: &[Arrival<'a>]) -> Option<&'a [FacetId]> {
     let strongest = arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
     strongest.map(|arrival| arrival.sequence)

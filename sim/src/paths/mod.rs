@@ -1,10 +1,12 @@
-//! Paths between antennas and points by way of plane polygons: rays find which surfaces a path meets, images compute it.
+//! Paths between antennas and points by way of plane polygons. Rays find the surfaces that a path meets, and images
+//! give the exact path.
 //!
-//! An [`Environment`] holds the polygons. [`ImagePaths::discover`] launches rays from an antenna and keeps every sequence of
-//! facets that a ray meets; sequences with the same image of the antenna share an [`Image`]. [`ImagePaths::illuminate`] unfolds
-//! a sequence in f64, checks that its points of reflection lie on the facets and that its legs are free, and multiplies the
-//! reflection coefficients. Free and outward edges diffract to first order ([`edge_field`]): a path fades where its point of
-//! reflection leaves a facet or a corner comes in its way. Walls may let waves through.
+//! An [`Environment`] holds the polygons. [`ImagePaths::discover`] launches rays from an antenna and keeps every
+//! sequence of facets that a ray meets. Sequences with the same image of the antenna share an [`Image`].
+//! [`ImagePaths::illuminate`] unfolds a sequence in f64. It checks that the points of reflection lie on the facets and
+//! that the legs are free, and multiplies the reflection coefficients. Free edges and outward corners diffract to first
+//! order ([`edge_field`]): a path fades where its point of reflection leaves a facet or a corner obstructs it. Walls
+//! may transmit waves.
 //!
 //! [`Surroundings`] are those of a scene: its polygons, or a box whose images are a lattice in closed form.
 

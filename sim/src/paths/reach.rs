@@ -1,4 +1,4 @@
-//! Bounds, without rays, on the images that may light the space within a distance of a place, and on their strength.
+//! Upper bounds, without rays, on the images that may illuminate a sphere about a place, and on their fields.
 
 use glam::{DMat3, DVec3};
 
@@ -6,7 +6,7 @@ use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::environment::FacetId;
 use crate::em::image::Element;
 
-/// Way from an antenna to a ball.
+/// Cone from an antenna to a sphere.
 struct Cone {
     antenna: DVec3,
     middle: DVec3,
@@ -14,16 +14,16 @@ struct Cone {
 }
 
 impl ImagePaths {
-    /// Numbers of the images of at most so many reflections that may light what lies within a distance of a place, ascending;
-    /// the antenna itself is always one of them. Facets are taken for the balls around them, and nothing hides anything: all
-    /// images that light some of it are among them.
+    /// Numbers of the images of at most `max_order` reflections that may illuminate points within a distance of a
+    /// place, ascending. The antenna itself is always included. Facets are replaced by their bounding spheres and
+    /// nothing is hidden, so the result includes all images that illuminate some of it.
     pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64, max_order: usize) -> Vec<usize> {
         let cone = Cone { antenna, middle, reach_m };
         let images = self.images.iter().enumerate().take_while(|(_, image)| image.order <= max_order);
         images.filter(|(_, image)| self.image_may_light(image, &cone)).map(|(number, _)| number).collect()
     }
 
-    /// Whether an image may light what lies within a distance of a place, as [`ImagePaths::images_near`] has it.
+    /// Returns whether an image may illuminate points within a distance of a place, as in [`ImagePaths::images_near`].
     pub fn may_light(&self, image: usize, antenna: DVec3, middle: DVec3, reach_m: f64) -> bool {
         let cone = Cone { antenna, middle, reach_m };
         self.images.get(image).is_some_and(|image| self.image_may_light(image, &cone))
@@ -33,7 +33,7 @@ impl ImagePaths {
         image.order == 0 || image.sequences.iter().any(|sequence| self.sequence_may_light(sequence, cone))
     }
 
-    /// Whether waves by a sequence of facets may come into a ball.
+    /// Returns whether waves by a sequence of facets may enter a sphere.
     fn sequence_may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
         let &Cone { antenna, middle, reach_m } = cone;
         let mut images = [antenna; MAX_ORDER + 1];
@@ -49,7 +49,7 @@ impl ImagePaths {
         }
         let (sine, wavelength_m) = (reach_m / length_m, self.environment.wavelength_m());
         let spread = (1.0 - sine * sine).sqrt();
-        // Beside a facet waves bend by the first Fresnel zones at most.
+        // Diffraction beside a facet extends over the first Fresnel zones at most.
         let bent_m = self.environment.edge_reach() * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
         let (mut target, mut off_m) = (middle, reach_m);
         for (&facet, &source) in sequence.iter().zip(images.iter().skip(1)).rev() {
@@ -63,7 +63,7 @@ impl ImagePaths {
             }
             let way = target - source;
             let cosine = (flat.normal.dot(way) / way.length()).abs().min(1.0);
-            // The least cosine of any way in the cone.
+            // Least cosine of incidence of any path in the cone.
             let least = cosine * spread - (1.0 - cosine * cosine).sqrt() * sine;
             if least <= 0.02 {
                 return true;
@@ -77,13 +77,14 @@ impl ImagePaths {
         true
     }
 
-    /// Factor by which edges make a field larger, at most: those of a small mirror double it, where it is a first Fresnel zone.
+    /// Largest factor by which edges increase a field: the edges of a small mirror, the size of a first Fresnel zone,
+    /// double it.
     pub fn most_by_edges(&self) -> f64 {
         if self.environment.soft_edges().is_empty() { 1.0 } else { 2.0 }
     }
 
-    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it, where
-    /// nothing is in the way and facets have no end.
+    /// Upper bound of the magnitude of an image's field at all points within an angle of a direction from it, for
+    /// unobstructed paths and infinite facets.
     pub fn most_free_field(&self, element: &Element, image: usize, direction: DVec3, spread_rad: f64) -> f64 {
         let Some(image) = self.images.get(image) else { return 0.0 };
         let departure = element.radar_from_world * (image.mirror.transpose() * direction);
@@ -91,7 +92,7 @@ impl ImagePaths {
         element.pattern.most_within(departure, spread_rad) * mirrored
     }
 
-    /// Upper bound of the reflections of a sequence together.
+    /// Upper bound of the product of a sequence's reflections.
     fn most_mirrored(&self, sequence: &[FacetId], direction: DVec3, spread_rad: f64) -> f64 {
         let (mut most, mut later) = (1.0, DMat3::IDENTITY);
         for flat in sequence.iter().rev().filter_map(|&facet| self.environment.flat(facet)) {
@@ -118,7 +119,7 @@ mod tests {
     use super::*;
     use crate::em::pattern::Pattern;
 
-    /// Nothing arrives anywhere in the ball from images that are left out, and no image is louder than its bound.
+    /// Images that are left out contribute nothing in the sphere, and no image exceeds its bound.
     #[test]
     fn images_that_are_left_out_light_nothing() {
         let options = LaunchOptions { max_order: 2, refinements: 2, max_rays: 20_000 };

@@ -14,7 +14,7 @@ pub(super) fn slab(number: usize) -> Wall {
     Wall::Slab { permittivity: Complex64::new(re, im), thickness_m }
 }
 
-/// A room over a counter-clockwise outline, its walls first, then floor and ceiling.
+/// Room over a counter-clockwise outline: its walls, then floor and ceiling.
 pub(super) fn extruded(outline: &[DVec2], height_m: f64) -> Vec<Facet> {
     let mut facets: Vec<Facet> = sides(outline)
         .enumerate()
@@ -35,7 +35,7 @@ pub(super) fn sheet(from: DVec2, to: DVec2, height_m: f64, wall: Wall) -> [Facet
     [Facet::new(corners, wall), Facet::new(back, wall)]
 }
 
-/// An outline of 4 to 9 corners that all see the origin.
+/// Outline of 4 to 9 corners that all see the origin.
 pub(super) fn star(rng: &mut impl Rng) -> Vec<DVec2> {
     let corners = rng.random_range(4..10usize);
     (0..corners)
@@ -46,7 +46,7 @@ pub(super) fn star(rng: &mut impl Rng) -> Vec<DVec2> {
         .collect()
 }
 
-/// An L whose inner corner is to the upper left of the origin, about as far off.
+/// L-shaped outline whose inner corner lies 0.3 to 1.5 m up and to the left of the origin.
 pub(super) fn l_shape(rng: &mut impl Rng) -> Vec<DVec2> {
     let [left, right, low, high]: [f64; 4] = std::array::from_fn(|_| rng.random_range(2.0..5.0));
     let (x, y) = (rng.random_range(-1.5..-0.3), rng.random_range(0.3..1.5));

@@ -1,4 +1,5 @@
-//! Surroundings of the antennas of a scene: a box, whose images are a lattice, or plane faces, whose images rays find.
+//! Surroundings of the antennas of a scene: a box with a lattice of images, or plane faces whose images are found by
+//! rays.
 
 use std::sync::Arc;
 
@@ -13,27 +14,27 @@ use crate::scene::Scene;
 use crate::scene::surfaces::Surfaces;
 use crate::scene_file::SolverFile;
 
-/// Rooms of more facets have paths of two reflections at most: in them paths of three are many and weak.
+/// Number of facets above which paths have at most two reflections: in such rooms paths of three are many and weak.
 const MANY_FACETS: usize = 200;
 const MOST_REFLECTIONS_OF_MANY: usize = 2;
-/// Rays that look for paths at most, in rooms of few facets and of many.
+/// Largest number of rays for path discovery, in rooms of few facets and of many.
 const MOST_RAYS: [usize; 2] = [100_000, 45_000];
-/// Times that rays are divided where they meet different facets.
+/// Number of divisions of rays where they meet different facets.
 const REFINEMENTS: u32 = 4;
-/// Faces of a box lie in its sides within this, m.
+/// Tolerance within which faces lie in the sides of a box, m.
 const IN_SIDE_M: f64 = 1e-4;
 /// Names of a box room's walls in the order in which [`BoxRoom`] numbers them.
 const WALL_NAMES: [&str; 6] = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
-/// Points nearer to a surface than this lie on it, m.
+/// Largest distance of a point from a surface on which it lies, m.
 const ON_SURFACE_M: f64 = 1e-6;
 
-/// Surroundings of the antennas. Images have an [`ImageIndex`]: that of the lattice in a box; else `[number, 0, 0]`, and
-/// `[0, 0, 0]` is the antenna itself.
-// There is one of a prepared scene, and a box is asked millions of times a frame.
+/// Surroundings of the antennas. Images have an [`ImageIndex`]: the lattice index in a box, otherwise `[number, 0, 0]`.
+/// The index `[0, 0, 0]` is the antenna itself.
+// A prepared scene holds only one value, and a box is queried millions of times a frame.
 #[allow(clippy::large_enum_variant)]
 #[derive(Debug, Clone)]
 pub enum Surroundings {
-    /// A box.
+    /// Box room.
     Box(BoxRoom),
     /// Plane faces.
     Polygons(Arc<PolygonRoom>),
@@ -45,11 +46,11 @@ pub struct PolygonRoom {
     paths: ImagePaths,
     size_m: DVec3,
     max_body_reflections: usize,
-    /// By facet.
+    /// Name of each facet.
     names: Vec<String>,
     /// Facets that rays met, ascending.
     met: Vec<FacetId>,
-    /// By piece of furniture, whether it has faces.
+    /// Whether each piece of furniture has faces.
     has_faces: Vec<bool>,
 }
 
@@ -103,17 +104,18 @@ impl PolygonRoom {
         &self.met
     }
 
-    /// Corners of the way from an antenna to a point by an image, whether it is free or not; empty where there is none.
+    /// Corners of the path from an antenna to a point by an image, whether it is free or not; empty where there is
+    /// none.
     pub fn way(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         self.paths.way(number(index), antenna, point)
     }
 
-    /// Share that facets, edges and walls leave of the field of an antenna's image at a point.
+    /// Relative field of an antenna's image at a point past facets, edges and walls.
     pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
         self.paths.obstruction(number(index), antenna, point)
     }
 
-    /// The same on a way that is followed ([`ImagePaths::obstruction_past`]).
+    /// Same relative field for a path that is followed ([`ImagePaths::obstruction_past`]).
     pub fn obstruction_past(
         &self,
         index: ImageIndex,
@@ -124,20 +126,20 @@ impl PolygonRoom {
         self.paths.obstruction_past(number(index), antenna, point, known)
     }
 
-    /// Whether rays go from an antenna to a point by an image.
+    /// Returns whether an unobstructed ray leads from an antenna to a point by an image.
     pub fn is_lit(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> bool {
         self.paths.is_lit(number(index), antenna, point)
     }
 
-    /// Whether an image counts where no ray comes by it, but what edges send there: in rooms of many facets, after one reflection at
-    /// most. Two reflections and an edge leave less than what is lost with paths of three reflections.
+    /// Returns whether an image counts where only diffraction by edges reaches: in rooms of many facets, after one
+    /// reflection at most. Two reflections and an edge leave less than the neglected paths of three reflections.
     pub fn counts_in_shadow(&self, index: ImageIndex) -> bool {
         let order = self.paths.images().get(number(index)).map_or(0, |image| image.order);
         order < MOST_REFLECTIONS_OF_MANY || self.paths.environment().len() <= MANY_FACETS
     }
 
-    /// Upper bound of the magnitude of an image's field within a distance of a place where nothing is in the way; 0 where
-    /// no facet sends it there.
+    /// Upper bound of the magnitude of an image's field within a distance of a place, without obstructions; 0 where no
+    /// facet sends it there.
     pub fn most_free_field(&self, element: &Element, index: ImageIndex, middle: DVec3, reach_m: f64) -> f64 {
         let number = number(index);
         if !self.paths.may_light(number, element.position, middle, reach_m) {
@@ -149,14 +151,14 @@ impl PolygonRoom {
         self.paths.most_free_field(element, number, (middle - source) / distance_m, spread_rad)
     }
 
-    /// Pairs of images of the antennas by which what lies within a distance of a place may be seen, the direct pair first.
+    /// Pairs of antenna images that may see points within a distance of a place, the direct pair first.
     pub fn pairs_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<(ImageIndex, ImageIndex)> {
         let near = self.paths.images_near(antenna, middle, reach_m, self.max_body_reflections);
         let order = |number: usize| self.paths.images().get(number).map_or(0, |image| image.order);
         let index = |number: usize| [number as i32, 0, 0];
         let mut pairs = Vec::with_capacity(2 * near.len());
         for &p in &near {
-            // Images come by their order.
+            // Images are sorted by order.
             let fits = near.iter().take_while(|&&q| order(p) + order(q) <= self.max_body_reflections);
             pairs.extend(fits.map(|&q| (index(p), index(q))));
         }
@@ -169,7 +171,7 @@ fn number(index: ImageIndex) -> usize {
     usize::try_from(index[0]).unwrap_or(0)
 }
 
-/// Whether surfaces are those of a box of a size and nothing else.
+/// Returns whether surfaces are those of a box of a size and nothing else.
 fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
     let is_side = |corners: &[DVec3]| {
         (0..3).any(|axis| [0.0, size_m[axis]].iter().any(|at| corners.iter().all(|c| (c[axis] - at).abs() < IN_SIDE_M)))
@@ -182,9 +184,9 @@ fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
 }
 
 impl Surroundings {
-    /// The surroundings of a scene's antennas. Floor plans are polygons, and so are rooms of meshes unless these make a box and
-    /// nothing else; a box of six surfaces is one unless the scene asks for rays. Edges that change a field by less than a part are
-    /// left out.
+    /// Builds the surroundings of a scene's antennas. Floor plans are polygons, and so are rooms of meshes unless these
+    /// make a box and nothing else. A box of six surfaces stays a box unless the scene requests rays. Edges that change
+    /// a field by less than `least_part` are left out.
     pub fn of_scene(scene: &Scene, tx: &Element, least_part: f64) -> Self {
         let file = &scene.file().room;
         let may_be_box = match file.solver {
@@ -209,7 +211,7 @@ impl Surroundings {
         }
     }
 
-    /// Size of the box around the room, m: its low corner is the origin.
+    /// Size of the box around the room, m; its low corner is the origin.
     pub fn size_m(&self) -> DVec3 {
         match self {
             Surroundings::Box(room) => room.size_m,
@@ -217,7 +219,7 @@ impl Surroundings {
         }
     }
 
-    /// Whether a piece of the scene's furniture has faces that mirror.
+    /// Returns whether a piece of the scene's furniture has reflecting faces.
     pub fn has_faces_of(&self, furniture: usize) -> bool {
         match self {
             Surroundings::Box(_) => false,
@@ -225,7 +227,7 @@ impl Surroundings {
         }
     }
 
-    /// Number of reflections on the way from an image.
+    /// Number of reflections of an image.
     pub fn order(&self, index: ImageIndex) -> u32 {
         match self {
             Surroundings::Box(_) => order(index),
@@ -233,7 +235,7 @@ impl Surroundings {
         }
     }
 
-    /// All images up to an order, the antenna itself first, then by order.
+    /// All images up to an order, the antenna itself first, sorted by order.
     pub fn images(&self, max_order: u32) -> Vec<ImageIndex> {
         match self {
             Surroundings::Box(_) => images(max_order),
@@ -263,7 +265,8 @@ impl Surroundings {
         }
     }
 
-    /// Corners of the way from an antenna to a point by an image: antenna, bounces, point; empty where there is no such way.
+    /// Corners of the path from an antenna to a point by an image: antenna, bounces, point. Empty where there is no
+    /// such path.
     pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         match self {
             Surroundings::Box(room) => room.polyline(index, antenna, point),
@@ -271,8 +274,9 @@ impl Surroundings {
         }
     }
 
-    /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
-    /// isotropic antennas' aperture `lambda / 4 pi`, but for the propagation phase; and its length, m.
+    /// Amplitude of the path from a transmitter's image straight to a receiver, without the propagation phase, and its
+    /// length, m. The amplitude is relative to the transmitted field, with the isotropic antennas' aperture `lambda / 4
+    /// pi`.
     pub fn direct(&self, tx: &Element, index: ImageIndex, rx: &Element) -> (Complex64, f64) {
         let wavenumber_per_m = match self {
             Surroundings::Box(room) => room.wavenumber_per_m,
@@ -282,8 +286,8 @@ impl Surroundings {
         (arrival.received(rx, wavenumber_per_m), arrival.distance_m)
     }
 
-    /// Part of a field that walls and furniture leave on the straight way between two points: all of it in a box, whose walls
-    /// hide nothing within.
+    /// Relative field past walls and furniture on the straight segment between two points. It is 1 in a box, whose
+    /// walls hide nothing within.
     pub fn straight(&self, from: DVec3, to: DVec3) -> f64 {
         match self {
             Surroundings::Box(_) => 1.0,

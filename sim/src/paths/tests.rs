@@ -1,4 +1,4 @@
-//! Paths against what is known of them: a box as a lattice, corridors by hand, every sequence in turn.
+//! Tests of paths against known results: the lattice of a box, corridors calculated by hand, and brute-force sequences.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ fn environment(facets: Vec<Facet>) -> Arc<Environment> {
     Arc::new(Environment::new(facets, K).expect("facets"))
 }
 
-/// The image in the direction of which a path of such a length arrives.
+/// Field of the image by which a path of this length arrives.
 fn seen(paths: &ImagePaths, antenna: DVec3, point: DVec3, length_m: f64) -> f64 {
     let arrives = |i: usize| paths.illuminate(&isotropic(antenna), i, point);
     let fits = |i: &usize| (arrives(*i).distance_m - length_m).abs() < 1e-9;
@@ -79,7 +79,7 @@ fn l_corridor() -> Vec<Facet> {
     extruded(&outline, 3.0)
 }
 
-/// A plate in the open, nothing behind it: of the rays that leave in all directions none may meet it.
+/// A plate in the open with nothing behind it: the rays launched in all directions may all miss it.
 #[test]
 fn a_small_plate_in_the_open_is_found_wherever_it_stands() {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(7);
@@ -108,10 +108,10 @@ fn round_a_corner_one_is_seen_by_mirrors_alone() {
     let paths = ImagePaths::discover(environment(l_corridor()), antenna, &LaunchOptions::default());
     assert_eq!(paths.environment().soft_edges().len(), 1);
     let point = DVec3::new(7.0, 2.7, 1.5);
-    // The straight way passes 28 cm behind the corner.
+    // The straight segment passes 28 cm behind the corner.
     let straight = paths.illuminate(&isotropic(antenna), 0, point);
     assert!(straight.field.magnitude() < 10f64.powf(-30.0 / 20.0));
-    // By the wall x = 8, which shows the antenna at x = 15; by that and the wall y = 0.
+    // One path is by the wall x = 8, which shows the antenna at x = 15; the other is by that wall and the wall y = 0.
     for (length_m, reflections) in [(8f64.hypot(2.4), 1), (8f64.hypot(3.0), 2)] {
         let field = seen(&paths, antenna, point, length_m);
         assert!(field > 10f64.powf(-15.0 * f64::from(reflections) / 20.0), "{length_m} m: {field}");
@@ -128,7 +128,7 @@ fn the_field_beside_a_corner_is_that_of_a_half_plane() {
     let wavelength_m = std::f64::consts::TAU / K;
     let mut last: Option<f64> = None;
     for step in -40..=40 {
-        // Of the way to (7, 2.34) the corner lies just on it.
+        // The straight segment to (7, 2.34) just touches the corner.
         let point = DVec3::new(7.0, 2.34 - 0.002 * f64::from(step), 1.5);
         let along = DVec2::new(6.0, point.y - 0.3);
         let corner = DVec2::new(5.0, 1.7);
@@ -171,7 +171,7 @@ fn edges_that_are_left_out_change_little() {
     assert!(most > 0.05 && changed > 50, "{most} {changed}");
 }
 
-/// A mirror that ends fades as its own edge says: half the field where the point of reflection lies on the edge.
+/// A finite mirror fades at its edge: half the field remains where the point of reflection lies on the edge.
 #[test]
 fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
     let mirror = |x0: f64, x1: f64| {
@@ -186,7 +186,7 @@ fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
         assert_eq!(paths.images().len(), 2);
         paths.illuminate(&isotropic(antenna), 1, DVec3::new(x, 0.0, 2.0)).field.magnitude()
     };
-    // The point of reflection lies half way.
+    // The point of reflection lies halfway.
     let whole = |x: f64| field(vec![mirror(-4.0, 6.0)], x);
     for (x, part) in [(1.0, 0.5), (0.2, 1.0), (2.4, 0.0)] {
         let got = field(vec![mirror(-4.0, 0.0)], x) / whole(x);
@@ -196,11 +196,11 @@ fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
         let split = field(vec![mirror(-4.0, 0.0), mirror(0.0, 6.0)], x);
         assert!((split / whole(x) - 1.0).abs() < 1e-9, "{x}: {split} {}", whole(x));
     }
-    // A slot of 4 m in a mirror.
+    // Slot of 4 m in a mirror.
     assert!(field(vec![mirror(-4.0, -2.0), mirror(2.0, 6.0)], 1.0) < 0.06 * whole(1.0));
 }
 
-/// A thin metal partition shadows what is behind it, and an edge in the way gives no step.
+/// A thin metal partition shadows the region behind it, and an edge near the path gives no step.
 #[test]
 fn a_partition_shadows_and_mirrors() {
     let outline = [[-4.0, -2.0], [4.0, -2.0], [4.0, 2.0], [-4.0, 2.0]].map(DVec2::from_array);
@@ -240,7 +240,8 @@ fn power(paths: &ImagePaths, antenna: &Element, point: DVec3) -> f64 {
     (0..paths.images().len()).map(of).sum()
 }
 
-/// 200 rooms: stars, L shapes, and both with a partition. What rays miss of every sequence of up to three facets.
+/// 200 rooms (stars, L shapes, and both with a partition): power that rays miss of every sequence of up to three
+/// facets.
 #[test]
 fn rays_miss_less_than_40_db_of_the_power() {
     let options = LaunchOptions { max_order: 3, refinements: 3, max_rays: 40_000 };
@@ -251,7 +252,7 @@ fn rays_miss_less_than_40_db_of_the_power() {
         let height_m = rng.random_range(2.3..3.2);
         let mut facets = extruded(&outline, height_m);
         if seed % 2 == 0 {
-            // From near the middle half way to a corner, so that it crosses no wall.
+            // The partition runs from near the middle halfway to a corner, so that it crosses no wall.
             let from = DVec2::new(0.35, -0.25);
             facets.extend(sheet(from, from.lerp(outline[0], 0.5), height_m, slab(2)));
         }

@@ -9,15 +9,15 @@ fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
     (b - a).perp_dot(c - a)
 }
 
-/// Triangulates a polygon. Indices count the outline's corners first and then those of the holes, in order; triangles are
-/// counter-clockwise. `None` where the outlines cross themselves or each other.
+/// Triangulates a polygon. Indices count the outline's corners first and then those of the holes, in order; triangles
+/// are counter-clockwise. `None` where the outlines cross themselves or each other.
 pub(super) fn triangulate(outline: &[DVec2], holes: &[Vec<DVec2>]) -> Option<Vec<[u32; 3]>> {
     let points: Vec<DVec2> = outline.iter().chain(holes.iter().flatten()).copied().collect();
     let ring = bridged(&points, outline, holes)?;
     clip_ears(&points, ring)
 }
 
-/// One ring of corners around the polygon: holes are joined to the outline by pairs of coincident sides.
+/// Single ring of corners around the polygon: holes are joined to the outline by pairs of coincident sides.
 fn bridged(points: &[DVec2], outline: &[DVec2], holes: &[Vec<DVec2>]) -> Option<Vec<usize>> {
     let oriented = |first: usize, corners: &[DVec2], positive: bool| -> Vec<usize> {
         let all = first..first + corners.len();
@@ -43,7 +43,8 @@ fn bridged(points: &[DVec2], outline: &[DVec2], holes: &[Vec<DVec2>]) -> Option<
     Some(ring)
 }
 
-/// The shortest way from the ring to a hole that crosses no side: number of the hole, places in the ring and in the hole.
+/// Shortest bridge from the ring to a hole that crosses no side: number of the hole, places in the ring and in the
+/// hole.
 fn shortest_bridge(points: &[DVec2], ring: &[usize], holes: &[Vec<usize>]) -> Option<(usize, usize, usize)> {
     let sides: Vec<(DVec2, DVec2)> = std::iter::once(ring)
         .chain(holes.iter().map(Vec::as_slice))
@@ -69,7 +70,7 @@ fn shortest_bridge(points: &[DVec2], ring: &[usize], holes: &[Vec<usize>]) -> Op
     best.map(|(_, found)| found)
 }
 
-/// Whether the way from a corner to a point begins inside the polygon.
+/// Returns whether the segment from a corner to a point begins inside the polygon.
 fn in_cone(before: DVec2, at: DVec2, after: DVec2, to: DVec2) -> bool {
     if turn(before, at, after) >= 0.0 {
         turn(at, to, before) > 0.0 && turn(to, at, after) > 0.0
@@ -78,7 +79,7 @@ fn in_cone(before: DVec2, at: DVec2, after: DVec2, to: DVec2) -> bool {
     }
 }
 
-/// Whether two segments cross between their ends.
+/// Returns whether two segments cross between their ends.
 fn crosses(p: DVec2, q: DVec2, a: DVec2, b: DVec2) -> bool {
     turn(p, q, a) * turn(p, q, b) < 0.0 && turn(a, b, p) * turn(a, b, q) < 0.0
 }
@@ -95,7 +96,7 @@ fn clip_ears(points: &[DVec2], mut ring: Vec<usize>) -> Option<Vec<[u32; 3]>> {
             ring.remove(ear);
             continue;
         }
-        // Corners within a straight line are no ears; without them the rest may have some.
+        // Corners within a straight line are not ears; without them the rest may have some.
         let is_flat = |i: usize| {
             let [a, b, c] = corners(&ring, i).map(|c| points[c]);
             turn(a, b, c).abs() <= 1e-14 * (1.0 + a.distance_squared(c))

@@ -1,4 +1,4 @@
-//! Cases that ray tracers usually get wrong.
+//! Test cases in which ray tracers usually fail.
 
 use std::sync::{Arc, LazyLock};
 
@@ -20,7 +20,7 @@ fn ball(radius_m: f64, centre: DVec3) -> Mesh {
     mesh
 }
 
-/// A room of 12 x 2 x 2.5 m seen from within; each wall of `split` by `split` quadrilaterals.
+/// Room of 12 x 2 x 2.5 m seen from within; each wall has `split` by `split` quadrilaterals.
 fn corridor(split: u32) -> Mesh {
     let size = DVec3::new(12.0, 2.0, 2.5);
     let mut mesh = Mesh::default();
@@ -51,20 +51,20 @@ fn walker() -> &'static WalkingMesh {
     &WALKER
 }
 
-/// Each triangle is a surface of its own.
+/// Builds a world in which each triangle is a surface of its own.
 fn world(mesh: &Mesh) -> World {
     let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     World::new(mesh.clone(), &groups).expect("a good mesh")
 }
 
-/// Number of times that a ray goes into a closed mesh and out of it.
+/// Number of times that a ray enters a closed mesh and leaves it.
 fn crossings(world: &World, ray: &Ray) -> (usize, usize) {
     let all = world.all(ray);
     let entered = all.iter().filter(|hit| hit.front).count();
     (entered, all.len() - entered)
 }
 
-/// The point in f64 where a ray meets the plane of a triangle.
+/// Point in f64 where a ray meets the plane of a triangle.
 fn point(ray: &Ray, mesh: &Mesh, hit: &Hit) -> DVec3 {
     let corners = mesh.corners(hit.triangle as usize).expect("it was met");
     ray.at(reference::plane(ray, corners).expect("it was met").0)
@@ -76,8 +76,8 @@ fn direction(rng: &mut impl Rng) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * angle.cos(), (1.0 - z * z).sqrt() * angle.sin(), z)
 }
 
-/// Half a million rays at edges and half a million at vertices of closed meshes, from all around and along the axes: each goes
-/// in as often as it comes out, and those aimed at what faces them do go in.
+/// Half a million rays at edges and half a million at vertices of closed meshes, from all around and along the axes.
+/// Each enters as often as it leaves, and rays aimed at front faces do enter.
 #[test]
 fn a_million_rays_at_edges_and_vertices_neither_leak_nor_meet_twice() {
     let centre = DVec3::new(3.1, 0.7, 1.3);
@@ -94,13 +94,13 @@ fn a_million_rays_at_edges_and_vertices_neither_leak_nor_meet_twice() {
         unequal += u32::from(entered != left);
         // A convex body is entered once.
         twice += u32::from(entered > 1);
-        // Those past the silhouette, up to three degrees of facets from it, may miss.
+        // Rays past the silhouette, up to three degrees of facets from it, may miss.
         missed += u32::from((aim - centre).dot(ray.direction) < -0.06 && entered == 0);
     }
     assert_eq!((unequal, twice, missed), (0, 0, 0));
 }
 
-/// The same on a person, who is neither convex nor smooth to a ray: limbs before limbs, edges behind edges.
+/// Same test on a person, whose surface is neither convex nor smooth to a ray: limbs before limbs, edges behind edges.
 #[test]
 fn a_person_is_left_as_often_as_entered() {
     let man = walker().mesh_at(2.7);
@@ -115,8 +115,8 @@ fn a_person_is_left_as_often_as_entered() {
     }
 }
 
-/// From within a closed room nothing gets out: at walls, edges and corners, with few triangles or many, from the middle and
-/// from just beside a corner.
+/// No ray leaves a closed room: rays at walls, edges and corners, with few triangles or many, from the middle and from
+/// just beside a corner.
 #[test]
 fn no_ray_leaves_a_closed_room() {
     for split in [1, 7] {
@@ -140,7 +140,8 @@ fn no_ray_leaves_a_closed_room() {
     }
 }
 
-/// The structure finds what trying all triangles in f64 finds. Where it names another triangle, the ray goes by an edge of both.
+/// The structure finds the same triangles as a brute-force search in f64. Where it names another triangle, the ray
+/// passes by an edge of both.
 #[test]
 fn what_is_met_is_what_trying_everything_meets() {
     let man = walker().mesh_at(2.0);
@@ -161,7 +162,7 @@ fn what_is_met_is_what_trying_everything_meets() {
         assert!(same || at_edge, "{hit:?} instead of {slow:?}");
         if same {
             assert!((distance - slow.distance_m).abs() < 1e-9);
-            // Across the surface f32 is sharp; along a grazing ray that is longer.
+            // f32 is accurate across the surface; along a grazing ray the error is larger.
             let across = mesh.area_vector(hit.triangle as usize).normalize().dot(ray.direction).abs();
             let error_m = (hit.distance_m - slow.distance_m).abs();
             assert!(error_m * across < 5e-6, "{} m and {} m", hit.distance_m, slow.distance_m);
@@ -169,7 +170,7 @@ fn what_is_met_is_what_trying_everything_meets() {
     }
 }
 
-/// The hit does not depend on the order of triangles, and with it not on the structure.
+/// The hit depends neither on the order of triangles nor on the structure.
 #[test]
 fn structure_and_order_do_not_matter() {
     let man = walker().mesh_at(2.0);
@@ -190,7 +191,7 @@ fn structure_and_order_do_not_matter() {
     assert!(met > 300, "{met}");
 }
 
-/// The same bits with the processor's widest instructions as with those that every processor has.
+/// The processor's widest instructions give the same bits as the baseline instructions.
 #[test]
 fn the_processor_does_not_matter() {
     let room = corridor(2);
@@ -208,7 +209,7 @@ fn the_processor_does_not_matter() {
     assert!(on_man > 300, "{on_man}");
 }
 
-/// Coplanar faces: of several at the same distance the lowest triangle is met, everywhere.
+/// Coplanar faces: of several triangles at the same distance, the lowest index is hit, everywhere.
 #[test]
 fn of_two_faces_at_one_place_the_first_is_met() {
     let sheet = Mesh {
@@ -225,8 +226,8 @@ fn of_two_faces_at_one_place_the_first_is_met() {
     }
 }
 
-/// Self-hit: nothing is moved; a ray that leaves a surface does not meet it or what is coplanar with it, and
-/// meets everything else at its true distance.
+/// Self-hit: the origin is not moved. A ray that leaves a surface meets neither it nor coplanar faces, and meets
+/// everything else at its true distance.
 #[test]
 fn a_ray_does_not_meet_the_surface_that_it_leaves() {
     let mesh = corridor(5);
@@ -240,7 +241,7 @@ fn a_ray_does_not_meet_the_surface_that_it_leaves() {
         let (group, point) = (groups.of_triangle[hit.triangle as usize], point(&ray, &mesh, &hit));
         assert!(ray.except[0] != Some(group), "left and met the same wall");
         assert!(hit.front, "a room is seen from within");
-        // Away from the wall, down to grazing by a hundredth of a degree.
+        // Directions away from the wall, down to grazing by a hundredth of a degree.
         let normal = groups.planes[group as usize].normal;
         let along = direction(&mut rng);
         let along = (along - normal * along.dot(normal)).normalize();
@@ -248,8 +249,8 @@ fn a_ray_does_not_meet_the_surface_that_it_leaves() {
     }
 }
 
-/// F32 hit point as path vertex: f32 puts it 5.8 um beside a wall 12 m away, 0.015 rad of phase a bounce. The distance in f64 to
-/// the plane of the triangle that was met ends on it to 1e-13 m.
+/// f32 hit point as path vertex: f32 puts it 5.8 um beside a wall 12 m away, which is 0.015 rad of phase per bounce.
+/// With the distance in f64 to the plane of the hit triangle, the point lies on the plane to 1e-13 m.
 #[test]
 fn the_triangle_that_was_met_gives_the_point_in_f64() {
     let mesh = corridor(3).joined(&walker().mesh_at(2.0));
@@ -267,7 +268,8 @@ fn the_triangle_that_was_met_gives_the_point_in_f64() {
     }
 }
 
-/// Between two surfaces nothing is in the way but what is between: not the surfaces themselves, nor their edges.
+/// The segment between two surfaces is blocked only by objects between them: not by the surfaces themselves, nor by
+/// their edges.
 #[test]
 fn neither_end_blocks_a_way() {
     let plate = Mesh {
@@ -307,7 +309,7 @@ fn neither_end_blocks_a_way() {
     assert!(blocked > 500);
 }
 
-/// Rays along axes, in the planes of edges, and with directions of zero and of denormal components.
+/// Rays along axes, in the planes of edges, and with zero or denormal direction components.
 #[test]
 fn rays_along_axes_and_in_planes_are_met() {
     let world = world(&Mesh::cube());
@@ -329,7 +331,8 @@ fn rays_along_axes_and_in_planes_are_met() {
     }
 }
 
-/// From a kilometre away, where f32 has steps of 0.06 mm, a ball of 4 cm triangles is still met where it is, edges and all.
+/// From a kilometre away, where f32 has steps of 0.06 mm, rays still meet a ball of 4 cm triangles at the correct
+/// places, including edges.
 #[test]
 fn rays_from_far_away_are_as_sharp_as_from_near() {
     let mesh = ball(0.4, DVec3::ZERO);
@@ -383,7 +386,7 @@ fn damaged_meshes_are_refused() {
     assert!(matches!(World::new(corridor(1), &[0]), Err(WorldError::Groups { expected: 12, given: 1 })));
 }
 
-/// A body far from the origin, a large one and a small one are met as well.
+/// Rays also meet a body that is far from the origin, large or small.
 #[test]
 fn a_body_may_be_far_large_or_small() {
     let mesh = ball(0.4, DVec3::ZERO);

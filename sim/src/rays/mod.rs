@@ -1,11 +1,11 @@
-//! Rays: find which surface sees which. They tell topology and never phase: a hit names a triangle, and lengths of paths are
-//! computed again in f64 from the plane of that triangle.
+//! Ray tracing: finds which surfaces see each other. Rays give topology and never phase: a hit names a triangle, and
+//! path lengths are recomputed in f64 from the plane of that triangle.
 //!
-//! Rays meet triangles after Woop, Benthin and Wald, "Watertight ray/triangle intersection" (JCGT 2(1), 2013): seen along the
-//! ray, both triangles of an edge compute the same number with opposite signs. Where f32 gives zero, f64 decides exactly. A ray
-//! through an edge or a vertex itself is taken to pass an infinitesimal step beside it. So no ray slips through an edge and none
-//! meets it twice. The hit is the nearest triangle, then the one of lowest index; it depends neither on the structure nor on the
-//! processor.
+//! The ray-triangle test follows Woop, Benthin and Wald, "Watertight ray/triangle intersection" (JCGT 2(1), 2013). Seen
+//! along the ray, both triangles of an edge compute the same number with opposite signs. Where f32 gives zero, f64
+//! decides exactly. A ray through an edge or a vertex itself is treated as passing an infinitesimal step beside it. So
+//! no ray slips through an edge and none meets it twice. The hit is the nearest triangle, then the one of lowest index.
+//! It depends neither on the structure nor on the processor.
 
 mod probe;
 mod ray;

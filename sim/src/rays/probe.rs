@@ -1,40 +1,41 @@
-//! A ray in the precision of traversal.
+//! Ray in the precision of traversal.
 
 use glam::{DVec3, Vec3A};
 
 use super::ray::Ray;
 use super::triangle::Shear;
 
-/// Boxes are traversed from at least this far behind a ray's origin, m: obvhs passes over boxes that end within 0.1 mm of it.
+/// Least distance behind a ray's origin at which box traversal begins, m: obvhs skips boxes that end within 0.1 mm of
+/// the origin.
 const BACK_M: f32 = 2e-4;
 
-/// No triangle, no group.
+/// Index that means no triangle or no group.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// A ray as structures and triangles take it.
+/// Ray in the form used by the box and triangle tests.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Probe {
-    /// For boxes: begins behind the origin.
+    /// Ray for the box tests, which begins behind the origin.
     pub ray: obvhs::ray::Ray,
-    /// For triangles.
+    /// Shear for the triangle tests.
     pub shear: Shear,
     pub direction: Vec3A,
     pub nearest: f32,
     pub farthest: f32,
     /// Place along the ray at which the probe begins, m.
     pub start: f64,
-    /// Coplanar groups that are not met.
+    /// Coplanar groups that the probe does not meet.
     pub except: [u32; 2],
-    /// Distance behind the origin at which the boxes' ray begins, m.
+    /// Distance behind the origin at which the box ray begins, m.
     pub back: f32,
     /// Origin and direction of the ray itself.
     exact: (DVec3, DVec3),
-    /// True if it begins on a surface.
+    /// True if the ray begins on a surface.
     leaves: bool,
 }
 
 impl Probe {
-    /// A probe that meets nothing.
+    /// Probe that meets nothing.
     pub const NOWHERE: Probe = Probe {
         ray: obvhs::ray::Ray {
             origin: Vec3A::ZERO,
@@ -54,21 +55,23 @@ impl Probe {
         leaves: false,
     };
 
-    /// A probe that begins at a distance along a ray; one that meets nothing for a ray without place or direction.
+    /// Makes a probe that begins at a distance along a ray. A ray without a finite place or direction gives a probe
+    /// that meets nothing.
     #[inline(always)]
     pub fn new(ray: &Ray, start: f64) -> Self {
         let nearest_m = if start > 0.0 { 0.0 } else { ray.nearest_m() };
         let origin = ray.origin + ray.direction * start + ray.side * nearest_m;
         let length = ray.direction.length_squared();
-        // Written so that NaN is refused.
+        // This form of the test rejects NaN.
         if !(origin.abs().max_element() < f64::from(f32::MAX) && length > 0.5 && length < 2.0) {
             return Self::NOWHERE;
         }
-        // The sum makes +0 of -0, which the boxes' test takes for a way down at its inverse and a way up at its sign.
+        // The sum turns -0 into +0; for -0 the box test would take the direction as negative by its inverse and
+        // positive by its sign.
         let nearest = nearest_m as f32;
         let (origin, direction) = (origin.as_vec3a(), ray.direction.as_vec3a() + Vec3A::ZERO);
         let back = BACK_M.max(2.0 * nearest);
-        // As far from the surface on which it ends as from the one on which it begins.
+        // The gap at the end surface equals the gap at the start surface.
         let farthest = (ray.length_m - start) as f32 - if ray.except[1].is_some() { nearest } else { 0.0 };
         Probe {
             ray: obvhs::ray::Ray::new(origin - direction * back, direction, 0.0, farthest + back),
@@ -84,16 +87,16 @@ impl Probe {
         }
     }
 
-    /// Whether a meeting nearer than f32 can tell from the origin is one. A ray from a free place meets nothing so near. One
-    /// that leaves a surface meets, decided in f64, what faces it: the other wall of a corner, not the back of a neighbour
-    /// that rounding put it behind.
+    /// Returns whether an intersection nearer to the origin than f32 resolves is real. A ray from a free place has no
+    /// such intersections. A ray that leaves a surface may meet a facing triangle there, decided in f64. That is the
+    /// other wall of a corner, and not the back of a neighbour that rounding put behind the ray.
     #[cold]
     pub fn meets_near(&self, corners: Option<[DVec3; 3]>) -> bool {
         let Some([a, b, c]) = corners.filter(|_| self.leaves) else { return false };
         let (origin, direction) = self.exact;
         let normal = (b - a).cross(c - a);
         let height = (origin - a).dot(normal);
-        // What f64 leaves open is met: a ray from the very crease stays in the room.
+        // A case undecided in f64 counts as a hit: a ray from the crease itself stays in the room.
         direction.dot(normal) < 0.0 && height >= -1e-12 * normal.length()
     }
 }

@@ -1,11 +1,11 @@
-//! The slow, obvious way: every triangle, f64, straight from the definition.
+//! Brute-force reference: tests every triangle in f64, directly from the definition.
 
 use glam::DVec3;
 
 use super::ray::Ray;
 use crate::geometry::Mesh;
 
-/// Place at which a ray meets a mesh.
+/// Intersection of a ray with a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Met {
     /// Index of the triangle.
@@ -16,7 +16,8 @@ pub struct Met {
     pub barycentric: [f64; 3],
 }
 
-/// Meeting of a ray with the plane of a triangle: distance, m, and weights of the corners. `None` where it runs along it.
+/// Intersection of a ray with the plane of a triangle: distance, m, and weights of the corners. `None` for a ray
+/// parallel to the plane.
 pub fn plane(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3])> {
     let normal = (b - a).cross(c - a);
     let distance = (a - ray.origin).dot(normal) / ray.direction.dot(normal);
@@ -27,7 +28,7 @@ pub fn plane(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3])> {
     (distance.is_finite() && weights.iter().all(|w| w.is_finite())).then_some((distance, weights))
 }
 
-/// All triangles that a ray meets, their edges included, by distance and then index.
+/// All triangles that a ray meets, including hits on their edges, by distance and then index.
 pub fn all(ray: &Ray, mesh: &Mesh) -> Vec<Met> {
     let mut all: Vec<Met> = (0..mesh.triangles.len())
         .filter_map(|t| Some((t, plane(ray, mesh.corners(t)?)?)))

@@ -1,4 +1,4 @@
-//! A ray and a triangle: the watertight test.
+//! Watertight test of a ray against a triangle.
 
 use glam::Vec3A;
 use glam::swizzles::Vec3Swizzles;
@@ -6,15 +6,16 @@ use glam::swizzles::Vec3Swizzles;
 /// Corners by coordinate: `[x, y, z]`, each holding that coordinate of the three corners.
 pub(super) type Corners = [Vec3A; 3];
 
-/// Place at which a ray meets a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
     pub distance: f32,
-    /// Weights of the corners, not yet divided by their sum; negative when the triangle is met from behind.
+    /// Weights of the corners, not yet divided by their sum; negative if the triangle is met from behind.
     pub weights: Vec3A,
 }
 
-/// The coordinates in which a ray runs along z through the origin: permuted so that z is its longest component, then sheared.
+/// Coordinates in which a ray runs along z through the origin: permuted so that z is its longest component, then
+/// sheared.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shear {
     pub axes: [usize; 3],
@@ -48,7 +49,7 @@ impl Shear {
             2
         };
         let (next, after) = ([1, 2, 0][kz], [2, 0, 1][kz]);
-        // Winding is kept.
+        // The swap keeps the winding.
         let (kx, ky) = if d[kz] < 0.0 { (after, next) } else { (next, after) };
         let o = origin.to_array();
         Shear {
@@ -61,7 +62,8 @@ impl Shear {
         }
     }
 
-    /// Corners as the ray sees them: across (x, y) and along (z). The same corner gives the same numbers in every triangle.
+    /// Corners in ray coordinates: across (x, y) and along (z). The same corner gives the same numbers in every
+    /// triangle.
     #[inline(always)]
     pub fn see(&self, corners: &Corners) -> [Vec3A; 3] {
         let [kx, ky, kz] = self.axes;
@@ -71,11 +73,13 @@ impl Shear {
         [x, y, z]
     }
 
-    /// Meeting with the triangle, at most at `farthest` and behind the origin at most by what f32 cannot tell from it.
+    /// Intersection with the triangle, at a distance of at most `farthest`, and behind the origin by at most the
+    /// resolution of f32.
     #[inline(always)]
     pub fn meet(&self, corners: &Corners, farthest: f32) -> Option<Meeting> {
         let [x, y, z] = self.see(corners);
-        // Of the edge opposite each corner, from P to Q: Qx Py - Qy Px, which the edge's other triangle finds negated.
+        // Weight of the edge opposite each corner, from P to Q: Qx Py - Qy Px, which the edge's other triangle computes
+        // negated.
         let mut weights = x.zxy() * y.yzx() - y.zxy() * x.yzx();
         let positive = weights.cmpgt(Vec3A::ZERO).bitmask();
         let negative = weights.cmplt(Vec3A::ZERO).bitmask();
@@ -85,18 +89,19 @@ impl Shear {
             }
             weights = decide(x, y)?;
         }
-        // In this order on every processor.
+        // The order of the sum is the same on every processor.
         let sum = (weights.x + weights.y) + weights.z;
         let moment = weights * z;
         let distance = ((moment.x + moment.y) + moment.z) * self.scale_z / sum;
-        // Written so that NaN is a miss.
+        // This form of the test treats NaN as a miss.
         (distance >= -self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
     }
 }
 
-/// The weights where f32 found none of them to differ in sign and some to be zero. Products of two f32 are exact in f64 and
-/// their difference has the right sign. Where that is zero too, the ray meets the edge itself and is taken to pass it at
-/// (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)` changes sign with the edge's direction.
+/// Weights in f64, for the case that in f32 no two differ in sign and some are zero. Products of two f32 are exact in
+/// f64 and their difference has the right sign. Where that is zero too, the ray meets the edge itself. It is then
+/// treated as passing at (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)` changes sign with the edge's
+/// direction.
 #[cold]
 fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
     let (x, y) = (x.as_dvec3(), y.as_dvec3());
@@ -109,7 +114,8 @@ fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
     if positive != 0 && positive != 3 {
         return None;
     }
-    // Scaled, as they may be too small for f32. Seen on edge there is no area to weigh the corners with.
+    // The weights are scaled, as they may be too small for f32. A triangle seen edge-on has no area to weigh the
+    // corners with.
     let largest = exact.abs().max_element();
     (largest > 0.0).then(|| (exact / largest).as_vec3a())
 }
@@ -140,7 +146,7 @@ mod tests {
         assert!(down.meet(&triangle, 9.0).expect("it is below").weights.x < 0.0);
     }
 
-    /// A fan around a vertex, met exactly at the vertex, on each of its edges and beside them: always by one triangle.
+    /// Rays at a fan's hub, along each of its edges and beside them always meet exactly one triangle.
     #[test]
     fn a_fan_is_met_once_at_its_hub_and_along_its_spokes() {
         for axis in [Vec3A::X, Vec3A::Y, Vec3A::Z, Vec3A::new(1.0, 1.0, 1.0), Vec3A::new(-3.0, 2.0, 0.5)] {

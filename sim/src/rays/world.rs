@@ -1,4 +1,4 @@
-//! One mesh in an acceleration structure that rays are traced against.
+//! Acceleration structure over one mesh, for ray tracing.
 
 use glam::{UVec2, Vec3A};
 use obvhs::aabb::Aabb;
@@ -17,36 +17,36 @@ use super::triangle::{Corners, Meeting};
 use crate::geometry::{Mesh, MeshError};
 use crate::lanes::compiled_for_levels;
 
-/// Levels of a structure that traversal has room for.
+/// Largest depth of the structure that traversal supports.
 const DEEPEST: usize = 30;
 
-/// A mesh that rays cannot be traced against.
+/// Error for a mesh against which rays cannot be traced.
 #[derive(Debug, Error, PartialEq)]
 pub enum WorldError {
-    /// The mesh is none.
+    /// The mesh is invalid.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// More coplanar groups or fewer than triangles.
+    /// The number of coplanar groups differs from the number of triangles.
     #[error("{given} coplanar groups for {expected} triangles, expected one a triangle")]
     Groups {
-        /// Triangles of the mesh.
+        /// Number of triangles of the mesh.
         expected: usize,
-        /// Groups given.
+        /// Number of groups given.
         given: usize,
     },
-    /// The structure has more levels than can be traversed.
+    /// The structure has more levels than traversal supports.
     #[error(
         "the structure over {triangles} triangles is {depth} levels deep, at most {DEEPEST} can be traversed\n\nhint: triangles' sizes differ by too many powers of two; simplify the mesh"
     )]
     TooDeep {
-        /// Triangles of the mesh.
+        /// Number of triangles of the mesh.
         triangles: usize,
-        /// Levels.
+        /// Number of levels.
         depth: usize,
     },
 }
 
-/// One mesh in an acceleration structure.
+/// Mesh in an acceleration structure.
 #[derive(Debug, Clone)]
 pub struct World {
     mesh: Mesh,
@@ -55,12 +55,12 @@ pub struct World {
     corners: Vec<Corners>,
     groups: Vec<u32>,
     bounds: Aabb,
-    /// Largest coordinate of the mesh, m: what boxes are enlarged for.
+    /// Largest coordinate of the mesh, m; it determines the enlargement of boxes.
     scale_m: f64,
     level: KernelLevel,
 }
 
-/// Triangle that a probe meets, and where.
+/// Triangle that a probe meets, and the intersection.
 #[derive(Debug, Clone, Copy)]
 struct Nearest {
     meeting: Meeting,
@@ -68,11 +68,11 @@ struct Nearest {
 }
 
 impl World {
-    /// A structure over a mesh with one coplanar group a triangle.
+    /// Builds a structure over a mesh with one coplanar group per triangle.
     ///
     /// # Errors
-    /// [`WorldError::Groups`] if there is not one group a triangle, [`WorldError::Mesh`] for a mesh that [`Mesh::check`] refuses,
-    /// and [`WorldError::TooDeep`].
+    /// [`WorldError::Groups`] if there is not one group per triangle, [`WorldError::Mesh`] for a mesh that
+    /// [`Mesh::check`] refuses, and [`WorldError::TooDeep`].
     pub fn new(mesh: Mesh, groups: &[u32]) -> Result<Self, WorldError> {
         if groups.len() != mesh.triangles.len() {
             return Err(WorldError::Groups { expected: mesh.triangles.len(), given: groups.len() });
@@ -90,23 +90,23 @@ impl World {
         Ok(World { mesh, tree, corners, groups, bounds, scale_m, level: KernelLevel::detect() })
     }
 
-    /// The nearest triangle that a ray meets; of several at the same distance the lowest.
+    /// Nearest triangle that a ray meets; of several at the same distance the lowest index.
     pub fn closest(&self, ray: &Ray) -> Option<Hit> {
         self.closest_at(self.level, ray)
     }
 
-    /// [`Self::closest`] with the instructions of a level.
+    /// Computes [`Self::closest`] with the instructions of a level.
     pub(super) fn closest_at(&self, level: KernelLevel, ray: &Ray) -> Option<Hit> {
         let probe = self.probe(ray);
         closest(level, self, &probe).map(|nearest| hit(&nearest, probe.start))
     }
 
-    /// Whether anything lies on a ray.
+    /// Returns whether any triangle lies on a ray.
     pub fn blocked(&self, ray: &Ray) -> bool {
         any(self.level, self, &self.probe(ray))
     }
 
-    /// All triangles that a ray meets, each once, nearest first; those of its own groups too.
+    /// All triangles that a ray meets, each once, nearest first, including those of its own groups.
     pub fn all(&self, ray: &Ray) -> Vec<Hit> {
         let probe = self.probe(ray);
         let mut all = Vec::new();
@@ -125,7 +125,8 @@ impl World {
         all.iter().map(|nearest| hit(nearest, probe.start)).collect()
     }
 
-    /// The ray in f32. Rays from far away begin a metre before the mesh, where f32 still tells small things apart.
+    /// Converts the ray to f32. Rays from far away begin a metre before the mesh, where f32 still resolves small
+    /// distances.
     #[inline(always)]
     fn probe(&self, ray: &Ray) -> Probe {
         let is_far = ray.origin.abs().max_element() > roaming_m(self.scale_m);
@@ -139,8 +140,8 @@ impl World {
         if start.is_finite() { start.max(0.0) } else { 0.0 }
     }
 
-    /// Visits all triangles whose boxes a ray goes through up to its end, which the visitor may lower by what it returns; a
-    /// negative number ends the visit.
+    /// Visits all triangles whose boxes a ray crosses up to its end. The visitor returns the new end; a negative number
+    /// ends the visit.
     #[inline(always)]
     fn visit(&self, probe: &Probe, mut visitor: impl FnMut(usize, f32) -> f32) {
         let mut farthest = probe.farthest;
@@ -162,7 +163,7 @@ impl World {
         }
     }
 
-    /// A meeting that is not farther than the best so far, if it is to replace it: nearest first, then the lowest triangle.
+    /// Returns an intersection if it replaces the best so far: the nearer one, then the lower triangle index.
     #[inline(always)]
     fn judge(&self, leaf: usize, meeting: Meeting, probe: &Probe, best: &Option<Nearest>) -> Option<Nearest> {
         if self.groups.get(leaf).is_none_or(|group| probe.except.contains(group)) {
@@ -181,7 +182,7 @@ impl World {
 }
 
 compiled_for_levels! {
-    /// The nearest triangle.
+    /// Finds the nearest triangle.
     fn closest(world: &World, probe: &Probe) -> Option<Nearest> = closest_body;
 }
 
@@ -200,7 +201,7 @@ fn closest_body(world: &World, probe: &Probe) -> Option<Nearest> {
 }
 
 compiled_for_levels! {
-    /// Whether anything is met.
+    /// Returns whether the probe meets any triangle.
     fn any(world: &World, probe: &Probe) -> bool = any_body;
 }
 
@@ -232,12 +233,12 @@ fn corners_of(mesh: &Mesh, triangle: u32) -> Corners {
     })
 }
 
-/// Coordinates of a ray's origin are at most this, m, where those of the mesh are at most `scale_m`.
+/// Largest coordinate of a ray's origin, m, where those of the mesh are at most `scale_m`.
 fn roaming_m(scale_m: f64) -> f64 {
     8.0 + 2.0 * scale_m
 }
 
-/// Length by which boxes are enlarged, m: twice what f32 loses in the ray-box test over the longest way.
+/// Enlargement of boxes, m: twice the f32 rounding error of the ray-box test over the longest ray.
 fn pad_m(scale_m: f64) -> f32 {
     (8.0 * f64::from(f32::EPSILON) * (roaming_m(scale_m) + scale_m)) as f32
 }
@@ -248,7 +249,7 @@ fn bounds(corners: &Corners, pad: f32) -> Aabb {
     Aabb::new(least - pad, greatest + pad)
 }
 
-/// Builds a structure slowly and well: large triangles are split among boxes, all nodes are placed again.
+/// Builds a high-quality structure slowly: large triangles are split among boxes, and all nodes are re-inserted.
 fn build_tree(mesh: &Mesh, pad: f32) -> CwBvh {
     let triangles: Vec<Triangle> =
         mesh.all_corners().map(|[a, b, c]| Triangle { v0: a.as_vec3a(), v1: b.as_vec3a(), v2: c.as_vec3a() }).collect();
@@ -274,7 +275,7 @@ fn build_tree(mesh: &Mesh, pad: f32) -> CwBvh {
     bvh2_to_cwbvh(&tree, 3, true, false)
 }
 
-/// Levels of a structure. Children come after their parents.
+/// Number of levels of a structure; children follow their parents.
 fn depth(tree: &CwBvh) -> usize {
     let mut depths = vec![0usize; tree.nodes.len()];
     let mut deepest = 0;

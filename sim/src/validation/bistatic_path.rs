@@ -1,4 +1,4 @@
-//! A transmitter and a receiver, and what a surface element does between them.
+//! Bistatic path: a transmitter, a receiver, and the contribution of a surface element between them.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -9,12 +9,12 @@ use crate::em::Phasor3;
 use crate::em::current::{Arrival, Listener, heard};
 use crate::em::image::Wall;
 
-/// A transmitter and a receiver whose fields have unit strength in every direction.
+/// Transmitter and receiver whose fields have unit strength in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BistaticPath {
-    /// Source of the wave.
+    /// Transmitting endpoint.
     pub tx: Endpoint,
-    /// Receiver of the wave.
+    /// Receiving endpoint.
     pub rx: Endpoint,
     /// Polarisation of the transmitter, unit vector.
     pub tx_polarisation: DVec3,
@@ -22,23 +22,23 @@ pub struct BistaticPath {
     pub rx_polarisation: DVec3,
 }
 
-/// Unit polarisation across a direction of travel, as near to the antenna's own as it can be.
+/// Unit polarisation perpendicular to a direction of travel, as close as possible to the antenna's own.
 pub fn transverse(polarisation: DVec3, direction: DVec3) -> DVec3 {
     (polarisation - direction * direction.dot(polarisation)).normalize_or(direction.any_orthonormal_vector())
 }
 
 impl BistaticPath {
-    /// One antenna that sends and listens.
+    /// Makes a path with one antenna that transmits and receives.
     pub fn monostatic(end: Endpoint, polarisation: DVec3) -> Self {
         BistaticPath { tx: end, rx: end, tx_polarisation: polarisation, rx_polarisation: polarisation }
     }
 
-    /// Whether one antenna sends and listens.
+    /// Returns whether one antenna transmits and receives.
     pub fn is_monostatic(&self) -> bool {
         self.tx == self.rx && self.tx_polarisation == self.rx_polarisation
     }
 
-    /// Integrand of physical optics at a surface point. A two-sided sheet is turned to whoever sees it.
+    /// Integrand of physical optics at a surface point. A two-sided sheet is turned towards the endpoint that sees it.
     #[inline]
     pub fn sample(
         &self,
@@ -51,7 +51,7 @@ impl BistaticPath {
         let there = self.tx.leg(point);
         let cosine = normal.dot(there.towards);
         if *boundary == Wall::Conductor && self.is_monostatic() {
-            // What the vectors come to for a conductor and one antenna.
+            // Simplified form of the vector expression for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
             return Sample { length_m: 2.0 * there.length_m, amplitude, lit: cosine > 0.0 };
@@ -70,7 +70,7 @@ impl BistaticPath {
         Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
     }
 
-    /// The receiver as a point sees it that lies in the direction opposite to `towards`.
+    /// Receiver as seen by a point in the direction opposite to `towards`.
     pub fn listener(&self, towards: DVec3) -> Listener {
         Listener { towards, polarisation: transverse(self.rx_polarisation, towards) }
     }

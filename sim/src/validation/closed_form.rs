@@ -1,5 +1,5 @@
-//! Cross-sections of canonical targets without the solver: closed forms, exact series, and where neither exists a quadrature
-//! over the exact shape.
+//! Cross-sections of canonical targets without the solver: closed forms, exact series, and quadrature over the exact
+//! shape where neither exists.
 
 use std::f64::consts::PI;
 
@@ -13,16 +13,16 @@ use crate::em::specular::Ellipsoid;
 use crate::em::triangle::sinc;
 use crate::geometry::polygon;
 
-/// A reference value and where it is from.
+/// Reference value and its source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Known {
     /// Cross-section, m^2.
     pub sigma_m2: f64,
-    /// The formula's name.
+    /// Name of the formula.
     pub source: &'static str,
 }
 
-/// The reference value of a target, where one is known.
+/// Reference value of a target, if one is known.
 pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
     let d = setup.towards();
     let far = setup.range_m.is_none();
@@ -31,7 +31,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
             let material = setup.plane_reflection(d.x.abs())?;
             match setup.range_m {
                 None => (plate_far(setup, width_m, height_m) * material, "physical optics, far field"),
-                // Seen from near, a plate has no one angle of incidence.
+                // In the near field, a plate has no single angle of incidence.
                 Some(range_m) => {
                     conductor(setup)?;
                     (plate_near(setup, width_m, height_m, range_m), "physical optics, quadrature")
@@ -39,7 +39,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
             }
         }
         Target::Dihedral { width_m, height_m } => {
-            // Double reflection alone, across the edge.
+            // Only the double reflection counts, in the plane perpendicular to the edge.
             (far && d.z.abs() < 1e-9 && d.x > 0.0 && d.y > 0.0).then_some(())?;
             let area = 2.0 * width_m * height_m * d.x.min(d.y);
             let material = setup.plane_reflection(d.x)? * setup.plane_reflection(d.y)?;
@@ -84,13 +84,13 @@ fn conductor(setup: &Setup) -> Option<()> {
     (setup.boundary == Wall::Conductor).then_some(())
 }
 
-/// `4 pi A^2/lambda^2 cos^2 sinc^2 sinc^2`.
+/// Far-field cross-section of a plate: `4 pi A^2/lambda^2 cos^2 sinc^2 sinc^2`.
 fn plate_far(setup: &Setup, width_m: f64, height_m: f64) -> f64 {
     let (k, d) = (setup.wavenumber_per_m(), setup.towards());
     setup.aperture_m2(width_m * height_m * d.x * sinc(k * width_m * d.y) * sinc(k * height_m * d.z))
 }
 
-/// Gauss-Legendre in both directions, panels of about a radian.
+/// Near-field cross-section of a plate: Gauss-Legendre quadrature in both directions, with panels of about a radian.
 fn plate_near(setup: &Setup, width_m: f64, height_m: f64, range_m: f64) -> f64 {
     let (k, radar) = (setup.wavenumber_per_m(), setup.towards() * range_m);
     let panels = |length: f64| (2.0 * k * length / 4.0).ceil().clamp(4.0, 2000.0) as usize;
@@ -101,7 +101,7 @@ fn plate_near(setup: &Setup, width_m: f64, height_m: f64, range_m: f64) -> f64 {
         for &(v, wv) in &along {
             let offset = radar - DVec3::new(0.0, width_m * (u - 0.5), height_m * (v - 0.5));
             let range = offset.length();
-            // Phase relative to the middle's.
+            // Phase relative to that of the middle.
             let amplitude = wu * wv * offset.x.abs() / range.powi(3);
             integral += Complex64::from_polar(amplitude, -2.0 * k * (range - range_m));
         }
@@ -109,8 +109,9 @@ fn plate_near(setup: &Setup, width_m: f64, height_m: f64, range_m: f64) -> f64 {
     setup.cross_section_m2(integral * (width_m * height_m))
 }
 
-/// Aperture of a trihedral seen from a direction inside its octant: what the outline, projected along the direction, shares
-/// with its own point reflection in the corner (Siegel and others' theorem; each ray that enters at r leaves at -r).
+/// Aperture of a trihedral seen from a direction inside its octant: the intersection of the outline, projected along
+/// the direction, with its own point reflection in the corner (Siegel and others' theorem; each ray that enters at r
+/// leaves at -r).
 pub fn trihedral_aperture_m2(edge_m: f64, outline: Outline, towards: DVec3) -> f64 {
     let corners: Vec<DVec3> = match outline {
         Outline::Triangular => vec![DVec3::X, DVec3::Y, DVec3::Z],
@@ -133,7 +134,7 @@ pub fn trihedral_aperture_m2(edge_m: f64, outline: Outline, towards: DVec3) -> f
     polygon::area_m2(&shared)
 }
 
-/// Near the plane across the axis; `None` elsewhere in the near field.
+/// Cross-section of a cylinder near the plane across the axis; `None` elsewhere in the near field.
 fn cylinder(setup: &Setup, radius_m: f64, height_m: f64) -> Option<f64> {
     let (k, d) = (setup.wavenumber_per_m(), setup.towards());
     match setup.range_m {
@@ -153,7 +154,7 @@ fn cylinder(setup: &Setup, radius_m: f64, height_m: f64) -> Option<f64> {
     }
 }
 
-/// `pi/det J` at the point whose normal is the line of sight.
+/// Cross-section of an ellipsoid: `pi/det J` at the point whose normal is the line of sight.
 fn ellipsoid(setup: &Setup, semi_axes_m: DVec3) -> Option<f64> {
     let d = setup.towards();
     match setup.range_m {
@@ -166,7 +167,8 @@ fn ellipsoid(setup: &Setup, semi_axes_m: DVec3) -> Option<f64> {
             let reference = Target::Ellipsoid { semi_axes_m }.reference_point(d);
             let radar = reference + d * range_m;
             let nearest = body.specular_point(radar, radar, None)?;
-            // Gaussian and mean curvature of an ellipsoid (Goldman, "Curvature formulas for implicit curves and surfaces").
+            // Gaussian and mean curvature of an ellipsoid (Goldman, "Curvature formulas for implicit curves and
+            // surfaces").
             let p = nearest.point;
             let gradient = (p / (semi_axes_m * semi_axes_m)).length();
             let product = semi_axes_m.element_product();
@@ -180,7 +182,7 @@ fn ellipsoid(setup: &Setup, semi_axes_m: DVec3) -> Option<f64> {
     }
 }
 
-/// One-dimensional quadrature over the rings of a spherical cap, seen from its axis.
+/// Cross-section of a mirror: one-dimensional quadrature over the rings of a spherical cap, seen from its axis.
 fn mirror(setup: &Setup, radius_m: f64, aperture_m: f64) -> f64 {
     let k = setup.wavenumber_per_m();
     let reach = (0.5 * aperture_m / radius_m).clamp(0.0, 1.0).asin();
@@ -197,7 +199,7 @@ fn mirror(setup: &Setup, radius_m: f64, aperture_m: f64) -> f64 {
                 (length - range_m, incidence, 1.0 / length)
             }
         };
-        // The normal leans towards the axis: it meets the line of sight with cosine cos t (R - x) + (-sin t)(-r).
+        // The normal leans towards the axis: its cosine to the line of sight is cos t (R - x) + (-sin t)(-r).
         let ring = 2.0 * PI * radius_m * radius_m * sine * reach * weight;
         integral += Complex64::from_polar(ring * incidence * spreading * spreading, -2.0 * k * length);
     }

@@ -1,5 +1,5 @@
-//! Plain physical optics: a surface cut into small patches of constant phase, all alike. What the solver is measured against,
-//! in error and in time.
+//! Plain physical optics: a surface cut into small, equal patches of constant phase. It is the reference for the
+//! solver's error and run time.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -7,8 +7,8 @@ use num_complex::Complex64;
 use super::facet::{Integral, Sample};
 use crate::geometry::Surface;
 
-/// Sums the integrand over patches whose edges are at most `patch_m`, each with the value at its middle. The patches of a
-/// facet lie on the curved surface that its corners' normals describe.
+/// Sums the integrand over patches whose edges are at most `patch_m`, each with the value at its middle. The patches of
+/// a facet lie on the curved surface defined by its corners' normals.
 pub fn integrate(
     surface: &Surface,
     wavenumber_per_m: f64,
@@ -20,7 +20,7 @@ pub fn integrate(
         let [(a, na), (b, nb), (c, nc)] = corners;
         let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
         let cuts = (longest / patch_m.max(1e-9)).ceil().clamp(1.0, 2048.0) as usize;
-        // How far the middle of each edge lies off the chord.
+        // Offset of the middle of each edge from the chord.
         let bulge = |p: DVec3, n: DVec3, q: DVec3, m: DVec3| 0.5 * ((q - p).dot(m) * m - (q - p).dot(n) * n);
         let (ab, bc, ca) = (bulge(a, na, b, nb), bulge(b, nb, c, nc), bulge(c, nc, a, na));
         let at = |u: f64, v: f64| {

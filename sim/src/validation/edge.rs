@@ -1,11 +1,12 @@
-//! Edges: Fresnel's integral, the knife edge, and Sommerfeld's half-plane, beside which scenes' diffraction is put.
+//! Edge diffraction: Fresnel's integral, the knife edge, and Sommerfeld's half-plane, as references for the diffraction
+//! in scenes.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use num_complex::Complex64;
 
-/// `C(x) + j S(x) = int_0^x exp(j pi t^2/2) dt`: a power series near zero, a continued fraction (of the complementary error
-/// function, by Lentz) beyond.
+/// `C(x) + j S(x) = int_0^x exp(j pi t^2/2) dt`: a power series near zero, and beyond it a continued fraction (of the
+/// complementary error function, by Lentz).
 pub fn fresnel_integral(x: f64) -> Complex64 {
     let magnitude = x.abs();
     let value = if magnitude < 1.5 { fresnel_series(magnitude) } else { fresnel_fraction(magnitude) };
@@ -13,7 +14,7 @@ pub fn fresnel_integral(x: f64) -> Complex64 {
 }
 
 fn fresnel_series(x: f64) -> Complex64 {
-    // x sum (j pi x^2/2)^n / (n! (2n + 1))
+    // Power series: x sum (j pi x^2/2)^n / (n! (2n + 1)).
     let step = Complex64::new(0.0, FRAC_PI_2 * x * x);
     let mut term = Complex64::from(x);
     let mut sum = term;
@@ -51,17 +52,17 @@ fn fresnel_fraction(x: f64) -> Complex64 {
     Complex64::new(0.5, 0.5) * (1.0 - Complex64::from_polar(1.0, 0.5 * square) * h)
 }
 
-/// Field past a knife edge over the free field, `e^{+jwt}`: `(1 + j)/2 int_nu^inf exp(-j pi t^2/2) dt`. Exactly a half at the
-/// shadow's boundary, rippling about one in the light, dying in the shadow; smooth throughout. Its phase is relative to the
-/// straight path.
+/// Field past a knife edge relative to the free field, `e^{+jwt}`: `(1 + j)/2 int_nu^inf exp(-j pi t^2/2) dt`. It is
+/// exactly a half at the shadow boundary, oscillates about one in the lit region, decays in the shadow, and is smooth
+/// throughout. Its phase is relative to the straight path.
 pub fn knife_edge(nu: f64) -> Complex64 {
     let rest = Complex64::new(0.5, 0.5) - fresnel_integral(nu);
     Complex64::new(0.5, 0.5) * rest.conj()
 }
 
-/// Sommerfeld's exact field of a plane wave of unit strength behind a conducting half-plane, at cylinder coordinates about
-/// its edge, both angles from the screen's lit face: electric field along the edge (`soft`, zero on the screen) or magnetic.
-/// Phase zero at the edge.
+/// Sommerfeld's exact field of a plane wave of unit strength at a conducting half-plane, in cylinder coordinates about
+/// its edge. Both angles are measured from the screen's lit face. The field is the electric field along the edge
+/// (`soft`, zero on the screen) or otherwise the magnetic field. The phase is zero at the edge.
 pub fn half_plane(k_rho: f64, angle_rad: f64, incidence_rad: f64, soft: bool) -> Complex64 {
     let part = |angle: f64| {
         // e^{j pi/4}/sqrt(pi) int_a^inf exp(-j t^2) dt is the knife edge at nu = a sqrt(2/pi).
@@ -81,7 +82,7 @@ mod tests {
         20.0 * v.norm().log10()
     }
 
-    /// C(1), S(1) and the limit (Abramowitz and Stegun, table 7.7), and the two forms where they meet.
+    /// C(1), S(1) and the limit (Abramowitz and Stegun, table 7.7), and the agreement of both forms where they meet.
     #[test]
     fn fresnel_integrals_have_their_tabulated_values() {
         let one = fresnel_integral(1.0);
@@ -92,7 +93,8 @@ mod tests {
         assert_eq!(fresnel_integral(0.0), Complex64::ZERO);
     }
 
-    /// The screen's own condition, the free field far in the light, and half of it on the boundary.
+    /// The field meets the screen's boundary condition, is free far in the lit region, and is half of the free field on
+    /// the boundary.
     #[test]
     fn the_half_plane_is_dark_on_a_screen_and_half_at_the_boundary() {
         let (k_rho, incidence) = (900.0, 1.1);
@@ -103,8 +105,8 @@ mod tests {
         assert!((edge + 6.02).abs() < 0.2, "{edge}");
     }
 
-    /// The field is exact: it keeps the wave equation (by differences of fourth order), no field along a screen's faces, no
-    /// change of it across them, and no more than the root of the distance at the edge.
+    /// The field is exact. It satisfies the wave equation (by differences of fourth order). On a screen's faces it
+    /// vanishes, or its normal derivative does. At the edge it grows no faster than the root of the distance.
     #[test]
     fn the_half_plane_solves_its_equation_and_its_boundary_conditions() {
         for soft in [true, false] {
@@ -134,7 +136,7 @@ mod tests {
         assert!(half_plane(1e-8, 4.0, 1.0, true).norm() < 1e-3);
     }
 
-    /// Past an edge scenes have the mean of both polarisations, from the light to deep shadow.
+    /// The diffraction in scenes is the mean of both polarisations, from the lit region to deep shadow.
     #[test]
     fn scenes_diffract_as_the_half_plane_does() {
         assert!((db(knife_edge(0.0)) + 6.0206).abs() < 1e-3);
@@ -145,7 +147,7 @@ mod tests {
                 let past = f64::from(i) * 1e-3;
                 let angle = PI + incidence + past;
                 let both = [true, false].map(|soft| half_plane(k_rho, angle, incidence, soft));
-                // Over the plane wave's field there, whose phase is zero at the edge.
+                // Relative to the plane wave's field there, whose phase is zero at the edge.
                 let free = Complex64::from_polar(1.0, k_rho * (angle - incidence).cos());
                 let exact = 0.5 * (both[0] + both[1]) / free;
                 let nu = (4.0 * k_rho / PI).sqrt() * (0.5 * past).sin();

@@ -1,20 +1,20 @@
-//! Where a wave comes from or goes to: an antenna in the near field, or a direction in the far field.
+//! Endpoints of a path: an antenna in the near field, or a direction in the far field.
 //!
-//! Far endpoints measure path lengths against the origin and leave spreading out, so that a near-field integral times
+//! Far endpoints measure path lengths relative to the origin and omit spreading, so that a near-field integral times
 //! `R_t R_r` tends to the far-field one.
 
 use glam::DVec3;
 
-/// One end of a scattered path.
+/// Endpoint of a scattered path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Endpoint {
-    /// An antenna at a position, m: spherical waves `e^{-jkR}/R`.
+    /// Antenna at a position, m: spherical waves `e^{-jkR}/R`.
     Near(DVec3),
-    /// An antenna infinitely far in the direction of this unit vector: plane waves.
+    /// Antenna infinitely far in the direction of this unit vector: plane waves.
     Far(DVec3),
 }
 
-/// The way between a point and a endpoint.
+/// Straight path between a point and an endpoint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Leg {
     /// Length, m; negative for a far endpoint where the point lies ahead of the origin.
@@ -26,13 +26,13 @@ pub struct Leg {
 }
 
 impl Endpoint {
-    /// The way from a point.
+    /// Straight path from a point to the endpoint.
     #[inline]
     pub fn leg(&self, point: DVec3) -> Leg {
         match *self {
             Endpoint::Near(antenna) => {
                 let offset = antenna - point;
-                // Nothing is nearer than the nearest that a division survives.
+                // The lower limit of the length keeps the division finite.
                 let length_m = offset.length().max(1e-9);
                 let inverse = 1.0 / length_m;
                 Leg { length_m, spreading: inverse, towards: offset * inverse }
@@ -41,7 +41,7 @@ impl Endpoint {
         }
     }
 
-    /// Image in the plane through a point with this unit normal.
+    /// Mirror image in the plane through a point with this unit normal.
     pub fn mirrored(&self, on_plane: DVec3, normal: DVec3) -> Self {
         match *self {
             Endpoint::Near(antenna) => Endpoint::Near(antenna - normal * (2.0 * normal.dot(antenna - on_plane))),
@@ -49,7 +49,7 @@ impl Endpoint {
         }
     }
 
-    /// Something positive exactly when the endpoint lies on the side of the plane to which the normal points.
+    /// Signed value that is positive exactly if the endpoint lies on the side of the plane to which the normal points.
     pub fn side(&self, on_plane: DVec3, normal: DVec3) -> f64 {
         match *self {
             Endpoint::Near(antenna) => normal.dot(antenna - on_plane),

@@ -1,13 +1,13 @@
-//! Physical optics over a surface, facet by facet: `int A e^{-jk(R_t + R_r)} dS` with exact phases at the vertices, the
-//! triangle integral in between, and facets cut until the phase bends little inside each.
+//! Physical optics over a surface, facet by facet: `int A e^{-jk(R_t + R_r)} dS` with exact phases at the vertices and
+//! the triangle integral in between. Facets are cut until the phase is nearly linear inside each.
 //!
-//! Strength is linear inside a facet too, as phase is. Far from stationary points the sum lives on neighbours cancelling at
-//! their common edges, and facets of constant strength do not: on a sphere of 5 mm facets they leave 0.1 dB where linear ones
-//! leave 0.01.
+//! The amplitude is linear inside a facet too, as phase is. Far from stationary points the sum depends on the
+//! cancellation of neighbours at their common edges, which facets of constant amplitude do not achieve. On a sphere of
+//! 5 mm facets they leave 0.1 dB where linear ones leave 0.01.
 //!
-//! Whether an edge is cut depends on that edge alone: both of its facets decide alike, no vertex ever hangs on a neighbour's
-//! edge, and the vertex phases of interior edges cancel exactly. The half-way point of an edge lies on the curve that its
-//! ends' normals describe, so that the facets of a coarse mesh follow the body that it stands for.
+//! The decision to cut an edge depends on that edge alone. Both of its facets decide alike, so no vertex ever lies on a
+//! neighbour's edge, and the vertex phases of interior edges cancel exactly. The midpoint of an edge lies on the curve
+//! defined by its ends' normals, so that the facets of a coarse mesh follow the body that it represents.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -20,37 +20,38 @@ use crate::geometry::{Surface, halfway, split};
 pub struct Sample {
     /// Path length `R_t + R_r`, m.
     pub length_m: f64,
-    /// Everything but the phase of the path; zero in the dark.
+    /// Integrand without the phase of the path; zero in the shadow.
     pub amplitude: Complex64,
     /// Whether both ends see the point's front.
     pub lit: bool,
 }
 
-/// A surface integral and what it took.
+/// Surface integral and its cost.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Integral {
     /// The integral, m^2 times the integrand's unit.
     pub value: Complex64,
-    /// Facets that were evaluated.
+    /// Number of facets that were evaluated.
     pub facets: usize,
-    /// The largest bend, rad, that was left uncut: less than the tolerance, and how much less says whether a finer one would
-    /// have changed anything.
+    /// Largest phase deviation, rad, that was left uncut. It is less than the tolerance; the margin shows whether a
+    /// finer tolerance would have changed the result.
     pub bend_rad: f64,
 }
 
-/// Cuts an edge deeper than this no more: a thousandth part of it and less.
+/// Largest depth of cutting an edge: to a thousandth part and less.
 const MAX_DEPTH: u32 = 11;
-/// Phase difference along an edge, rad, beyond which the facet's contribution is so far from stationary that its bending
-/// matters less, by the square of the ratio.
+/// Phase difference along an edge, rad, beyond which the facet's contribution is far from stationary. Its phase
+/// deviation then matters less, by the square of the ratio.
 const STATIONARY_RAD: f64 = 30.0;
 
 /// Accuracy of an integration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accuracy {
-    /// Wave number, 1/m.
+    /// Wavenumber, 1/m.
     pub wavenumber_per_m: f64,
-    /// Phase, rad, by which the middle of an edge may miss the mean of its ends. The facet is then integrated as the four that
-    /// its middles make of it, less their mean residual: half a radian leaves some hundredths of a decibel.
+    /// Largest deviation, rad, of the phase in the middle of an edge from the mean of its ends. The facet is then
+    /// integrated as the four triangles of its middles, less their mean residual: half a radian leaves some hundredths
+    /// of a decibel.
     pub tolerance_rad: f64,
 }
 
@@ -67,7 +68,7 @@ struct Integrator<F> {
     sum: Integral,
 }
 
-/// Integrates over a surface. `sample` is asked for the integrand at points of the surface with their unit normals.
+/// Integrates over a surface. `sample` returns the integrand at points of the surface with their unit normals.
 pub fn integrate<F: Fn(DVec3, DVec3) -> Sample>(surface: &Surface, accuracy: Accuracy, sample: F) -> Integral {
     let corners: Vec<Corner> = surface
         .vertices
@@ -85,7 +86,7 @@ pub fn integrate<F: Fn(DVec3, DVec3) -> Sample>(surface: &Surface, accuracy: Acc
 }
 
 impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
-    /// The middle of an edge, and whether the edge is to be cut there.
+    /// Midpoint of an edge, and whether the edge is cut there.
     fn middle(&mut self, a: &Corner, b: &Corner, depth: u32) -> (Corner, bool) {
         let (point, normal) = halfway(a.point, a.normal, b.point, b.normal);
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
@@ -94,7 +95,7 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         let along = k * (b.sample.length_m - a.sample.length_m) / STATIONARY_RAD;
         let weighed = bend.abs() / (1.0 + along * along);
         let bent = weighed > self.accuracy.tolerance_rad;
-        // Where light ends, facets of no more than a wavelength.
+        // At the shadow boundary, facets are no larger than a wavelength.
         let edge_of_light = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
         let cut = depth < MAX_DEPTH && (bent || edge_of_light);
         if !cut {
@@ -119,16 +120,18 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         }
     }
 
-    /// A facet that is cut no more, as the four triangles that its middles make of it: their samples are there anyway.
+    /// Integrates a facet that is not cut further as the four triangles of its middles, whose samples are already
+    /// known.
     fn leaf(&mut self, [a, b, c]: [&Corner; 3], [ab, bc, ca]: [&Corner; 3]) {
         let ends = a.sample.length_m + b.sample.length_m + c.sample.length_m;
         let between = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;
-        // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
+        // The residual of the path over the linear one in each quarter has a mean of a twelfth of the deviation in the
+        // middles.
         let residual = (between - ends) / 12.0;
         for [p, q, r] in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
             self.sum.facets += 1;
             let k = self.accuracy.wavenumber_per_m;
-            // Phases about their mean, so that the integral works on small numbers.
+            // Phases are taken relative to their mean, so that the integral works on small numbers.
             let mean = (p.sample.length_m + q.sample.length_m + r.sample.length_m) / 3.0;
             let phase = |corner: &Corner| -k * (corner.sample.length_m - mean);
             let [x, y, z] = triangle::moments(phase(p), phase(q), phase(r));

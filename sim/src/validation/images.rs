@@ -1,12 +1,13 @@
-//! Multiple reflection between plane faces: images by every sequence of facets, physical optics over the last.
+//! Multiple reflection between plane faces: images by every sequence of facets, and physical optics over the last
+//! facet.
 //!
-//! Facets, the sequences in which waves may meet them, and fields after reflections are those of scenes
-//! ([`crate::paths`]). What light of a sequence falls on its last facet is a polygon, cut from the facet by the (mirrored)
-//! facets before it as seen from the last image. Every current sees each field of geometrical optics once: the sequences 1-2
-//! and 2-1 of a dihedral are two integrals, and nothing that physical optics has scattered is reflected again.
+//! The facets, the possible sequences, and the fields after reflections are computed as in scenes ([`crate::paths`]).
+//! The part of the last facet that a sequence illuminates is a polygon: the facet clipped by the (mirrored) facets
+//! before it as seen from the last image. Every current counts each field of geometrical optics once: the sequences 1-2
+//! and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
 //!
-//! Facets do not hide each other but by facing away: corners, not rooms with furniture. Every sequence is tried: rays that
-//! find sequences in scenes are traced in single precision, from antennas that are near.
+//! Facets hide each other only by facing away, so the method suits corners and not rooms with furniture. Every sequence
+//! is tried: the rays that find sequences in scenes are traced in single precision, from antennas that are near.
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -21,10 +22,10 @@ use crate::geometry::{Surface, polygon};
 use crate::paths::exhaustive::all_sequences;
 use crate::paths::{Environment, EnvironmentError, Facet, FacetId};
 
-/// From a radar infinitely far waves come as from one at this distance, as far as it says which facets they may meet, m.
+/// Distance of the source that represents a radar infinitely far in the tests of facet sequences, m.
 const FAR_M: f64 = 1e6;
 
-/// Plane facets of one material before a radar.
+/// Plane facets of one material in front of a radar.
 #[derive(Debug, Clone)]
 pub struct Images {
     environment: Environment,
@@ -33,27 +34,27 @@ pub struct Images {
     ways: Vec<Way>,
 }
 
-/// A sequence of facets and what its light falls on.
+/// Sequence of facets and the part of the last facet that it illuminates.
 #[derive(Debug, Clone)]
 pub struct Way {
     /// Facets in the order in which the wave meets them.
     pub facets: Vec<FacetId>,
-    /// Image of the transmitter by all facets but the last.
+    /// Image of the transmitter by all facets except the last.
     source: Endpoint,
-    /// Image of a vector of the transmitter.
+    /// Mirror matrix of the transmitter's vectors.
     mirror: DMat3,
-    /// Lengths by a far source leave this out, m.
+    /// Length that path lengths to a far source omit, m.
     longer_m: f64,
     /// The lit part of the last facet.
     lit: Surface,
 }
 
 impl Images {
-    /// Convex polygons of a material, counter-clockwise seen from where they reflect, and every sequence of at most so many of
-    /// them that light reaches.
+    /// Makes facets from convex polygons of a material, counter-clockwise seen from the reflecting side, and every
+    /// illuminated sequence of at most `max_bounces` facets.
     ///
     /// # Errors
-    /// If a face is no plane polygon, or the environment of scenes refuses them.
+    /// If a face is not a plane polygon, or the environment of scenes refuses the faces.
     pub fn new(
         faces: Vec<Vec<DVec3>>,
         boundary: Wall,
@@ -77,12 +78,12 @@ impl Images {
         &self.environment
     }
 
-    /// Every sequence that lights something.
+    /// All sequences that illuminate a facet.
     pub fn ways(&self) -> &[Way] {
         &self.ways
     }
 
-    /// Field that a sequence sends to the receiver from its last facet.
+    /// Field scattered to the receiver from the last facet of a sequence.
     pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
         let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
         integrate(&way.lit, accuracy, |point, normal| {
@@ -104,11 +105,11 @@ impl Images {
 }
 
 impl Way {
-    /// `None` where no light falls on the last facet, and of no facet.
+    /// Computes a sequence; `None` where the last facet is not illuminated, or the sequence is empty.
     fn new(environment: &Environment, path: &BistaticPath, facets: Vec<FacetId>) -> Option<Self> {
         let (last, before) = facets.split_last()?;
         let (mut source, mut mirror, mut longer_m) = (path.tx, DMat3::IDENTITY, 0.0);
-        // What the wave has passed, in the same mirrored space.
+        // Facets that the wave has passed, in the same mirrored space.
         let mut windows: Vec<Vec<DVec3>> = Vec::new();
         for &facet in before {
             let (corners, normal) = (&environment.facet(facet)?.corners, environment.normal(facet)?);
@@ -140,7 +141,7 @@ fn fan(corners: &[DVec3], normal: DVec3) -> Surface {
     }
 }
 
-/// The part of a convex polygon that a endpoint sees through a convex window, behind it.
+/// Clips a convex polygon to the part behind a convex window that an endpoint sees through it.
 fn through_window(polygon: Vec<DVec3>, window: &[DVec3], endpoint: &Endpoint) -> Vec<DVec3> {
     let normal = polygon::normal(window);
     let middle = polygon::centroid(window);
@@ -154,19 +155,19 @@ fn through_window(polygon: Vec<DVec3>, window: &[DVec3], endpoint: &Endpoint) ->
     left
 }
 
-/// The two square faces of a dihedral whose edge stands on the z axis, opening towards +x and +y.
+/// The two square faces of a dihedral whose edge is on the z axis, opening towards +x and +y.
 pub fn dihedral(width_m: f64, height_m: f64) -> Vec<Vec<DVec3>> {
     let (low, high) = (-0.5 * height_m, 0.5 * height_m);
     let face = |along: DVec3| {
         vec![DVec3::Z * low, along * width_m + DVec3::Z * low, along * width_m + DVec3::Z * high, DVec3::Z * high]
     };
-    // Counter-clockwise from the front: the face along x looks to +y, the one along y to +x.
+    // Counter-clockwise from the front: the face along x faces +y, the one along y faces +x.
     let mut along_x = face(DVec3::X);
     along_x.reverse();
     vec![along_x, face(DVec3::Y)]
 }
 
-/// The faces of a trihedral with its corner at the origin and its edges on the positive axes: triangles or squares.
+/// Faces of a trihedral with its corner at the origin and its edges on the positive axes: triangles or squares.
 pub fn trihedral(edge_m: f64, is_square: bool) -> Vec<Vec<DVec3>> {
     let face = |u: DVec3, v: DVec3| {
         let mut corners = vec![DVec3::ZERO, u * edge_m];
@@ -194,13 +195,14 @@ mod hard_cases {
         Images::new(faces, Wall::Conductor, path, K, max_bounces).expect("plane faces")
     }
 
-    /// Integrals by sequences of so many facets.
+    /// Integrals of all sequences of `order` facets.
     fn of_order(images: &Images, order: usize) -> Vec<Complex64> {
         let ways = images.ways().iter().filter(|way| way.facets.len() == order);
         ways.map(|way| images.integrate(way, ACCURACY)).filter(|i| i.facets > 0).map(|i| i.value).collect()
     }
 
-    /// Both orders carry the same, each lights all of its last face at 45 degrees, and nothing else has two bounces.
+    /// Both orders carry the same field, each illuminates all of its last face at 45 degrees, and no other sequence has
+    /// two bounces.
     #[test]
     fn a_dihedral_has_two_orders_counted_once_each() {
         let far = Endpoint::Far(DVec3::new(1.0, 1.0, 0.0).normalize());
@@ -208,14 +210,15 @@ mod hard_cases {
         let double = of_order(&found, 2);
         assert_eq!(double.len(), 2);
         for value in &double {
-            // Area times cosine, no phase at all: the corner is the origin.
+            // The value is area times cosine, without phase, because the corner is the origin.
             assert!((value.norm() - 0.01 * 0.5f64.sqrt()).abs() < 1e-12, "{value}");
         }
         assert!((double[0] - double[1]).norm() < 1e-12);
         assert!(of_order(&found, 3).is_empty() && of_order(&found, 4).is_empty());
     }
 
-    /// Six orders of three bounces, whose lit polygons together are the aperture of the closed form.
+    /// A trihedral has six orders of three bounces, whose illuminated polygons together are the aperture of the closed
+    /// form.
     #[test]
     fn a_trihedral_has_six_orders() {
         for (is_square, area) in [(false, 0.01 / 3f64.sqrt()), (true, 0.01 * 3f64.sqrt())] {
@@ -227,7 +230,7 @@ mod hard_cases {
         }
     }
 
-    /// A corner anywhere else sends back the same to a radar infinitely far, in all of its orders together.
+    /// For a radar infinitely far, the sum over all orders does not depend on the corner's position.
     #[test]
     fn a_corner_s_place_does_not_matter_from_afar() {
         let towards = DVec3::new(0.6, 0.7, 0.4).normalize();
@@ -241,7 +244,8 @@ mod hard_cases {
         assert!((here.norm() / there.norm() - 1.0).abs() < 1e-9, "{here} {there}");
     }
 
-    /// Rays as scenes launch them find every sequence by which a corner a metre away lights more than a twentieth of a face.
+    /// Rays as launched in scenes find every sequence by which a corner a metre away illuminates more than a twentieth
+    /// of a face.
     #[test]
     fn rays_find_the_sequences_of_a_corner() {
         let radar = DVec3::new(0.5, 0.62, 0.55);
@@ -257,7 +261,8 @@ mod hard_cases {
         }
     }
 
-    /// A pinhole camera's window halves what lies twice as far behind it, a far one keeps its size.
+    /// A window in front of a near endpoint halves a polygon at twice its distance; for a far endpoint the size is
+    /// unchanged.
     #[test]
     fn windows_throw_shadows_of_the_right_size() {
         let square = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
@@ -267,7 +272,7 @@ mod hard_cases {
         assert!((polygon::area_m2(&near) - 0.16).abs() < 1e-12, "{near:?}");
         let far = through_window(square.to_vec(), &window, &Endpoint::Far(DVec3::Z));
         assert!((polygon::area_m2(&far) - 0.04).abs() < 1e-12);
-        // What lies before the window is not seen through it.
+        // Polygons in front of the window are not seen through it.
         assert!(through_window(square.to_vec(), &window, &Endpoint::Far(-DVec3::Z)).is_empty());
     }
 }

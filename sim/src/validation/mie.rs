@@ -4,14 +4,16 @@ use std::f64::consts::PI;
 
 use num_complex::Complex64;
 
-/// Monostatic cross-section, m^2, of a sphere in a plane wave; `permittivity` is `eps' - j eps''`, `None` a perfect conductor.
+/// Monostatic cross-section, m^2, of a sphere in a plane wave; `permittivity` is `eps' - j eps''`, `None` a perfect
+/// conductor.
 ///
-/// `sigma = lambda^2/(4 pi) |sum (-1)^n (2n + 1)(a_n - b_n)|^2` with the coefficients of Bohren and Huffman, "Absorption and
-/// Scattering of Light by Small Particles", section 4.8, in their `e^{-iwt}`; the spherical Bessel functions and the
-/// logarithmic derivative by downward recurrence, the Neumann functions upward, each in its stable direction.
+/// `sigma = lambda^2/(4 pi) |sum (-1)^n (2n + 1)(a_n - b_n)|^2` with the coefficients of Bohren and Huffman,
+/// "Absorption and Scattering of Light by Small Particles", section 4.8, in their `e^{-iwt}`. The spherical Bessel
+/// functions and the logarithmic derivative use downward recurrence, the Neumann functions upward, each in its stable
+/// direction.
 pub fn cross_section_m2(radius_m: f64, wavelength_m: f64, permittivity: Option<Complex64>) -> f64 {
     let x = 2.0 * PI * radius_m / wavelength_m;
-    // Wiscombe's number of terms, and a margin that costs nothing.
+    // Wiscombe's number of terms, with an inexpensive margin.
     let terms = (x + 4.05 * x.cbrt() + 12.0).ceil() as usize;
     let psi = riccati_bessel(x, terms);
     let inside = permittivity.map(|eps| {
@@ -49,7 +51,7 @@ fn riccati_bessel(x: f64, terms: usize) -> Vec<f64> {
             all.iter_mut().for_each(|v| *v *= 1e-250);
         }
     }
-    // Whichever of the first two is not near a zero fixes the scale.
+    // The scale is fixed by whichever of the first two is not near a zero.
     let (zeroth, first) = (x.sin(), x.sin() / x - x.cos());
     let scale = if zeroth.abs() > first.abs() { zeroth / all[0] } else { first / all[1] };
     all.iter().map(|v| v * scale).take(terms + 1).collect()

@@ -1,15 +1,15 @@
-//! Radar cross-sections of canonical targets, by the integrators of scenes, beside values that are known without them.
+//! Radar cross-sections of canonical targets by the integrators of scenes, compared with independently known values.
 //!
-//! Round bodies are solved by the specular points of people's ellipsoids ([`crate::em::specular`]), closed smooth meshes by the patches
-//! of skins ([`crate::echo::still`]), plane faces by the facets, sequences and reflections of rooms ([`images`]). Two things are here
-//! alone, because scenes lack them: radars infinitely far ([`endpoint`]), and physical optics on flat or open surfaces ([`facet`], the
-//! last surface of a sequence).
+//! Round bodies use the specular points of people's ellipsoids ([`crate::em::specular`]). Closed smooth meshes use the
+//! patches of skins ([`crate::echo::still`]). Plane faces use the facets, sequences and reflections of rooms
+//! ([`images`]). Two parts exist only here, because scenes lack them: radars infinitely far ([`endpoint`]), and
+//! physical optics on flat or open surfaces ([`facet`], the last surface of a sequence).
 //!
 //! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
-//! solved to a tolerance. Far from the target the cross-section is the textbook's; near it, it is the one that a radar at that
-//! range would report: `4 pi (k/2 pi)^2 |I|^2 R^4` with the range measured to the target's reference point, which is the
-//! middle of a plate, the corner of a dihedral or trihedral, the pole of a mirror, and the surface under the radar of a round
-//! body. The radar sends and listens with one antenna of unit field in every direction.
+//! solved to a tolerance. Far from the target the cross-section is the textbook's. Near it, the cross-section is the
+//! one that a radar at that range would report: `4 pi (k/2 pi)^2 |I|^2 R^4`. The range is measured to the target's
+//! reference point: the middle of a plate, the corner of a dihedral or trihedral, the pole of a mirror, and the surface
+//! under the radar of a round body. The radar transmits and receives with one antenna of unit field in every direction.
 
 pub mod bistatic_path;
 pub mod closed_form;
@@ -45,24 +45,24 @@ pub enum Outline {
     Square,
 }
 
-/// Target. Axes are the target's own: see each kind.
+/// Target, in its own axes as described for each kind.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Target {
-    /// A flat rectangle that looks along +x, width along y, height along z; reflects on either side.
+    /// Flat rectangle that faces +x, width along y, height along z; reflects on either side.
     Plate {
-        /// Along y, m.
+        /// Width along y, m.
         width_m: f64,
-        /// Along z, m.
+        /// Height along z, m.
         height_m: f64,
     },
     /// Two square faces that meet on the z axis and open towards +x and +y.
     Dihedral {
-        /// Across the edge, m.
+        /// Width across the edge, m.
         width_m: f64,
-        /// Along the edge, m.
+        /// Height along the edge, m.
         height_m: f64,
     },
-    /// Three square faces that meet at the origin, edges on the positive axes.
+    /// Three faces that meet at the origin, edges on the positive axes.
     Trihedral {
         /// Length of the edges that meet, m.
         edge_m: f64,
@@ -74,11 +74,11 @@ pub enum Target {
         /// Radius, m.
         radius_m: f64,
     },
-    /// The side of a cylinder about the z axis, without lids.
+    /// Lateral surface of a cylinder about the z axis, without end caps.
     Cylinder {
         /// Radius, m.
         radius_m: f64,
-        /// Along z, m.
+        /// Height along z, m.
         height_m: f64,
     },
     /// An ellipsoid about the origin.
@@ -86,14 +86,14 @@ pub enum Target {
         /// Semi-axes along x, y, z, m.
         semi_axes_m: DVec3,
     },
-    /// A concave spherical mirror that looks along +x, its pole at the origin.
+    /// Concave spherical mirror that faces +x, its pole at the origin.
     Mirror {
         /// Radius of curvature, m.
         radius_m: f64,
         /// Diameter of the aperture, m.
         aperture_m: f64,
     },
-    /// Any surface.
+    /// Arbitrary surface.
     Surface {
         /// Triangles with normals.
         surface: Surface,
@@ -101,7 +101,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// Whence ranges are measured, for a radar in this direction.
+    /// Point from which ranges are measured, for a radar in this direction.
     pub fn reference_point(&self, towards: DVec3) -> DVec3 {
         match self {
             Target::Sphere { radius_m } => towards * *radius_m,
@@ -117,7 +117,7 @@ impl Target {
         }
     }
 
-    /// The direction from which a target is usually looked at, azimuth and elevation, rad: its axis.
+    /// Usual viewing direction of a target, azimuth and elevation, rad: its axis.
     pub fn axis(&self) -> (f64, f64) {
         match self {
             Target::Dihedral { .. } => (FRAC_PI_4, 0.0),
@@ -130,24 +130,24 @@ impl Target {
 /// Direction of the radar's electric field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polarisation {
-    /// Direction as near to z as it can be.
+    /// As close to z as possible.
     Vertical,
-    /// Across z.
+    /// Perpendicular to z.
     Horizontal,
 }
 
-/// From where and with what a target is looked at.
+/// Radar position, polarisation and frequency for a target, and the target's material.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setup {
     /// Frequency, Hz.
     pub frequency_hz: f64,
-    /// Range to the target's reference point, m; `None` infinitely far.
+    /// Range to the target's reference point, m; `None` for infinitely far.
     pub range_m: Option<f64>,
     /// Azimuth of the radar from the x axis towards y, rad.
     pub azimuth_rad: f64,
     /// Elevation of the radar from the x-y plane towards z, rad.
     pub elevation_rad: f64,
-    /// Direction of the field.
+    /// Direction of the electric field.
     pub polarisation: Polarisation,
     /// Material of the target.
     pub boundary: Wall,
@@ -165,12 +165,12 @@ impl Setup {
         SPEED_OF_LIGHT_M_PER_S / self.frequency_hz
     }
 
-    /// Wave number, 1/m.
+    /// Wavenumber, 1/m.
     pub fn wavenumber_per_m(&self) -> f64 {
         TAU / self.wavelength_m()
     }
 
-    /// The radar, for a target's reference point.
+    /// Path from the radar to the target and back, for the target's reference point.
     pub fn path(&self, reference_point: DVec3) -> BistaticPath {
         let d = self.towards();
         let vertical = DVec3::Z.reject_from_normalized(d).normalize_or(-DVec3::X);
@@ -185,14 +185,14 @@ impl Setup {
         BistaticPath::monostatic(end, polarisation)
     }
 
-    /// Cross-section of a physical-optics integral, m^2: `4 pi (k/2 pi)^2 |I|^2`, times `R^4` near.
+    /// Cross-section of a physical-optics integral, m^2: `4 pi (k/2 pi)^2 |I|^2`, times `R^4` in the near field.
     pub fn cross_section_m2(&self, integral: Complex64) -> f64 {
         let k = self.wavenumber_per_m();
         let ranges = self.range_m.map_or(1.0, |r| r.powi(4));
         k * k / std::f64::consts::PI * integral.norm_sqr() * ranges
     }
 
-    /// Cross-section of a far aperture that sends everything back, m^2: `4 pi A^2/lambda^2`.
+    /// Cross-section of a far aperture that reflects all power back, m^2: `4 pi A^2/lambda^2`.
     fn aperture_m2(&self, area_m2: f64) -> f64 {
         2.0 * TAU * (area_m2 / self.wavelength_m()).powi(2)
     }
@@ -202,8 +202,8 @@ impl Setup {
         self.boundary.reflection(self.wavenumber_per_m(), 1.0).te.norm_sqr()
     }
 
-    /// Power reflected by a plane met at this cosine, in a principal plane of the target's axes; `None` outside, where both
-    /// polarisations mix.
+    /// Power reflected by a plane at this cosine of incidence, in a principal plane of the target's axes; `None`
+    /// outside, where the polarisations mix.
     fn plane_reflection(&self, cosine: f64) -> Option<f64> {
         let coefficients = self.boundary.reflection(self.wavenumber_per_m(), cosine);
         if self.boundary == Wall::Conductor {
@@ -223,21 +223,21 @@ impl Setup {
 pub enum Method {
     /// Stationary phase on the exact shape: round bodies.
     Specular,
-    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes.
+    /// Patches of curved triangles, as in people's skins: closed smooth meshes.
     Skin,
-    /// Physical optics over facets, cut until the phase is straight inside each.
+    /// Physical optics over facets, cut until the phase is nearly linear inside each.
     Facets,
-    /// Images by every sequence of plane faces, physical optics on the last: corners.
+    /// Images by every sequence of plane faces, with physical optics on the last: corners.
     Images,
     /// Physical optics summed over a grid of patches of constant phase: the slow reference.
     Dense,
 }
 
 impl Method {
-    /// Every method.
+    /// All methods.
     pub const ALL: [Method; 5] = [Method::Specular, Method::Skin, Method::Facets, Method::Images, Method::Dense];
 
-    /// Its name.
+    /// Name of the method.
     pub fn name(self) -> &'static str {
         match self {
             Method::Specular => "specular",
@@ -248,7 +248,7 @@ impl Method {
         }
     }
 
-    /// Whether it can be asked of a target.
+    /// Returns whether the method can be used for a target.
     pub fn suits(self, target: &Target) -> bool {
         match self {
             Method::Specular => matches!(target, Target::Sphere { .. } | Target::Ellipsoid { .. }),
@@ -266,7 +266,7 @@ impl Method {
         }
     }
 
-    /// The one that suits a target best, as exact shape or as a mesh.
+    /// Most suitable method for a target, as exact shape or as a mesh.
     pub fn automatic(target: &Target, mesh: bool) -> Self {
         match target {
             Target::Plate { .. } | Target::Cylinder { .. } | Target::Mirror { .. } => Method::Facets,
@@ -279,7 +279,7 @@ impl Method {
     }
 }
 
-/// Whether a surface is a handful of plane faces: corners and boxes.
+/// Returns whether a surface consists of a few plane faces: corners and boxes.
 fn few_flat_faces(surface: &Surface) -> bool {
     surface.triangles.len() <= MOST_FACES
         && (0..surface.triangles.len()).filter_map(|t| surface.corners(t)).all(|[a, b, c]| {
@@ -288,32 +288,32 @@ fn few_flat_faces(surface: &Surface) -> bool {
         })
 }
 
-/// Faces between which every sequence is followed, at most.
+/// Largest number of faces between which every sequence is followed.
 const MOST_FACES: usize = 64;
 
-/// Error in a problem that cannot be solved.
+/// Error in the definition of a validation problem.
 #[derive(Debug, Error)]
 pub enum RcsError {
-    /// A quantity is no number or out of range.
+    /// A quantity is not a number or out of range.
     #[error("{what} is {value} {unit}\n\nhint: it must lie between {low} and {high} {unit}")]
     OutOfRange {
-        /// The quantity.
+        /// Name of the quantity.
         what: &'static str,
         /// Value that was given.
         value: f64,
-        /// Its unit.
+        /// Unit of the value.
         unit: &'static str,
-        /// Least allowed.
+        /// Lower limit.
         low: f64,
-        /// Most allowed.
+        /// Upper limit.
         high: f64,
     },
-    /// The radar would stand inside the target.
+    /// The radar would be inside the target.
     #[error(
         "a range of {range_m} m puts the radar into the target, which reaches {reach_m:.3} m from its reference point\n\nhint: choose a longer range, or none for the far field"
     )]
     Inside {
-        /// Range that was given.
+        /// Given range.
         range_m: f64,
         /// Least range.
         reach_m: f64,
@@ -323,7 +323,7 @@ pub enum RcsError {
         "the method {method} cannot be asked of this target\n\nhint: it can be asked {suitable}, or leave the choice to the program"
     )]
     Unsuitable {
-        /// Method that was asked for.
+        /// Requested method.
         method: &'static str,
         /// Methods that are suitable.
         suitable: String,
@@ -333,14 +333,14 @@ pub enum RcsError {
         "edges of {edge_m} m would make about {triangles:.1e} triangles\n\nhint: at most {most:.0e} are made; ask for longer edges"
     )]
     TooFine {
-        /// Edge length that was asked for.
+        /// Requested edge length.
         edge_m: f64,
-        /// Number of triangles that this takes.
+        /// Resulting number of triangles.
         triangles: f64,
-        /// Greatest number that is allowed.
+        /// Largest allowed number.
         most: f64,
     },
-    /// A skin is solid.
+    /// A thickness was given for a closed body, which is solid.
     #[error(
         "a closed smooth body is solid: it has no thickness\n\nhint: leave the thickness out, or choose another method"
     )]
@@ -348,7 +348,7 @@ pub enum RcsError {
     /// The target's faces cannot be those of a room.
     #[error(transparent)]
     Faces(#[from] EnvironmentError),
-    /// There is nothing to look at.
+    /// The surface is empty.
     #[error("the surface has no triangle with an area\n\nhint: check the file and its unit, which must be metres")]
     Empty,
 }

@@ -1,4 +1,4 @@
-//! A target made ready for one method, and its solution.
+//! Target prepared for one method, and its solution.
 
 use std::f64::consts::PI;
 
@@ -18,27 +18,28 @@ use crate::em::image::Wall;
 use crate::em::specular::Ellipsoid;
 use crate::geometry::{Surface, polygon, shape};
 
-/// More triangles than this are not made; of a skin, which is put in order patch by patch, fewer.
+/// Largest number of triangles. The limit for a skin is lower, because a skin is prepared patch by patch.
 const MOST_TRIANGLES: f64 = 4e6;
 const MOST_OF_SKIN: f64 = 1e6;
-/// Phases that bend less than this, rad, are straight but for rounding.
+/// Phase deviation below which phases are linear within rounding, rad.
 const STRAIGHT_RAD: f64 = 1e-9;
-/// Bounces between plane faces, at most.
+/// Largest number of bounces between plane faces.
 const MOST_BOUNCES: usize = 3;
-/// Where far is, in sizes of a round body.
+/// Distance that represents infinity, in sizes of a round body.
 const FAR: f64 = 1e7;
-/// Sines of the angles from the specular point up to which all of a skin counts and from which nothing would. One body alone is asked
-/// for more than people are ([`IntegrationSettings::for_tolerance`]): its window is wider. Where a body is bent within a few wavelengths the
-/// first Fresnel zone ends at such angles; with nothing from 0.97 on a limb's end has 0.26 dB too little.
+/// Sines of the angles from the specular point up to which a skin counts fully and beyond which it would not count. A
+/// single body must be more accurate than people ([`IntegrationSettings::for_tolerance`]), so its window is wider.
+/// Where the radius of curvature is a few wavelengths, the first Fresnel zone ends at such angles: with no contribution
+/// from 0.97 on, the end of a limb is 0.26 dB too weak.
 const WINDOW: [f64; 2] = [0.5, 1.2];
-/// And its rules of quadrature are this much more exact.
+/// Factor on the ease of its quadrature rules, which makes them more exact.
 const EASE: f32 = 0.5;
-/// A conductor, to those who know permittivities alone.
+/// Permittivity that represents a conductor in functions that take only permittivities.
 const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
-/// Most times that facets are halved for the sake of a tolerance.
+/// Largest number of times that facets are halved to meet a tolerance.
 const ROUNDS: usize = 7;
 
-/// A target made ready for one method.
+/// Target prepared for one method.
 #[derive(Debug, Clone)]
 pub struct Problem {
     setup: Setup,
@@ -47,7 +48,7 @@ pub struct Problem {
     shape: Shape,
 }
 
-/// A closed smooth surface, and the same with every triangle cut into four.
+/// Closed smooth surface, and the same with every triangle cut into four.
 #[derive(Debug, Clone)]
 struct Skin {
     surface: Surface,
@@ -70,7 +71,7 @@ pub struct Outcome {
     pub sigma_m2: f64,
     /// The method's own estimate of its numerical error, dB; `None` where it has none.
     pub estimate_db: Option<f64>,
-    /// Facets (patches, triangles, specular points) that were evaluated.
+    /// Number of facets (patches, triangles, specular points) that were evaluated.
     pub facets: usize,
 }
 
@@ -83,12 +84,12 @@ fn check_length(what: &'static str, value: f64) -> Result<(), RcsError> {
 }
 
 impl Problem {
-    /// Makes a target ready. Without an edge length meshes are as coarse as the shape allows, and facets follow the shape by
-    /// their normals.
+    /// Prepares a target. Without an edge length, meshes are as coarse as the shape allows, and facets follow the shape
+    /// by their normals.
     ///
     /// # Errors
-    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target, the method does not suit the target, or
-    /// the mesh would be empty or too fine.
+    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target, the method does not suit
+    /// the target, or the mesh would be empty or too fine.
     pub fn new(target: &Target, setup: &Setup, method: Method, mesh_edge_m: Option<f64>) -> Result<Self, RcsError> {
         check("the frequency", setup.frequency_hz, "Hz", 1e8, 1e12)?;
         check("the azimuth", setup.azimuth_rad, "rad", -10.0, 10.0)?;
@@ -119,7 +120,7 @@ impl Problem {
         Ok(Problem { setup: *setup, method, path, shape })
     }
 
-    /// Triangles of the mesh, if there is one.
+    /// Number of triangles of the mesh, if there is one.
     pub fn triangles(&self) -> usize {
         match &self.shape {
             Shape::Surface(surface) => surface.triangles.len(),
@@ -163,8 +164,8 @@ impl Problem {
         Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets }
     }
 
-    /// Facets by the tolerance, then with a quarter of their bending until the result stays where it is; the last change is the
-    /// estimate.
+    /// Integrates over facets with a phase tolerance, then repeatedly with a quarter of their phase deviation until the
+    /// result converges. The last change is the error estimate.
     fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
         let at =
             |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
@@ -173,17 +174,17 @@ impl Problem {
         let mut facets = coarse.facets;
         let mut estimate_db = 0.0;
         for _ in 0..ROUNDS {
-            // Where nothing bends there is nothing to cut: flat faces seen from far are exact.
+            // Without phase deviation there is nothing to cut: flat faces seen from far are exact.
             if coarse.bend_rad < STRAIGHT_RAD {
                 break;
             }
-            // Finer than what the last one happened to be, or nothing would be learnt.
+            // The new tolerance is finer than the previous deviation; otherwise nothing would change.
             tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
             let fine = at(tolerance_rad);
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
-            // No number where everything is dark: that will not change.
+            // The estimate is NaN if everything is in shadow; finer facets do not change that.
             if estimate_db <= tolerance_db || estimate_db.is_nan() {
                 break;
             }
@@ -192,7 +193,7 @@ impl Problem {
         Outcome { facets, ..self.outcome(&coarse, estimate) }
     }
 
-    /// Patches of a wavelength and less, halved until the result stays.
+    /// Sums patches of a wavelength and less, halved until the result converges.
     fn dense(&self, surface: &Surface, tolerance_db: f64) -> Outcome {
         let k = self.setup.wavenumber_per_m();
         let boundary = self.setup.boundary;
@@ -209,7 +210,7 @@ impl Problem {
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
-            // No number where everything is dark: that will not change.
+            // The estimate is NaN if everything is in shadow; finer patches do not change that.
             if estimate_db <= tolerance_db || estimate_db.is_nan() {
                 break;
             }
@@ -217,7 +218,7 @@ impl Problem {
         Outcome { facets, ..self.outcome(&coarse, Some(estimate_db).filter(|e| e.is_finite())) }
     }
 
-    /// Patches of a skin, whose triangles are cut into four until the result stays.
+    /// Integrates the patches of a skin, whose triangles are cut into four until the result converges.
     fn skin(&self, skin: &Skin, tolerance_db: f64) -> Outcome {
         let (low, high) = skin.surface.bounds();
         let (setup, antenna) = self.near((high - low).length());
@@ -251,7 +252,7 @@ impl Problem {
         Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db, facets }
     }
 
-    /// The radar, and where it stands: from infinitely far it is far in sizes of a body.
+    /// Near-field setup and antenna position; an infinitely far radar is placed at a large multiple of the body's size.
     fn near(&self, size_m: f64) -> (Setup, DVec3) {
         match self.path.tx {
             Endpoint::Near(radar) => (self.setup, radar),
@@ -297,7 +298,7 @@ fn body(semi_axes_m: DVec3) -> Ellipsoid {
     Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m }
 }
 
-/// Outlines of a target's plane faces, counter-clockwise seen from where they reflect.
+/// Outlines of a target's plane faces, counter-clockwise seen from the reflecting side.
 fn faces(target: &Target) -> Vec<Vec<DVec3>> {
     match *target {
         Target::Dihedral { width_m, height_m } => images::dihedral(width_m, height_m),
@@ -320,7 +321,7 @@ fn faces(target: &Target) -> Vec<Vec<DVec3>> {
     }
 }
 
-/// Checks a target's sizes; how far it reaches towards a radar.
+/// Checks a target's sizes and returns its extent towards a radar.
 fn check_sizes(target: &Target) -> Result<f64, RcsError> {
     match *target {
         Target::Plate { width_m, height_m } => {
@@ -403,7 +404,7 @@ fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
             shape::mirror(radius_m, 0.5 * aperture_m, edge_m)
         }
         Target::Surface { ref surface } => surface.clone(),
-        // Corners are faces, never meshes.
+        // Corners are represented by faces, never by meshes.
         Target::Dihedral { .. } | Target::Trihedral { .. } => Surface::default(),
     })
 }

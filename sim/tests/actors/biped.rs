@@ -1,15 +1,15 @@
-//! A small person of boxes with two legs that walk, as a glTF, COLLADA or BVH file, made in code.
+//! Small person of boxes with two legs that walk, as a glTF, COLLADA or BVH file, generated in code.
 
 use std::f64::consts::TAU;
 
 use base64::Engine;
 use serde_json::{Value, json};
 
-/// Keys of the cycle; the last is the first again.
+/// Number of keys of the cycle; the last equals the first.
 pub const KEYS: usize = 24;
 /// Length of the cycle, s.
 pub const CYCLE_S: f64 = 1.0;
-/// Joints with their parents and where they are, m, y up, facing +z (so that left is +x).
+/// Joints with their parents and positions, m, y up, facing +z (so that left is +x).
 pub const JOINTS: [(&str, Option<usize>, [f64; 3]); 7] = [
     ("hips", None, [0.0, 0.9, 0.0]),
     ("thigh_left", Some(0), [0.1, 0.9, 0.0]),
@@ -33,7 +33,7 @@ const BOXES: [(usize, [f64; 3], [f64; 3]); 10] = [
     (6, [-0.3, 0.8, -0.04], [-0.2, 1.4, 0.04]),
 ];
 
-/// Turn of a joint about +x at a phase, rad: positive carries what hangs down backwards (towards -z).
+/// Rotation of a joint about +x at a phase, rad: positive moves a hanging limb backwards (towards -z).
 pub fn angle(joint: usize, phase: f64) -> f64 {
     let leg = |phase: f64| -0.4 * (TAU * phase).cos();
     // Knees bend while their leg swings forward, in the second half of its cycle.
@@ -49,7 +49,7 @@ pub fn angle(joint: usize, phase: f64) -> f64 {
     }
 }
 
-/// Vertices and the joint of each; eight a box.
+/// Vertices and the joint of each; eight per box.
 pub fn vertices() -> Vec<([f64; 3], usize)> {
     let corner =
         |low: [f64; 3], high: [f64; 3], i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
@@ -69,7 +69,7 @@ fn local(joint: usize) -> [f64; 3] {
     [at[0] - of[0], at[1] - of[1], at[2] - of[2]]
 }
 
-/// A glTF document before it is written.
+/// glTF document before it is written.
 pub struct Gltf {
     pub json: Value,
     pub buffer: Vec<u8>,
@@ -107,7 +107,7 @@ impl Gltf {
     }
 }
 
-/// The person as glTF, so many times as large.
+/// The person as glTF, scaled by `size`.
 pub fn gltf(size: f64) -> Gltf {
     let json = json!({
         "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0, 7] }],
@@ -224,7 +224,7 @@ pub fn collada() -> String {
     )
 }
 
-/// A clip of the person on the way at 1.4 m/s: three cycles at 30 frames a second, in inches, y up, facing +z.
+/// Clip of the walking person at 1.4 m/s: three cycles at 30 frames a second, in inches, y up, facing +z.
 pub fn bvh() -> String {
     let inch = 1.0 / 0.0254;
     let limb = |side: &str, x: f64| {

@@ -1,11 +1,12 @@
-//! Rooms that geometry makes hard: where radar and people touch walls, and what is missing or wrong in files.
+//! Rooms with difficult geometry: radar and people at walls, and missing or defective parts in files.
 //!
 //! | case | where |
 //! |---|---|
-//! | coplanar and coincident faces, slivers, normals that look the wrong way | here, `surfaces.rs`, `geometry/lint.rs`, `trace/hard_cases.rs` |
+//! | coplanar and coincident faces, slivers, reversed normals | here, `surfaces.rs`, `geometry/lint.rs`,
+//! `rays/hard_cases.rs` |
 //! | holes | here, `surfaces.rs`, `paths/environment.rs` |
-//! | the radar on a wall and in a corner, somebody at a wall, no ceiling | here |
-//! | rays along edges and in planes | here, `trace/hard_cases.rs` |
+//! | the radar on a wall and in a corner, a person at a wall, no ceiling | here |
+//! | rays along edges and in planes | here, `rays/hard_cases.rs` |
 //! | files in millimetres, two million triangles | `rooms.rs`, `geometry/import/hard_cases.rs` |
 //! | materials outside their bands | `material_bands.rs` |
 
@@ -22,7 +23,7 @@ fn plan(tables: &str) -> String {
     )
 }
 
-/// Frames of a scene are numbers, and somebody is in them.
+/// Asserts that the frames of a scene are finite and that a person is visible in them.
 fn assert_sound(scene: &Scene, what: &str) {
     let simulator = common::simulator(scene, 1, None);
     for index in [0, 9] {
@@ -33,7 +34,7 @@ fn assert_sound(scene: &Scene, what: &str) {
     }
 }
 
-/// On a wall, in a corner of the room and in the outward corner of an L the radar is 1 cm off its walls.
+/// On a wall, in a corner of the room and in the outward corner of an L, the radar is 1 cm off its walls.
 #[test]
 fn the_radar_may_be_on_a_wall_and_in_a_corner() {
     for (place, azimuth_deg) in
@@ -48,7 +49,7 @@ fn the_radar_may_be_on_a_wall_and_in_a_corner() {
     }
 }
 
-/// Shoulders in the wall are hidden, the rest is there.
+/// Shoulders inside the wall are hidden; the rest of the body is visible.
 #[test]
 fn somebody_may_touch_a_wall() {
     for place in ["[4.9, 2.0]", "[4.0, 0.05]", "[4.95, 3.95]"] {
@@ -65,7 +66,7 @@ fn a_room_may_have_no_ceiling() {
     assert_sound(&made(&boxed, WALKER, Path::new("")), "no ceiling, by rays");
 }
 
-/// Points in all of a room and around it: nothing that is not a number, and nothing louder than two mirrors can make it.
+/// At points inside the whole room and around it, fields are finite and no louder than two mirrors allow.
 #[test]
 fn fields_are_numbers_everywhere() {
     let prepared = polygons(&made(&plan(""), WALKER, Path::new("")));
@@ -79,7 +80,7 @@ fn fields_are_numbers_everywhere() {
     }
 }
 
-/// The order of threads changes nothing.
+/// The number and order of threads do not change the result.
 #[test]
 fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
     let scene = made(&plan(""), WALKER, Path::new(""));
@@ -90,7 +91,7 @@ fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
     assert_eq!(frames(1), frames(3));
 }
 
-/// A room from a file of plasterboard, whose paths rays find.
+/// Room of plasterboard from a file, with paths found by rays.
 fn from_file(name: &str, unit: &str, content: &str) -> Scene {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join(name), content).expect("written");
@@ -104,7 +105,7 @@ fn from_file(name: &str, unit: &str, content: &str) -> Scene {
     made(&keys, WALKER, folder.path())
 }
 
-/// The room of most tests from a file, where some faces take the place of the wall at y = 0.
+/// The room of most tests from a file, with other faces instead of the wall at y = 0.
 fn with_other_wall(wall: &[Quad]) -> Scene {
     let quads = faces([0.0; 3], SIZE_M);
     let others = [0, 1, 3, 4, 5].map(|side| quads[side]);
@@ -112,13 +113,13 @@ fn with_other_wall(wall: &[Quad]) -> Scene {
     from_file("room.obj", "m", &obj(&all))
 }
 
-/// The wall at y = 0 from one place along x to another.
+/// Panel of the wall at y = 0 between two places along x.
 fn panel(from_m: f64, to_m: f64) -> Quad {
     let height_m = SIZE_M[2];
     [[from_m, 0.0, 0.0], [to_m, 0.0, 0.0], [to_m, 0.0, height_m], [from_m, 0.0, height_m]]
 }
 
-/// A wall in needles of 5 m by half a millimetre that begin in one of its corners.
+/// Wall of needles of 5 m by half a millimetre that begin in one of its corners.
 fn in_slivers() -> Scene {
     let [length_m, _, height_m] = SIZE_M;
     let quads = faces([0.0; 3], SIZE_M);
@@ -129,7 +130,7 @@ fn in_slivers() -> Scene {
     from_file("room.stl", "mm", &stl(&all, 1000.0))
 }
 
-/// A wall twice, of two materials of which the first counts, and the floor twice, once from below.
+/// A duplicated wall, of two materials of which the first counts, and a duplicated floor, once from below.
 fn with_faces_twice() -> Scene {
     let quads = faces([0.0; 3], SIZE_M);
     let mut all: Vec<(Quad, &str)> = quads.iter().map(|&quad| (quad, "plaster")).collect();
@@ -138,7 +139,7 @@ fn with_faces_twice() -> Scene {
     from_file("room.obj", "m", &obj(&all))
 }
 
-/// Half of the triangles look the wrong way.
+/// Room in which half of the triangles have reversed normals.
 fn with_turned_normals() -> Scene {
     let good = triangles(&faces([0.0; 3], SIZE_M));
     let turn =
@@ -147,7 +148,7 @@ fn with_turned_normals() -> Scene {
     from_file("room.stl", "mm", &stl(&turned, 1000.0))
 }
 
-/// The points at which one wall in three panels mirrors the radar lie on a seam of two.
+/// The points at which the wall of three panels reflects the radar lie on a seam of two.
 #[test]
 fn defects_of_files_change_no_path() {
     let plain = with_other_wall(&[panel(0.0, SIZE_M[0])]);
@@ -172,12 +173,13 @@ fn still(scene: &Scene, margin_db: f64) -> Vec<ListedPath> {
     PathList::new(scene, &options).expect("a list").paths
 }
 
-/// Whether a path goes to the wall at y = 0 and straight back: the radar is 1 m before it, and nothing else is as far.
+/// Returns whether a path goes to the wall at y = 0 and straight back: the radar is 1 m in front of it, and no other
+/// surface is at that distance.
 fn is_straight_from_wall(path: &ListedPath) -> bool {
     (path.length_m - 2.0).abs() < 0.01
 }
 
-/// Two panels that lie on each other where they mirror the radar are one mirror, not two.
+/// Two overlapping panels that reflect the radar act as one mirror, not two.
 #[test]
 fn panels_that_overlap_mirror_once() {
     let of = |wall: &[Quad], margin_db: f64| -> Vec<ListedPath> {
@@ -190,7 +192,7 @@ fn panels_that_overlap_mirror_once() {
     assert_among(&whole, &overlapping, "overlapping panels");
 }
 
-/// Without the part of a wall that mirrors the radar its path is gone, and those that are nowhere near are as they were.
+/// A hole at the reflection point of a wall removes that path; paths far from the hole are unchanged.
 #[test]
 fn a_hole_in_a_wall_takes_its_own_paths_alone() {
     let [low, high] = [[0.125, 0.75], [1.25, 1.75]];
@@ -202,7 +204,7 @@ fn a_hole_in_a_wall_takes_its_own_paths_alone() {
     all.extend(triangles(&ring));
     let holed = from_file("room.stl", "mm", &stl(&all, 1000.0));
     let whole = with_other_wall(&[outer]);
-    // Farther than a metre from the hole no way is within reach of its rim.
+    // Farther than a metre from the hole no path is within reach of its rim.
     let is_far = |path: &ListedPath| {
         path.points_m.iter().all(|[x, y, _]| y.abs() > 1e-6 || !(low[0] - 1.0..high[0] + 1.0).contains(x))
     };
@@ -215,13 +217,13 @@ fn a_hole_in_a_wall_takes_its_own_paths_alone() {
     assert_among(&far(still(&holed, 10.0)), &still(&whole, 13.0), "whole");
 }
 
-/// A room lacks exactly the paths by a ceiling that is not there: also corners of walls and floor mirror as before.
+/// A room without a ceiling lacks exactly the paths by the ceiling; corners of walls and floor reflect as before.
 #[test]
 fn without_a_ceiling_its_paths_alone_are_gone() {
     let room = |ceiling: &str| made(&format!("solver = \"rays\"\n{}", box_keys(ceiling)), WALKER, Path::new(""));
     let (closed, open) = (room("plasterboard"), room("open"));
     let is_by_ceiling = |path: &ListedPath| path.points_m.iter().any(|[.., z]| *z > SIZE_M[2] - 1e-6);
-    // Ways in several parts at once have no corners.
+    // Paths that combine several contributions have no corners.
     let below = |paths: Vec<ListedPath>| -> Vec<ListedPath> {
         paths.into_iter().filter(|path| !path.points_m.is_empty() && !is_by_ceiling(path)).collect()
     };
@@ -239,20 +241,21 @@ fn metal_box() -> BoxRoom {
     BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), [Wall::Conductor; 6], WAVENUMBER, false)
 }
 
-/// An antenna that radiates alike all around.
+/// Antenna with an isotropic pattern.
 fn upright(position: DVec3) -> Element {
     let (polarisation, radar_from_world) = (DVec3::Z, DMat3::IDENTITY);
     Element { position, polarisation, radar_from_world, pattern: Pattern::isotropic() }
 }
 
-/// On a wall the antenna and its image in that wall are one. All other images are those of an antenna a millimetre off.
+/// On a wall the antenna and its image in that wall coincide. All other images are those of an antenna a millimetre
+/// off.
 #[test]
 fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
     let room = metal_box();
     let environment = Arc::new(Environment::new(Facet::of_box(&room), WAVENUMBER).expect("facets"));
     let (on_wall, before_wall) = (DVec3::new(0.0, 1.5, 1.2), DVec3::new(0.001, 1.5, 1.2));
     let paths = ImagePaths::discover(environment, on_wall, &LaunchOptions::default());
-    // Across x, those whose first reflection is at the far wall: once, then twice and three times in turn.
+    // Across x, only those whose first reflection is at the far wall: once, then twice and three times in turn.
     let all = images(3).into_iter().filter(|index| [0, 1, -2, 3].contains(&index[0]));
     let all: Vec<ImageIndex> = all.collect();
     assert_eq!(paths.images().len(), all.len(), "{:?}", paths.report());
@@ -271,8 +274,8 @@ fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
     }
 }
 
-/// A millimetre off two walls of metal, three images cancel most of the antenna: the sum is that of a corner reflector antenna.
-/// At 45 degrees the way by both walls goes through their edge.
+/// A millimetre from two metal walls, three images cancel most of the antenna's field: the sum is that of a corner
+/// reflector antenna. At 45 degrees the path by both walls goes through their edge.
 #[test]
 fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
     let off_m = 1e-3;
@@ -297,7 +300,8 @@ fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
     }
 }
 
-/// Ways across the rim of a sheet, along it, and in the sheet's own plane, exactly and beside it by less than rays can tell.
+/// Paths across the rim of a sheet, along it, and in the sheet's plane give finite fields, exactly and at offsets below
+/// the resolution of rays.
 #[test]
 fn ways_along_edges_and_in_planes_are_numbers() {
     let corners = [[2.0, 0.0, 0.0], [2.0, 1.5, 0.0], [2.0, 1.5, 2.6], [2.0, 0.0, 2.6]].map(DVec3::from_array);
@@ -313,7 +317,7 @@ fn ways_along_edges_and_in_planes_are_numbers() {
     };
     for off_m in [0.0, 1e-9, -1e-9, 1e-6, -1e-6] {
         let aside = |axis: DVec3, point: [f64; 3]| DVec3::from_array(point) + axis * off_m;
-        // Of half a plane half of the field is left.
+        // Half a plane leaves half of the field.
         let across = straight(aside(DVec3::Y, [1.0, 1.5, 1.2]), aside(DVec3::Y, [3.0, 1.5, 1.2]), DVec3::Z);
         assert!((across - 0.5).abs() < 0.01, "{off_m}: {across}");
         let before = straight(aside(DVec3::X, [2.0, 3.5, 1.2]), aside(DVec3::X, [2.0, 2.0, 1.2]), DVec3::Z);

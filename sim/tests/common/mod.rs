@@ -1,4 +1,4 @@
-//! Helpers of several tests.
+//! Helpers shared by several tests.
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;
@@ -8,9 +8,9 @@ use num_complex::Complex64;
 use radome_dsp::Frame;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-/// Wave number at 60 GHz, 1/m.
+/// Wavenumber at 60 GHz, 1/m.
 pub const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
-/// Nobody, and nothing beside the radar.
+/// Tables for a scene without people and without objects beside the radar.
 pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 
 /// A fixture scene.
@@ -87,7 +87,7 @@ high_pass_cutoff_hz = 20e3
     )
 }
 
-/// The hall with what stands in `[room]` instead, and tables beside it. The radar is at (0.5, 1, 1.2) and looks along x.
+/// The hall with other keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2) and looks along x.
 pub fn hall_with_room(room: &str, tables: &str) -> String {
     let hall = hall(tables);
     let (before, rest) = hall.split_once("size_m").expect("written");
@@ -95,12 +95,12 @@ pub fn hall_with_room(room: &str, tables: &str) -> String {
     format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]")
 }
 
-/// A scene from text.
+/// Parses a scene from text.
 pub fn parse(text: &str) -> Scene {
     Scene::parse(text, Path::new("test.toml")).expect("valid scene")
 }
 
-/// Message by which the text of a scene is refused.
+/// Error message for the text of an invalid scene.
 pub fn refusal(text: &str) -> String {
     Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err(text).to_string()
 }
@@ -109,8 +109,8 @@ fn hann(i: usize, n: usize) -> f64 {
     0.5 - 0.5 * (TAU * i as f64 / n as f64).cos()
 }
 
-/// The paper's map of one channel by plain sums: scale 2 code/4095 - 1, Hann on both axes, slow-time mean removed; power
-/// `[doppler][range]` in dB, zero Doppler in the middle, receding above it.
+/// The paper's map of one channel by plain sums: scale 2 code/4095 - 1, Hann on both axes, slow-time mean removed. The
+/// result is the power `[doppler][range]` in dB, with zero Doppler in the middle and receding targets above it.
 pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     let (m, n) = (frame.shape.chirps, frame.shape.samples);
     let fft = radome_dsp::spectrum::real_fft(n);
@@ -140,7 +140,7 @@ pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     map
 }
 
-/// A range bin of the first receiver in every chirp (Hann's window over the samples).
+/// Range bin of the first receiver in every chirp (Hann window over the samples).
 pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
     let n = frame.shape.samples;
     let sample = |(i, &code): (usize, &u16)| {

@@ -1,4 +1,4 @@
-//! Scenes whose room is a box, a floor plan or a file, made in code.
+//! Scenes whose room is a box, a floor plan or a file, generated in code.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,10 +12,10 @@ use crate::common;
 /// Corners of a face of a mesh.
 pub type Quad = [[f64; 3]; 4];
 
-/// Inner size of the room of most tests, m: numbers that an f32 holds, in metres and in millimetres.
+/// Inner size of the room of most tests, m: numbers that are exact in f32, in metres and in millimetres.
 pub const SIZE_M: [f64; 3] = [5.25, 4.5, 2.75];
 
-/// A scene of nobody with what stands in `[room]`, and tables beside it. The radar is at (0.5, 1, 1.2).
+/// Parses a scene without people, with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2).
 pub fn parse(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
     let text = common::hall_with_room(room, &format!("[people.desk]\nmax_people = 0\n{tables}"));
     Scene::parse(&text, &folder.join("scene.toml"))
@@ -34,18 +34,18 @@ pub fn box_keys(ceiling: &str) -> String {
     keys
 }
 
-/// The faces of a box, which face outwards: low and high x, low and high y, low and high z.
+/// Outward faces of a box: low and high x, low and high y, low and high z.
 pub fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
     let at = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
     [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
 }
 
-/// Two triangles each.
+/// Splits each quadrilateral into two triangles.
 pub fn triangles(quads: &[Quad]) -> Vec<[[f64; 3]; 3]> {
     quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect()
 }
 
-/// A text STL of triangles, in so many units a metre.
+/// Text STL of triangles, with `per_metre` units a metre.
 pub fn stl(triangles: &[[[f64; 3]; 3]], per_metre: f64) -> String {
     let mut text = String::from("solid part\n");
     for triangle in triangles {
@@ -58,7 +58,7 @@ pub fn stl(triangles: &[[[f64; 3]; 3]], per_metre: f64) -> String {
     text + "endsolid part\n"
 }
 
-/// An OBJ of quadrilaterals, each with the name of its material.
+/// OBJ of quadrilaterals, each with the name of its material.
 pub fn obj(quads: &[(Quad, &str)]) -> String {
     let mut text = String::new();
     for (number, (quad, material)) in quads.iter().enumerate() {
@@ -70,9 +70,9 @@ pub fn obj(quads: &[(Quad, &str)]) -> String {
     text
 }
 
-/// A glTF document of quadrilaterals, y up, with its numbers within.
+/// glTF document of quadrilaterals, y up, with embedded numbers.
 pub fn gltf(quads: &[Quad]) -> String {
-    // (x, y, z) with z up is (x, z, -y) there.
+    // (x, y, z) with z up is (x, z, -y) in the document.
     let places: Vec<[f32; 3]> = quads.iter().flatten().map(|&[x, y, z]| [x as f32, z as f32, -y as f32]).collect();
     let indices: Vec<u16> = (0..quads.len() as u16).flat_map(|q| [0, 1, 2, 0, 2, 3].map(|i| 4 * q + i)).collect();
     let end =
@@ -99,7 +99,7 @@ pub fn gltf(quads: &[Quad]) -> String {
     .to_string()
 }
 
-/// The surfaces of a room from files of plasterboard, in a folder of their own; `keys` come before their tables.
+/// Surfaces of a plasterboard room from files, in a folder of their own; `keys` precede their tables.
 pub fn from_files(keys: &str, files: &[(&str, &str, String)]) -> Surfaces {
     let folder = tempfile::tempdir().expect("a folder");
     let mut room = keys.to_owned();
@@ -118,7 +118,7 @@ pub fn from_files(keys: &str, files: &[(&str, &str, String)]) -> Surfaces {
     parse(&room, "", folder.path()).expect("a good scene").surfaces()
 }
 
-/// Whether two faces have the same corners within a nanometre, the same material and the same air.
+/// Returns whether two faces have the same corners within a nanometre, the same material and the same air.
 fn is_same(a: &Face, b: &Face) -> bool {
     const NEAR_M: f64 = 1e-9;
     let (p, q) = (&a.polygon, &b.polygon);
@@ -132,7 +132,7 @@ fn is_same(a: &Face, b: &Face) -> bool {
         && (a.wall, a.sides) == (b.wall, b.sides)
 }
 
-/// Holds two descriptions together: the same faces in whatever order, and as many edges of each kind.
+/// Asserts that two descriptions agree: the same faces in any order, and as many edges of each kind.
 pub fn assert_same(found: &Surfaces, expected: &Surfaces, what: &str) {
     assert_eq!(found.faces.len(), expected.faces.len(), "{what}: {:?}", found.faces);
     for face in &expected.faces {
@@ -144,7 +144,7 @@ pub fn assert_same(found: &Surfaces, expected: &Surfaces, what: &str) {
     assert_eq!(small_triangles(found), small_triangles(expected), "{what}");
 }
 
-/// Number of triangles that are no faces.
+/// Number of triangles that are not part of faces.
 pub fn small_triangles(surfaces: &Surfaces) -> usize {
     surfaces.small.iter().map(|part| part.mesh.triangles.len()).sum()
 }
@@ -165,12 +165,12 @@ pub fn is_free(kind: &EdgeKind) -> bool {
     *kind == EdgeKind::Free
 }
 
-/// Edges of a kind.
+/// Number of edges of a kind.
 pub fn count(surfaces: &Surfaces, kind: fn(&EdgeKind) -> bool) -> usize {
     surfaces.edges.iter().filter(|edge| kind(&edge.kind)).count()
 }
 
-/// The only face of a name.
+/// Index and face with a unique name.
 pub fn face<'a>(surfaces: &'a Surfaces, name: &str) -> (usize, &'a Face) {
     let mut named = surfaces.faces.iter().enumerate().filter(|(_, face)| face.name == name);
     let found = named.next().unwrap_or_else(|| panic!("no {name} in {surfaces:?}"));

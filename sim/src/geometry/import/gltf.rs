@@ -1,4 +1,5 @@
-//! glTF 2.0: a tree of nodes, meshes on them, and numbers in buffers, read here with every reach into a buffer checked.
+//! Reader of glTF 2.0: a tree of nodes, their meshes, and numbers in buffers. Every access to a buffer is
+//! bounds-checked.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -12,24 +13,24 @@ use gltf::json::validation::Validate;
 use super::{Mesh, ParseError, Part};
 use crate::bounded_file::{MESH_LIMIT_BYTES, beside, read};
 
-/// Objects of a file's JSON at most: each takes up to a kilobyte of memory for two bytes of text.
+/// Largest number of objects in a file's JSON: each takes up to a kilobyte of memory for two bytes of text.
 const MOST_OBJECTS: usize = 200_000;
-/// Values of lists and objects at most: each takes up to 32 bytes of memory.
+/// Largest number of values in lists and objects: each takes up to 32 bytes of memory.
 const MOST_VALUES: usize = 8_000_000;
-/// Numbers that are read of all accessors together at most: many primitives may name the same accessor.
+/// Largest number of values read from all accessors together: many primitives may name the same accessor.
 const MOST_NUMBERS: usize = 1 << 25;
-/// Length of a GLB file's header, which counts in the length that it states.
+/// Length of a GLB file's header, which is included in the length that it states.
 const GLB_HEADER_BYTES: u32 = 12;
 
-/// A file and its buffers.
+/// A glTF file and its buffers.
 pub(crate) struct GltfFile {
     pub document: gltf::Document,
     buffers: Vec<Vec<u8>>,
-    /// Numbers that were read so far.
+    /// Count of numbers read so far.
     numbers: Cell<usize>,
 }
 
-/// Error in a file, and its place.
+/// Error in a file, with its place.
 pub(crate) struct GltfFault {
     pub place: String,
     pub problem: String,
@@ -39,14 +40,14 @@ fn fault(place: impl Into<String>, problem: impl Into<String>) -> GltfFault {
     GltfFault { place: place.into(), problem: problem.into() }
 }
 
-/// Numbers of an accessor: so many a row.
+/// Numbers of an accessor, in rows of `width` numbers.
 pub(crate) struct Rows {
     pub width: usize,
     pub numbers: Vec<f64>,
 }
 
 impl Rows {
-    /// Rows of so many numbers.
+    /// Iterates over rows of `N` numbers.
     pub fn of<const N: usize>(&self) -> impl Iterator<Item = [f64; N]> {
         self.numbers.as_chunks::<N>().0.iter().copied()
     }
@@ -57,14 +58,14 @@ impl Rows {
 }
 
 impl GltfFile {
-    /// A `.glb`, or a `.gltf` whose buffers lie inside it or in files beside it, in `folder`.
+    /// Parses a `.glb`, or a `.gltf` whose buffers are embedded or in files in `folder`.
     ///
     /// # Errors
     /// [`GltfFault`] if the file is malformed, or one of its buffers is absent, too short or too large.
     pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, GltfFault> {
         let (document, mut blob) = document(bytes)?;
         let mut buffers = Vec::new();
-        // All files beside it together are no larger than one may be.
+        // The limit for one file applies to all buffer files together.
         let mut left_bytes = MESH_LIMIT_BYTES;
         for buffer in document.buffers() {
             let place = format!("buffer {}", buffer.index());
@@ -99,10 +100,10 @@ impl GltfFile {
         Ok(GltfFile { document, buffers, numbers: Cell::new(0) })
     }
 
-    /// An accessor's numbers; integers that stand for fractions become those.
+    /// Numbers of an accessor; normalised integers are converted to fractions.
     ///
     /// # Errors
-    /// [`GltfFault`] if the accessor has no buffer, or leads out of it.
+    /// [`GltfFault`] if the accessor has no buffer, or exceeds it.
     pub fn rows(&self, accessor: &gltf::Accessor, what: &str) -> Result<Rows, GltfFault> {
         let place = format!("accessor {} ({what})", accessor.index());
         if accessor.sparse().is_some() {
@@ -152,10 +153,10 @@ impl GltfFile {
         Ok(Rows { width, numbers })
     }
 
-    /// The nodes with their parents, parents first.
+    /// Nodes with their parents, parents first.
     ///
     /// # Errors
-    /// [`GltfFault`] if the nodes are no tree.
+    /// [`GltfFault`] if the nodes are not a tree.
     pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, GltfFault> {
         let count = self.document.nodes().count();
         let mut parent: Vec<Option<usize>> = vec![None; count];
@@ -188,10 +189,10 @@ impl GltfFile {
         Ok(order)
     }
 
-    /// Places and triangles of a primitive; none of points and lines.
+    /// Positions and triangles of a primitive; empty for points and lines.
     ///
     /// # Errors
-    /// [`GltfFault`] if its places or indices cannot be read.
+    /// [`GltfFault`] if its positions or indices cannot be read.
     pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
         if primitive.mode() != gltf::mesh::Mode::Triangles {
             return Ok(Mesh::default());
@@ -211,7 +212,7 @@ impl GltfFile {
     }
 }
 
-/// The document of a `.gltf` or `.glb`, checked as the format demands, and the binary part of a `.glb`.
+/// Document of a `.gltf` or `.glb`, validated against the format, and the binary part of a `.glb`.
 fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault> {
     let (text, blob) = if bytes.starts_with(b"glTF") {
         let stated = bytes.get(8..12).and_then(|length| length.try_into().ok()).map_or(0, u32::from_le_bytes);
@@ -224,7 +225,7 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
     } else {
         (Cow::Borrowed(bytes), None)
     };
-    // Data within the text has neither braces nor commas, but for one behind its type.
+    // Data embedded in the text contains neither braces nor commas, except for one comma after its type.
     for (mark, what, most) in [(b'{', "objects", MOST_OBJECTS), (b',', "values", MOST_VALUES)] {
         let count = text.iter().filter(|&&byte| byte == mark).count();
         if count > most {
@@ -233,7 +234,7 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
     }
     let root: gltf::json::Root =
         gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
-    // The library looks into the accessors of positions before it knows that they are there.
+    // The library accesses the accessors of positions before it checks that they exist.
     for (index, primitive) in root.meshes.iter().flat_map(|mesh| &mesh.primitives).enumerate() {
         if let Some(accessor) = primitive.attributes.values().find(|accessor| accessor.value() >= root.accessors.len())
         {
@@ -242,7 +243,7 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
             return Err(fault(format!("glTF primitive {index}"), problem));
         }
     }
-    // Only the first: there may be one for each number.
+    // Only the first error is kept: there may be one for each number.
     let mut invalid = None;
     let mut report = |path: &dyn Fn() -> gltf::json::Path, error: gltf::json::validation::Error| {
         if invalid.is_none() {
@@ -250,7 +251,7 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
         }
     };
     root.validate(&root, gltf::json::Path::new, &mut report);
-    // The library checks everything but what channels of animations aim at, and panics on what is wrong there.
+    // The library checks everything except the targets of animation channels, and panics if these are invalid.
     for (index, animation) in root.animations.iter().enumerate() {
         for (channel, of) in animation.channels.iter().enumerate() {
             let path = || gltf::json::Path::new().field("animations").index(index).field("channels").index(channel);
@@ -276,7 +277,8 @@ fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
     if normalised { (value / most).max(-1.0) } else { value }
 }
 
-/// Parses what stands still in a glTF file: a part for each primitive of each node that has a mesh, where its node puts it.
+/// Parses the static content of a glTF file: a part for each primitive of each node that has a mesh, placed by its
+/// node.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
     let content = |f: GltfFault| ParseError::Place { place: f.place, problem: f.problem };
     let file = GltfFile::parse(bytes, folder).map_err(content)?;
@@ -292,7 +294,7 @@ pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, Parse
             let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}")).map_err(content)?;
             mesh.check()?;
             mesh.vertices.iter_mut().for_each(|v| *v = matrix.transform_point3(*v));
-            // What is mirrored goes round the other way.
+            // A mirroring transform reverses the winding.
             if matrix.determinant() < 0.0 {
                 mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }

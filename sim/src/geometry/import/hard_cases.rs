@@ -1,4 +1,4 @@
-//! Files as they come.
+//! Test cases of unusual and damaged mesh files.
 
 use rand::Rng;
 
@@ -84,7 +84,7 @@ fn text_and_binary_stl_are_the_same_solid() {
     assert_eq!((text[0].name.as_str(), &text[0].mesh), ("a thing", &binary[0].mesh));
     let whole = weld(&text[0].mesh, 1e-6).expect("a good mesh").mesh;
     assert!(whole.is_solid() && (whole.volume_m3() - 1.0 / 6.0).abs() < 1e-12);
-    // No name, and empty lines before.
+    // The file has no name and starts with empty lines.
     let bare = format!("\n\n{}", TETRAHEDRON.replace(" a thing", ""));
     assert_eq!(parse_stl(bare.as_bytes()).expect("a good file")[0].mesh, text[0].mesh);
 }
@@ -146,7 +146,7 @@ fn units_and_axes_are_applied_and_the_path_is_named() {
     std::fs::remove_dir_all(&folder).expect("removed");
 }
 
-/// Whatever bytes are damaged or missing: an answer or an error, never a panic.
+/// Damaged or missing bytes give a result or an error, never a panic.
 #[test]
 fn damaged_files_never_panic() {
     let mut rng = generator(11, Purpose::Build, [0, 0]);

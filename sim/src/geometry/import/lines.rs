@@ -1,14 +1,14 @@
-//! A text handed out line by line, so that one knows in which line a parser stopped.
+//! Reader that returns a text line by line, so that the line at which a parser stopped is known.
 
 use std::cell::Cell;
 use std::io::{BufRead, Read, Result, Seek, SeekFrom};
 
-/// A reader that never gives more than a line at once.
+/// Reader that never returns more than one line at once.
 pub(super) struct Lines<'a> {
     text: &'a [u8],
     at: usize,
     end: usize,
-    /// Lines begun.
+    /// Number of lines begun.
     pub count: &'a Cell<usize>,
 }
 
@@ -42,7 +42,7 @@ impl Read for Lines<'_> {
 }
 
 impl Seek for Lines<'_> {
-    /// Back to the beginning; nothing else is asked for.
+    /// Seeks back to the beginning; the parser requests no other position.
     fn seek(&mut self, _: SeekFrom) -> Result<u64> {
         (self.at, self.end) = (0, 0);
         self.count.set(0);

@@ -1,7 +1,8 @@
 //! Meshes from files: STL, OBJ and glTF.
 //!
-//! STL and OBJ state neither the unit of their numbers nor the axis that points up, so the caller names both. glTF is in metres with
-//! y up. The result is in metres with z up, not yet welded ([`super::weld`]): an STL file has three vertices a triangle.
+//! STL and OBJ state neither the unit of their numbers nor the axis that points up, so the caller specifies both. glTF
+//! is in metres with y up. The result is in metres with z up and not yet welded ([`super::weld`]): an STL file has
+//! three vertices per triangle.
 
 pub(crate) mod gltf;
 mod lines;
@@ -40,7 +41,7 @@ pub enum LengthUnit {
 }
 
 impl LengthUnit {
-    /// Metres in one of it.
+    /// Length of the unit in metres.
     pub fn metres(self) -> f64 {
         match self {
             LengthUnit::Metre => 1.0,
@@ -64,7 +65,7 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
-    /// A place or direction with z up.
+    /// Converts a position or direction to z up.
     pub fn to_z_up(self, v: DVec3) -> DVec3 {
         match self {
             UpAxis::Z => v,
@@ -76,34 +77,34 @@ impl UpAxis {
 /// A part of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
-    /// Its name in the file; empty where there is none.
+    /// Name in the file; empty if there is none.
     pub name: String,
-    /// The name of its material in the file.
+    /// Name of the material in the file.
     pub material: Option<String>,
-    /// The surface.
+    /// Surface.
     pub mesh: Mesh,
 }
 
 /// Error in a file's content.
 #[derive(Debug, Error, PartialEq)]
 pub enum ParseError {
-    /// At a line of a text.
+    /// Error at a line of a text.
     #[error("line {line}: {problem}")]
     Line {
-        /// Counted from one.
+        /// Line number, from one.
         line: usize,
         /// Content that is wrong.
         problem: String,
     },
-    /// At a byte of a binary file.
+    /// Error at a byte of a binary file.
     #[error("byte {offset}: {problem}")]
     Byte {
-        /// Counted from zero.
+        /// Byte offset, from zero.
         offset: usize,
         /// Content that is wrong.
         problem: String,
     },
-    /// At a part of a structured file.
+    /// Error at a part of a structured file.
     #[error("{place}: {problem}")]
     Place {
         /// Part of the file.
@@ -111,47 +112,48 @@ pub enum ParseError {
         /// Content that is wrong.
         problem: String,
     },
-    /// Something that is no mesh.
+    /// The content is not a valid mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// No triangle in it.
+    /// The file contains no triangle.
     #[error("there is no triangle in it")]
     Empty,
 }
 
-/// A mesh file that cannot be had.
+/// Error in the import of a mesh file.
 #[derive(Debug, Error)]
 pub enum ImportError {
     /// The file cannot be read.
     #[error("cannot read the mesh {path}: {source}")]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Reason of the system.
+        /// Error of the system.
         source: std::io::Error,
     },
-    /// Its content is damaged.
+    /// The content is damaged.
     #[error("{path}: {source}\n\nhint: export it again as binary STL, OBJ with triangles, or glTF")]
     Content {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Place and kind of the damage.
         source: ParseError,
     },
-    /// No format of ours.
+    /// The file format is not supported.
     #[error("{path}: the name ends in {extension:?}, expected .stl, .obj, .gltf or .glb")]
     Format {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Ending of the name.
+        /// Extension of the name.
         extension: String,
     },
 }
 
-/// Reads a mesh file; its name's ending tells the format.
+/// Reads a mesh file; the extension of its name determines the format.
 ///
 /// # Errors
-/// [`ImportError`] if the file cannot be read, its content is damaged or holds no triangle, or its name has another ending.
+/// [`ImportError`] if the file cannot be read, its content is damaged or holds no triangle, or its name has another
+/// extension.
 pub fn import(path: &Path, unit: LengthUnit, up: UpAxis) -> Result<Vec<Part>, ImportError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     if !["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: places, faces, names of objects and materials. Textures, normals and colours are not looked at.
+//! Reader of Wavefront OBJ: vertices, faces, names of objects and materials. Textures, normals and colours are ignored.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -9,10 +9,10 @@ use tobj::{LoadError, LoadOptions, Material};
 use super::lines::Lines;
 use super::{Mesh, ParseError, Part};
 
-/// Longer files are refused, bytes: a face takes ten times as much memory while it is read.
+/// Largest accepted file, bytes: a face takes ten times as much memory while it is read.
 const LARGEST_BYTES: usize = 64 << 20;
 
-/// Parses an OBJ file: a part for each object or group and each material in it; polygons become fans of triangles.
+/// Parses an OBJ file into a part for each object or group and each material in it; polygons become fans of triangles.
 ///
 /// # Errors
 /// [`ParseError`] at the first line that is malformed, and for a file that is too long or has no triangle.
@@ -52,7 +52,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         mesh.check()?;
         if !mesh.triangles.is_empty() {
             let material = model.mesh.material_id.and_then(|id| names.get(id).cloned());
-            // What tobj calls an object without a name.
+            // Default name in tobj of an object without a name.
             let name = if model.name == "unnamed_object" { String::new() } else { model.name };
             parts.push(Part { name, material, mesh });
         }
@@ -60,9 +60,11 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     if parts.is_empty() { Err(ParseError::Empty) } else { Ok(parts) }
 }
 
-/// The lines of a text that count, each in its place behind one that asks for materials, and the names of those.
+/// Relevant lines of a text, each at its line number plus one, after an inserted line that requests the materials; and
+/// the material names.
 fn plain(text: &str) -> Result<(String, Vec<String>), ParseError> {
-    // Materials by name alone; what they are made of is the scene's to say. Asked for by a line before the first.
+    // Only the names of materials are used; the scene defines their properties. A line inserted before the first
+    // requests them.
     let mut names: Vec<String> = Vec::new();
     let mut plain = String::from("mtllib names\n");
     for line in text.lines() {
@@ -70,7 +72,7 @@ fn plain(text: &str) -> Result<(String, Vec<String>), ParseError> {
         match words.next() {
             Some("v") => {
                 let place: Vec<&str> = words.take(4).collect();
-                // A fourth number is a weight, or the first of a colour.
+                // A fourth number is a weight, or the first component of a colour.
                 let kept = if line.split_whitespace().count() == 5 { 4 } else { 3 };
                 plain.push_str(&format!("v {}", place.get(..kept.min(place.len())).unwrap_or(&[]).join(" ")));
             }

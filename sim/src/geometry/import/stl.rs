@@ -1,4 +1,4 @@
-//! STL, binary and text.
+//! Reader of STL, binary and text.
 
 use std::cell::Cell;
 use std::io::Cursor;
@@ -8,13 +8,14 @@ use glam::DVec3;
 use super::lines::Lines;
 use super::{Mesh, ParseError, Part};
 
-/// Header and count of a binary file.
+/// Length of the header and triangle count of a binary file.
 const HEADER_BYTES: usize = 84;
-/// A triangle of a binary file.
+/// Length of a triangle in a binary file.
 const TRIANGLE_BYTES: usize = 50;
 
-/// Parses an STL file. It is text when it begins with `solid` and is not just as long as a binary file with its count of
-/// triangles: binary files of some programs begin with `solid` too. Normals in the file are not used; corners go round them.
+/// Parses an STL file. The file is text if it begins with `solid` and its length differs from that of a binary file
+/// with its triangle count: some programs also begin binary files with `solid`. Normals in the file are not used; the
+/// winding of the corners defines them.
 ///
 /// # Errors
 /// [`ParseError`] at the first line or byte that is malformed, and for a file without a triangle.
@@ -43,7 +44,7 @@ pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
 }
 
 fn parse_binary(bytes: &[u8]) -> Result<Part, ParseError> {
-    // A header that begins with `solid` would make text of it.
+    // A header that begins with `solid` would select the text format.
     let mut bytes = bytes.to_vec();
     if let Some(first) = bytes.first_mut() {
         *first = b' ';
@@ -64,7 +65,7 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, ParseError> {
 }
 
 fn parse_text(bytes: &[u8]) -> Result<Part, ParseError> {
-    // The reader wants a name after `solid`, and nothing before it.
+    // The reader requires a name after `solid`, and nothing before it.
     let skipped = bytes.len() - bytes.trim_ascii_start().len();
     let before = bytes.iter().take(skipped).filter(|&&b| b == b'\n').count();
     let first_end = bytes.iter().skip(skipped).position(|&b| b == b'\n').map_or(bytes.len(), |i| skipped + i);
