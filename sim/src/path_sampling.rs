@@ -81,7 +81,7 @@ impl<'a> Instants<'a> {
 
 /// Required accuracy of the path samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KeyDemand {
+pub struct SamplingTolerance {
     /// A path is audible if it is as strong as this at an end or in the middle of the frame, LSB.
     pub heard_lsb: f64,
     /// Error that is allowed for a path of any strength, LSB.
@@ -102,7 +102,7 @@ pub struct KeyedPaths {
     /// Number of paths that were traced.
     pub traced: usize,
     /// Number of traced paths that are audible.
-    pub heard: usize,
+    pub received: usize,
     /// Largest number of sample times of a path.
     pub keys: usize,
     missed: f64,
@@ -138,7 +138,7 @@ impl KeyedPaths {
     }
 
     /// Adds the paths of a person.
-    pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &KeyDemand, report: &mut EchoReport) {
+    pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &SamplingTolerance, report: &mut EchoReport) {
         self.traced += paths.count();
         Tracer { instants, paths, demand, report, out: self }.follow();
     }
@@ -158,7 +158,7 @@ struct Open {
 struct Tracer<'a> {
     instants: &'a Instants<'a>,
     paths: &'a Paths<'a>,
-    demand: &'a KeyDemand,
+    demand: &'a SamplingTolerance,
     report: &'a mut EchoReport,
     out: &'a mut KeyedPaths,
 }
@@ -179,25 +179,25 @@ impl Tracer<'_> {
 
     /// Traces all paths from one end of the frame to the other.
     fn follow(&mut self) {
-        let open = self.heard();
-        self.out.heard += open.len();
-        let mut stretches = vec![0usize; open.len()];
+        let open = self.received();
+        self.out.received += open.len();
+        let mut intervals = vec![0usize; open.len()];
         // The lists are ordered by segment, and within a segment by path.
         let (mut halvings, mut level) = (0, vec![open]);
         while level.iter().any(|open| !open.is_empty()) {
             let mut next: Vec<Vec<Open>> = vec![Vec::new(); 2 * level.len()];
             for (place, open) in level.iter().enumerate().filter(|(_, open)| !open.is_empty()) {
-                self.cut(halvings, place, open, &mut next, &mut stretches);
+                self.cut(halvings, place, open, &mut next, &mut intervals);
             }
             (halvings, level) = (halvings + 1, next);
         }
-        if let Some(most) = stretches.iter().max() {
+        if let Some(most) = intervals.iter().max() {
             self.out.keys = self.out.keys.max(most + 1);
         }
     }
 
     /// Paths that are audible at an end of the frame or in its middle.
-    fn heard(&mut self) -> Vec<Open> {
+    fn received(&mut self) -> Vec<Open> {
         let at = [0, self.instants.count / 2, self.instants.count];
         let mut asked: Vec<(usize, Option<DVec3>)> = (0..self.paths.count()).map(|path| (path, None)).collect();
         let mut met_at = |instant: usize| {
@@ -212,20 +212,20 @@ impl Tracer<'_> {
         // Diffraction by people in the way makes no path louder.
         let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
         let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
-        let mut heard: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
+        let mut received: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
         for (i, instant) in at.into_iter().enumerate() {
-            let numbered = heard.iter_mut().map(|open| (open.path, &mut open.met[i]));
+            let numbered = received.iter_mut().map(|open| (open.path, &mut open.met[i]));
             self.paths.shade(numbered, self.instants.people(instant));
         }
-        heard.retain(|open| open.met.iter().any(is_loud));
-        heard.iter_mut().enumerate().for_each(|(number, open)| open.number = number);
-        heard
+        received.retain(|open| open.met.iter().any(is_loud));
+        received.iter_mut().enumerate().for_each(|(number, open)| open.number = number);
+        received
     }
 
     /// Keeps the paths of a segment whose samples predict its middle, and passes the others to its halves in `next`.
-    /// `stretches` counts the segments of each path.
-    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], stretches: &mut [usize]) {
-        let stretch_s = self.instants.span_s / f64::from(1u32 << halvings);
+    /// `intervals` counts the segments of each path.
+    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], intervals: &mut [usize]) {
+        let interval_s = self.instants.span_s / f64::from(1u32 << halvings);
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
         let asked = |end: usize| -> Vec<(usize, Option<DVec3>)> {
             all.iter().map(|open| (open.path, open.met[end].place)).collect()
@@ -234,9 +234,9 @@ impl Tracer<'_> {
         let (before, after) = (self.meet_shaded(before, &asked(0)), self.meet_shaded(after, &asked(2)));
         for ((open, before), after) in all.iter().zip(before).zip(after) {
             let [first, middle, last] = open.met;
-            let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * stretch_s);
-            let count = &mut stretches[open.number];
-            let Some((track, missed_lsb)) = Track::through(&keys, stretch_s, self.demand.frequency_hz) else {
+            let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * interval_s);
+            let count = &mut intervals[open.number];
+            let Some((track, missed_lsb)) = Track::through(&keys, interval_s, self.demand.frequency_hz) else {
                 *count += 1;
                 continue;
             };
@@ -244,8 +244,8 @@ impl Tracer<'_> {
             let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
             let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
             if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-                self.out.missed += missed_lsb * missed_lsb * stretch_s;
-                self.out.power += loudest_lsb * loudest_lsb * stretch_s;
+                self.out.missed += missed_lsb * missed_lsb * interval_s;
+                self.out.power += loudest_lsb * loudest_lsb * interval_s;
                 self.out.tracks.push(halvings, place, track);
                 *count += 1;
                 continue;

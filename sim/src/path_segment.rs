@@ -52,7 +52,7 @@ impl PathDerivatives {
 pub struct PathSegment {
     delay_s: [f64; 8],
     amplitude: [Complex<f32>; 6],
-    stretch_s: f64,
+    interval_s: f64,
 }
 
 /// Power coefficients of the septic Hermite polynomial over 0..1, from values and three derivatives at the ends.
@@ -150,8 +150,8 @@ impl PathSegment {
     /// `frequency_hz`. A step about the middle, as diffraction makes, is predicted there by symmetry. Its third
     /// differences of the amplitude are large and give a second estimate; the larger one counts. In smooth amplitudes,
     /// fourth differences relate to third ones about as these relate to the cube of the amplitude's change.
-    pub fn through(keys: &FiveSamples, stretch_s: f64, frequency_hz: f64) -> (Self, f64) {
-        let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * stretch_s];
+    pub fn through(keys: &FiveSamples, interval_s: f64, frequency_hz: f64) -> (Self, f64) {
+        let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * interval_s];
         let (delay_s, middle_s) = septic_of_four([0, 1, 3, 4].map(delay));
         let [(re, middle_re), (im, middle_im)] =
             [(|c| c.re) as fn(Complex64) -> f64, |c| c.im].map(|of| quartic_of_five(keys.map(|key| of(key.amplitude))));
@@ -159,12 +159,12 @@ impl PathSegment {
         let amplitude = std::array::from_fn(|power| Complex::new(at(re, power), at(im, power)));
         let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - keys[2].delay_s));
         let missed_lsb = (Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude).norm();
-        (PathSegment { delay_s, amplitude, stretch_s }, missed_lsb.max(missed_by_third_differences(keys)))
+        (PathSegment { delay_s, amplitude, interval_s }, missed_lsb.max(missed_by_third_differences(keys)))
     }
 
-    /// Interpolates between two samples `stretch_s` apart.
-    pub fn between(a: &(PathSample, PathDerivatives), b: &(PathSample, PathDerivatives), stretch_s: f64) -> Self {
-        let (first, second, third) = (stretch_s, stretch_s * stretch_s, stretch_s * stretch_s * stretch_s);
+    /// Interpolates between two samples `interval_s` apart.
+    pub fn between(a: &(PathSample, PathDerivatives), b: &(PathSample, PathDerivatives), interval_s: f64) -> Self {
+        let (first, second, third) = (interval_s, interval_s * interval_s, interval_s * interval_s * interval_s);
         let delay = |(key, bend): &(PathSample, PathDerivatives)| {
             [key.delay_s, key.delay_rate * first, bend.delay[0] * second, bend.delay[1] * third]
         };
@@ -175,14 +175,14 @@ impl PathSegment {
         PathSegment {
             delay_s: septic(delay(a), delay(b)),
             amplitude: std::array::from_fn(|p| Complex::new(re[p] as f32, im[p] as f32)),
-            stretch_s,
+            interval_s,
         }
     }
 
     /// Duration of the segment, s.
     #[inline(always)]
-    pub fn stretch_s(&self) -> f64 {
-        self.stretch_s
+    pub fn interval_s(&self) -> f64 {
+        self.interval_s
     }
 
     /// Delay, s, and its rate, s/s, at `u`.
@@ -194,7 +194,7 @@ impl PathSegment {
             slope = slope * u + value;
             value = value * u + c[p];
         }
-        (value, slope / self.stretch_s)
+        (value, slope / self.interval_s)
     }
 
     /// Amplitude at `u`, LSB.
@@ -240,11 +240,11 @@ mod tests {
             };
             (key, bend)
         };
-        let stretch = PathSegment::between(&key(0.1), &key(0.5), 0.4);
+        let interval = PathSegment::between(&key(0.1), &key(0.5), 0.4);
         for u in [0.0, 0.2, 0.5, 0.9, 1.0] {
-            let (t, (value, slope)) = (0.1 + 0.4 * u, stretch.delay(u));
+            let (t, (value, slope)) = (0.1 + 0.4 * u, interval.delay(u));
             assert!((value - at(&delay_s, 0, t)).abs() < 1e-20 && (slope - at(&delay_s, 1, t)).abs() < 1e-19, "{t}");
-            let a = stretch.amplitude(u);
+            let a = interval.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(0, t)).norm() < 1e-5, "{t}");
         }
     }
@@ -260,18 +260,18 @@ mod tests {
         let rate = |t: f64| (1..8).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
         let amplitude = |t: f64| Complex64::new(at(&parts[0], t), at(&parts[1], t));
         let key = |t: f64| PathSample { delay_s: at(&delay_s, t), delay_rate: rate(t), amplitude: amplitude(t) };
-        let stretch_s = 0.4;
-        let keys = [0.0, 0.25, 0.5, 0.75, 1.0].map(|u| key(0.1 + stretch_s * u));
-        let (stretch, missed_lsb) = PathSegment::through(&keys, stretch_s, 60e9);
+        let interval_s = 0.4;
+        let keys = [0.0, 0.25, 0.5, 0.75, 1.0].map(|u| key(0.1 + interval_s * u));
+        let (interval, missed_lsb) = PathSegment::through(&keys, interval_s, 60e9);
         for u in [0.0, 0.1, 0.3, 0.5, 0.9, 1.0] {
-            let (t, (value, slope)) = (0.1 + stretch_s * u, stretch.delay(u));
+            let (t, (value, slope)) = (0.1 + interval_s * u, interval.delay(u));
             assert!((value - at(&delay_s, t)).abs() < 1e-19 && (slope - rate(t)).abs() < 1e-18, "{t}");
-            let a = stretch.amplitude(u);
+            let a = interval.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(t)).norm() < 1e-5, "{t}");
         }
         // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is off by a sixth of
         // that.
-        let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * stretch_s).powi(4) / 6.0;
+        let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * interval_s).powi(4) / 6.0;
         assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
     }
 

@@ -129,9 +129,9 @@ impl SwayingReflectors {
         for reflector in &self.reflectors {
             let halvings = halvings(span_s, reflector.motion.fastest_hz());
             let parts = 1usize << halvings;
-            let stretch_s = span_s / parts as f64;
+            let interval_s = span_s / parts as f64;
             let motion: Vec<[f64; 4]> =
-                (0..=parts).map(|end| reflector.motion.at(start_s + stretch_s * end as f64)).collect();
+                (0..=parts).map(|end| reflector.motion.at(start_s + interval_s * end as f64)).collect();
             for path in &reflector.paths {
                 let shades: Vec<f64> =
                     columns.iter().map(|people| diffraction::along(&path.polyline, people, wavelength_m)).collect();
@@ -142,7 +142,7 @@ impl SwayingReflectors {
                     .collect();
                 for (place, ends) in keys.windows(2).enumerate() {
                     if let [a, b] = ends
-                        && let Some(track) = Track::between(a, b, stretch_s)
+                        && let Some(track) = Track::between(a, b, interval_s)
                     {
                         tracks.push(halvings, place, track);
                     }
@@ -327,17 +327,17 @@ mod tests {
             let mut rng = generator(3, Purpose::Sway, [1, 0]);
             let sway = Sway::draw(rms_m, frequency_hz, 0.0, &mut rng);
             let parts = 1u32 << halvings(span_s, sway.fastest_hz());
-            let stretch_s = span_s / f64::from(parts);
+            let interval_s = span_s / f64::from(parts);
             let key = |time_s: f64| {
                 let x = sway.at(time_s);
                 let key = PathSample { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
                 (key, PathDerivatives { delay: [x[2], x[3]], ..PathDerivatives::default() })
             };
             for part in 0..parts {
-                let start_s = 17.0 + stretch_s * f64::from(part);
-                let stretch = PathSegment::between(&key(start_s), &key(start_s + stretch_s), stretch_s);
+                let start_s = 17.0 + interval_s * f64::from(part);
+                let interval = PathSegment::between(&key(start_s), &key(start_s + interval_s), interval_s);
                 for u in [0.1, 0.3, 0.5, 0.8] {
-                    let error_m = stretch.delay(u).0 - sway.at(start_s + u * stretch_s)[0];
+                    let error_m = interval.delay(u).0 - sway.at(start_s + u * interval_s)[0];
                     let error_rad = 2.0 * wavenumber_per_m * error_m.abs();
                     assert!(error_rad < 0.01, "{frequency_hz} Hz: {error_rad} rad");
                 }

@@ -25,7 +25,7 @@ mod held;
 mod rates;
 mod spread;
 
-pub use chirp_grids::{ChirpGrids, Echo, EchoChirps, EchoWay};
+pub use chirp_grids::{ChirpGrids, Echo, EchoChirps, EchoFactors};
 pub use held::{HeldEcho, HeldEchoes};
 pub use rates::{RUN, RateGrids, Run};
 pub use spread::{CHIRPS, Grids, Places};

@@ -25,10 +25,10 @@ pub struct Aside {
 impl Aside {
     /// Interpolates between samples of the first receiver and of another one at both ends of a segment: a cubic in
     /// delay, a line in the ratio of amplitudes.
-    pub fn between(first: [&PathSample; 2], other: [&PathSample; 2], stretch_s: f64) -> Self {
+    pub fn between(first: [&PathSample; 2], other: [&PathSample; 2], interval_s: f64) -> Self {
         let difference = |end: usize| {
             let rate = other[end].delay_rate - first[end].delay_rate;
-            (other[end].delay_s - first[end].delay_s, rate * stretch_s)
+            (other[end].delay_s - first[end].delay_s, rate * interval_s)
         };
         let ((begin_s, begin_rate), (end_s, end_rate)) = (difference(0), difference(1));
         let step_s = end_s - begin_s;
@@ -84,26 +84,26 @@ pub struct Track {
 }
 
 impl Track {
-    /// Interpolates between the samples of every receiver at both ends of a segment, `stretch_s` apart; `None` without
+    /// Interpolates between the samples of every receiver at both ends of a segment, `interval_s` apart; `None` without
     /// a receiver.
     pub fn between(
         begin: &[(PathSample, PathDerivatives)],
         end: &[(PathSample, PathDerivatives)],
-        stretch_s: f64,
+        interval_s: f64,
     ) -> Option<Self> {
         let (first_begin, first_end) = (begin.first()?, end.first()?);
         let mut others = [Aside::default(); OTHERS];
         for (aside, (a, b)) in others.iter_mut().zip(begin.iter().zip(end).skip(1)) {
-            *aside = Aside::between([&first_begin.0, &first_end.0], [&a.0, &b.0], stretch_s);
+            *aside = Aside::between([&first_begin.0, &first_end.0], [&a.0, &b.0], interval_s);
         }
-        Some(Track { first: PathSegment::between(first_begin, first_end, stretch_s), others })
+        Some(Track { first: PathSegment::between(first_begin, first_end, interval_s), others })
     }
 
     /// Interpolates the samples of every receiver at the ends, quarters and middle of a segment. Also returns the error
     /// estimate of the first receiver ([`PathSegment::through`]); `None` without a receiver.
-    pub fn through(receivers: &[FiveSamples], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
+    pub fn through(receivers: &[FiveSamples], interval_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
         let keys_of_first = receivers.first()?;
-        let (first, missed_lsb) = PathSegment::through(keys_of_first, stretch_s, frequency_hz);
+        let (first, missed_lsb) = PathSegment::through(keys_of_first, interval_s, frequency_hz);
         let mut others = [Aside::default(); OTHERS];
         for (aside, keys) in others.iter_mut().zip(receivers.iter().skip(1)) {
             *aside = Aside::through(keys_of_first, keys);
@@ -182,12 +182,12 @@ mod tests {
             let first = first(t);
             key(first.delay_s + cubic(t), first.delay_rate + rate(t), first.amplitude * (ratio * (1.0 + 0.1 * t)))
         };
-        let stretch_s = 0.5;
-        let aside = Aside::between([&first(0.0), &first(stretch_s)], [&other(0.0), &other(stretch_s)], stretch_s);
+        let interval_s = 0.5;
+        let aside = Aside::between([&first(0.0), &first(interval_s)], [&other(0.0), &other(interval_s)], interval_s);
         for u in [0.0, 0.3, 1.0] {
             let found = f64::from(aside.delay(u as f32));
-            assert!((found - cubic(stretch_s * u)).abs() < 1e-17, "{u}: {found}");
-            let factor = ratio * (1.0 + 0.1 * stretch_s * u);
+            assert!((found - cubic(interval_s * u)).abs() < 1e-17, "{u}: {found}");
+            let factor = ratio * (1.0 + 0.1 * interval_s * u);
             let found = aside.ratio(u as f32);
             assert!((Complex64::new(found.re.into(), found.im.into()) - factor).norm() < 1e-5, "{u}: {found}");
         }

@@ -23,7 +23,7 @@ fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] 
         "the direct pair is the first"
     );
     let all = Paths::new(prepared, motion, 0, &prepared.body_pairs);
-    let mut heard = 0;
+    let mut received = 0;
     for (number, &pair) in prepared.body_pairs.iter().enumerate() {
         for segment in 0..SEGMENTS {
             let is_kept = kept.iter().any(|kept| kept.pair == pair && kept.has(segment));
@@ -36,11 +36,11 @@ fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] 
             let is_heard = strongest > HEARD * prepared.threshold_lsb;
             let over = strongest / prepared.threshold_lsb;
             assert!(is_kept || !is_heard, "{pair:?} {segment} at {start_s} s: {over} of the threshold");
-            heard += usize::from(is_heard);
+            received += usize::from(is_heard);
         }
     }
     let kept = kept.iter().map(|pair| pair.segments.count_ones() as usize).sum();
-    [prepared.body_pairs.len() * SEGMENTS, kept, heard]
+    [prepared.body_pairs.len() * SEGMENTS, kept, received]
 }
 
 /// Walkers, sitters and passers-by in rooms of several sizes and walls: every audible path is kept, and some paths are
@@ -61,8 +61,8 @@ fn what_is_heard_is_kept() {
                 }
             }
         }
-        let [all, kept, heard] = sums;
-        assert!(heard > 0, "{name}: somebody is there");
+        let [all, kept, received] = sums;
+        assert!(received > 0, "{name}: somebody is there");
         assert!(kept < all, "{name}: {kept} of {all} kept");
     }
 }

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
-use radome_sim::em::current::{Arrival, Listener, heard};
+use radome_sim::em::current::{Arrival, Listener, received};
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::em::pattern::Pattern;
 use radome_sim::em::specular::Ellipsoid;
@@ -93,10 +93,10 @@ impl Chain {
             .map(|t| (key(t), PathDerivatives::between(&key(t - apart_s), &key(t), &key(t + apart_s), apart_s)));
         let found = [PathSegment::between(&first, &middle, step_s), PathSegment::between(&middle, &last, step_s)];
         move |time_s| {
-            let stretch = usize::from(time_s >= step_s);
-            let u = time_s / step_s - stretch as f64;
-            let (delay_s, _) = found[stretch].delay(u);
-            let a = found[stretch].amplitude(u);
+            let interval = usize::from(time_s >= step_s);
+            let u = time_s / step_s - interval as f64;
+            let (delay_s, _) = found[interval].delay(u);
+            let a = found[interval].amplitude(u);
             Complex64::new(a.re.into(), a.im.into())
                 * Complex64::from_polar(1.0, -WAVENUMBER * delay_s * SPEED_OF_LIGHT_M_PER_S)
         }
@@ -131,7 +131,7 @@ impl Chain {
                 let arrival = Arrival { field: there.field, direction: there.direction };
                 let hears = |polarisation: DVec3| {
                     let listener = Listener { towards: -back.direction, polarisation };
-                    heard(&arrival, normal, &skin, WAVENUMBER, &listener)
+                    received(&arrival, normal, &skin, WAVENUMBER, &listener)
                 };
                 // The receiver's polarisation is complex where a lossy wall has rotated it.
                 let current = hears(back.field.re) + Complex64::I * hears(back.field.im);

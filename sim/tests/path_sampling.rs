@@ -83,18 +83,18 @@ impl Walk {
                     .collect()
             })
             .collect();
-        let stretch = |i: usize| -> Vec<PathSegment> {
+        let interval = |i: usize| -> Vec<PathSegment> {
             traced[i].iter().zip(&traced[i + 1]).map(|(a, b)| PathSegment::between(a, b, step_s)).collect()
         };
-        let all: Vec<Vec<PathSegment>> = (0..count - 1).map(stretch).collect();
+        let all: Vec<Vec<PathSegment>> = (0..count - 1).map(interval).collect();
         self.map(|time_s| {
-            let stretch = ((time_s / step_s) as usize).min(count - 2);
-            let u = time_s / step_s - stretch as f64;
+            let interval = ((time_s / step_s) as usize).min(count - 2);
+            let u = time_s / step_s - interval as f64;
             let key = |path: &PathSegment| {
                 let ((delay_s, delay_rate), a) = (path.delay(u), path.amplitude(u));
                 PathSample { delay_s, delay_rate, amplitude: Complex64::new(f64::from(a.re), f64::from(a.im)) }
             };
-            all[stretch].iter().map(key).collect()
+            all[interval].iter().map(key).collect()
         })
     }
 

@@ -43,8 +43,9 @@ fn receivers_that_share_a_path_hear_their_own() {
     let synthesiser = Synthesiser::new(SAMPLES);
     for start_s in [1.5, 1.7, 3.3, 4.4] {
         let ends = [start_s, start_s + STRETCH_S].map(|time_s| keys(&prepared, &motion, time_s));
-        let heard = |keys: &[(PathSample, PathDerivatives)]| keys[0].0.amplitude.norm() > 0.5 * prepared.threshold_lsb;
-        let paths = ends[0].iter().zip(&ends[1]).filter(|(a, b)| heard(a) && heard(b));
+        let received =
+            |keys: &[(PathSample, PathDerivatives)]| keys[0].0.amplitude.norm() > 0.5 * prepared.threshold_lsb;
+        let paths = ends[0].iter().zip(&ends[1]).filter(|(a, b)| received(a) && received(b));
         let (mut tracks, mut own) = (Vec::new(), vec![Vec::new(); prepared.rx.len()]);
         for (a, b) in paths {
             tracks.push(Track::between(a, b, STRETCH_S).expect("a receiver"));

@@ -129,7 +129,7 @@ impl Place {
     }
 
     /// Draws the next point of a ray that leaves here by Lambert's law, and the cosine of its incidence there.
-    fn thrown(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
+    fn scattered(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
         // A point of the unit sphere around the tip of the normal gives Lambert's law.
         let z: f64 = rng.random_range(-1.0..1.0);
         let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
@@ -170,8 +170,8 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
             let direction = offset / length_m;
             let cosine = (-direction.dot(first.normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
-            let thrown = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
-            (length_m + walk.length_m, thrown * walls.seen(element.position, &first))
+            let scattered = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
+            (length_m + walk.length_m, scattered * walls.seen(element.position, &first))
         };
         let Place { position, normal, .. } = walk.end;
         let back = rx.iter().map(leg).collect();
@@ -215,7 +215,7 @@ impl Walk {
         let mut mirrored = mirrored_at(&first, cosine).unwrap_or(0.0);
         let mut all = mirrored + diffuse.share;
         for _ in 1..count {
-            let Some((next, cosine)) = end.thrown(walls, &mut rng) else {
+            let Some((next, cosine)) = end.scattered(walls, &mut rng) else {
                 (mirrored, all) = (0.0, 0.0);
                 break;
             };
@@ -294,7 +294,7 @@ mod tests {
         let begin = |index: usize| {
             let mut place = Place::new(4, DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0));
             for _ in 0..8 {
-                place = place.thrown(&room, &mut rng).expect("a wall").0;
+                place = place.scattered(&room, &mut rng).expect("a wall").0;
             }
             Walk::from(place, &room, diffuse, from, index, 7)
         };

@@ -267,9 +267,9 @@ fn add_triangle(
             return Complex64::ZERO;
         }
         let arrival = Arrival { field: there.field, direction: there.direction };
-        let heard = heard_by(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
+        let received = heard_by(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
         let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
-        factor * heard * (spreading * weight)
+        factor * received * (spreading * weight)
     };
     let strengths: Vec<Complex64> = (0..grid.nodes.len()).map(strength).collect();
     let Some(first) = back.rx.first() else { return };

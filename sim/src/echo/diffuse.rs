@@ -54,7 +54,7 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
 /// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
 /// intervals. Each segment of the body takes `points_a_segment` of the points, with echoes scaled so that the mean
 /// power does not depend on that number.
-pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
+pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], intervals: &mut [HeldEchoes]) {
     /// Number of paths over a point.
     const WAYS: usize = 3;
     let points = &prepared.wall_points;
@@ -62,7 +62,7 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
     let segments: Vec<Segment> =
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
     let most = WAYS * segments.len() * points_a_segment.min(points.len());
-    stretches.iter_mut().for_each(|stretch| stretch.reserve(most));
+    intervals.iter_mut().for_each(|interval| interval.reserve(most));
     let audible = audible(prepared, own, &segments);
     let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
     // One pair of points stands for as many pairs as there are points.
@@ -81,22 +81,22 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
             }
             let own_legs = legs.of(index);
             let mut add = |way: Way, beside: &dyn Fn(usize, usize) -> Beside| {
-                segment.add(prepared, &way, beside, &mut keys, stretches);
+                segment.add(prepared, &way, beside, &mut keys, intervals);
             };
             let phase = point.phase;
             if let (true, Some(back)) = (audible[0], segment.rx.first()) {
-                let way = Way { legs: [own_legs, back], behind_m: point.there.0, thrown: point.there.1, phase };
+                let way = Way { legs: [own_legs, back], behind_m: point.there.0, scattered: point.there.1, phase };
                 add(way, &|receiver, time| segment.beside(receiver, time));
             }
             if let (true, Some(first)) = (audible[1], point.back.first()) {
-                let way = Way { legs: [&segment.tx, own_legs], behind_m: first.0, thrown: first.1, phase };
+                let way = Way { legs: [&segment.tx, own_legs], behind_m: first.0, scattered: first.1, phase };
                 add(way, &|receiver, _| beside_by_point(point, receiver));
             }
             if let Some((partner, first)) = partner.and_then(|partner| Some((partner, partner.back.first()?))) {
                 let legs_of_partner = legs.of(point.partner);
-                let (behind_m, thrown) = (point.there.0 + first.0, weight * point.there.1 * first.1);
+                let (behind_m, scattered) = (point.there.0 + first.0, weight * point.there.1 * first.1);
                 let phase = phase * partner.phase;
-                add(Way { legs: [own_legs, legs_of_partner], behind_m, thrown, phase }, &|receiver, _| {
+                add(Way { legs: [own_legs, legs_of_partner], behind_m, scattered, phase }, &|receiver, _| {
                     beside_by_point(partner, receiver)
                 });
             }
@@ -248,7 +248,7 @@ struct Way<'a> {
     /// Length of the path between points and antennas, m.
     behind_m: f64,
     /// Product of the fields that its points scatter for unit fields, times m.
-    thrown: f64,
+    scattered: f64,
     phase: Complex64,
 }
 
@@ -297,12 +297,12 @@ impl Segment {
         way: &Way,
         beside: &dyn Fn(usize, usize) -> Beside,
         keys: &mut Vec<([f64; 3], Complex64)>,
-        stretches: &mut [HeldEchoes],
+        intervals: &mut [HeldEchoes],
     ) {
         let least = HEARD * prepared.threshold_lsb;
         let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
         let legs = || way.legs[0].iter().zip(way.legs[1]);
-        let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.thrown;
+        let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.scattered;
         // The filters only attenuate, so this bound precedes their evaluation.
         if self.strength.iter().zip(legs()).map(strength).all(|field| lsb * field < least) {
             return;
@@ -317,7 +317,7 @@ impl Segment {
         if keys.iter().all(|(_, amplitude)| amplitude.norm_sqr() < least * least) {
             return;
         }
-        for (time, (ends, stretch)) in keys.windows(2).zip(stretches).enumerate() {
+        for (time, (ends, interval)) in keys.windows(2).zip(intervals).enumerate() {
             let mut others = [([0.0; 2], 0.0); OTHERS];
             for ((other, gain), receiver) in others.iter_mut().zip(self.gains.iter().skip(1)).zip(1..) {
                 let [begin, end] = [time, time + 1].map(|time| beside(receiver, time));
@@ -325,7 +325,7 @@ impl Segment {
                 *other = (delays_s, gain * begin.ratio);
             }
             let [(begin, from), (end, to)] = [ends[0], ends[1]];
-            stretch.push(&HeldEcho { delay: [begin, end], amplitude: [from, to], others });
+            interval.push(&HeldEcho { delay: [begin, end], amplitude: [from, to], others });
         }
     }
 }

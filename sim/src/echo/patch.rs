@@ -8,11 +8,11 @@ use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::patch_field::PatchField;
-use super::patch_sum::{PatchSums, StretchChirps, TrackRows, stretches_of};
+use super::patch_sum::{IntervalChirps, PatchSums, TrackRows, intervals_of};
 use crate::em::image::{Element, ImageIndex};
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::prepared_scene::PreparedScene;
-use crate::synthesis::{EchoWay, phasor};
+use crate::synthesis::{EchoFactors, phasor};
 
 /// Positions of the antennas' images, m.
 pub(super) struct Place {
@@ -31,7 +31,7 @@ pub struct FrameTimes {
     /// Middles of the chirps, s.
     pub chirps_s: Vec<f64>,
     /// Chirps grouped by the interval between key times that contains them.
-    stretches: Vec<StretchChirps>,
+    intervals: Vec<IntervalChirps>,
 }
 
 impl FrameTimes {
@@ -40,8 +40,8 @@ impl FrameTimes {
         let first_s = keys_s.first().copied().unwrap_or_default();
         let length_s = keys_s.last().copied().unwrap_or_default() - first_s;
         let places: Vec<f64> = chirps_s.iter().map(|t| (t - first_s) / length_s).collect();
-        let stretches = stretches_of(&places, keys_s.len().saturating_sub(1));
-        FrameTimes { keys_s, chirps_s, stretches }
+        let intervals = intervals_of(&places, keys_s.len().saturating_sub(1));
+        FrameTimes { keys_s, chirps_s, intervals }
     }
 
     /// Returns the same times with additional key times half-way between.
@@ -114,7 +114,7 @@ impl Patch {
         };
         let ends: Vec<TrackRows> = keys.iter().zip(&places).map(end).collect();
         sums.clear(times.chirps_s.len());
-        for ((ends, places), chirps) in ends.windows(2).zip(places.windows(2)).zip(&times.stretches) {
+        for ((ends, places), chirps) in ends.windows(2).zip(places.windows(2)).zip(&times.intervals) {
             let ([first, second], [begin, end]) = (ends, places) else { continue };
             sums.follow([begin, end].map(|place| (place.length_m, place.rate_m_per_s)), step_s, chirps);
             sums.add([first, second], chirps);
@@ -129,7 +129,7 @@ impl Patch {
         between: [&Place; 2],
         is_both: bool,
         chirps: usize,
-        ways: &mut Vec<EchoWay>,
+        ways: &mut Vec<EchoFactors>,
     ) {
         ways.clear();
         let last = self.places.len().saturating_sub(1);
@@ -155,7 +155,7 @@ impl Patch {
                 let reverse = if is_both { response * turn(1) } else { Complex::default() };
                 *factor = (there + reverse, there - reverse);
             }
-            ways.push(EchoWay {
+            ways.push(EchoFactors {
                 both: parabola(factors.map(|(both, _)| both), last, chirps),
                 apart: parabola(factors.map(|(_, apart)| apart), last, chirps),
             });
@@ -252,14 +252,14 @@ pub(super) fn missed_between_keys(
     let (mut missed, mut power) = (0.0, 0.0);
     for triple in keys.windows(3).step_by(2) {
         let [first, middle, last] = triple else { continue };
-        let (more, of) = missed_in_stretch(level, [first, middle, last], step_s, wavelength_m);
+        let (more, of) = missed_in_interval(level, [first, middle, last], step_s, wavelength_m);
         (missed, power) = (missed + more, power + of);
     }
     (missed, power)
 }
 
 compiled_for_levels! {
-    fn missed_in_stretch(keys: [&PatchField; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) = missed_body;
+    fn missed_in_interval(keys: [&PatchField; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) = missed_body;
 }
 
 #[inline(always)]

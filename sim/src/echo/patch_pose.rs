@@ -4,7 +4,7 @@ use glam::DVec3;
 use radome_dsp::KernelLevel;
 
 use super::inside_room;
-use super::surface_currents::{LightRows, VertexRows, light_rows};
+use super::surface_currents::{DirectionRows, VertexRows, direction_rows};
 use crate::em::curved_triangle::{
     HALVES, Integrator, Nodes, TriangleRows, ViewRows, bulge_rows, place_nodes, triangle_rows, view_rows,
 };
@@ -23,7 +23,7 @@ pub(super) struct PatchPose {
     pub(super) velocity: Row3,
     pub(super) against: [Row3; 3],
     /// Directions and distances of the vertices by image antenna, valid for the requested images.
-    pub(super) lights: Vec<LightRows>,
+    pub(super) lights: Vec<DirectionRows>,
     pub(super) views: Vec<ViewRows>,
     /// Nodes of each rule in each half of the lanes, and whether they have been computed.
     nodes: Vec<[(bool, Nodes); HALVES]>,
@@ -65,7 +65,7 @@ impl PatchPose {
             triangles,
             velocity: zero,
             against: [zero; 3],
-            lights: vec![light_rows(level, [0.0; 3], &zero); images],
+            lights: vec![direction_rows(level, [0.0; 3], &zero); images],
             views: vec![view_rows(level, DVec3::ZERO, DVec3::ZERO, &triangles, 1.0); images],
             nodes: integrator.rules.iter().map(|_| Default::default()).collect(),
             none: Nodes::default(),
@@ -111,7 +111,7 @@ impl PatchPose {
     /// Computes directions and distances from an image antenna.
     pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
         let from_origin = (antenna - origin).as_vec3().to_array();
-        self.lights[image] = light_rows(level, from_origin, &self.vertices.places);
+        self.lights[image] = direction_rows(level, from_origin, &self.vertices.places);
         self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
     }
 

@@ -17,7 +17,7 @@ use crate::lanes::{LANES, Row};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 use crate::prepared_scene::PreparedScene;
-use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
+use crate::synthesis::{ChirpGrids, Echo, EchoFactors, phasor};
 
 /// Phase span across a triangle above which a patch is taken to be weaker than one in phase, in proportion, rad. The
 /// value was measured: the patches it rejects are inaudible.
@@ -62,7 +62,7 @@ struct Pose {
     fields: Vec<FieldRows>,
     weights: Vec<Row>,
     /// Whether fields and weights have been computed, by image.
-    is_seen: Vec<bool>,
+    is_evaluated: Vec<bool>,
     /// Strengths between the current pair of images.
     strengths: (Row, Row),
     moments: MomentRows,
@@ -81,7 +81,7 @@ pub(super) struct PatchSolver {
     level: usize,
     sums: PatchSums,
     /// Echo factors for each receiver.
-    ways: Vec<EchoWay>,
+    ways: Vec<EchoFactors>,
     /// Area of the patch in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
@@ -98,7 +98,7 @@ impl PatchSolver {
             patch: PatchPose::new(images, work.integrator),
             fields: vec![FieldRows::default(); images],
             weights: vec![[1.0; LANES]; images],
-            is_seen: vec![false; images],
+            is_evaluated: vec![false; images],
             strengths: ([0.0; LANES], [0.0; LANES]),
             moments: MomentRows::default(),
         };
@@ -122,11 +122,12 @@ impl PatchSolver {
         self.left_out
     }
 
-    /// Poses a patch at the key times and evaluates it for the images of the pairs `shining`, for which it is near a
+    /// Poses a patch at the key times and evaluates it for the images of the pairs `near_specular`, for which it is near a
     /// specular point. Returns the number of clamped distances.
-    pub(super) fn pose(&mut self, work: &Work, patch: &SkinPatch, shining: &[usize]) -> usize {
+    pub(super) fn pose(&mut self, work: &Work, patch: &SkinPatch, near_specular: &[usize]) -> usize {
         self.images.clear();
-        self.images.extend(shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images));
+        self.images
+            .extend(near_specular.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images));
         self.images.sort_unstable();
         self.images.dedup();
         self.between = false;
@@ -155,7 +156,7 @@ impl PatchSolver {
     fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
         let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return };
         pose.patch.pose(work.prepared, work.integrator.level, work.skin, patch, posed, work.cloth, work.origin);
-        pose.is_seen.fill(false);
+        pose.is_evaluated.fill(false);
     }
 
     /// Computes directions, fields and weights of a posed patch for one of the images, once per pose. Returns the
@@ -164,7 +165,7 @@ impl PatchSolver {
         let level = work.integrator.level;
         let around = self.images.binary_search(&image).ok().and_then(|number| self.around.get(number));
         let (Some(pose), Some(around)) = (self.poses.get_mut(key), around) else { return 0 };
-        if std::mem::replace(&mut pose.is_seen[image], true) {
+        if std::mem::replace(&mut pose.is_evaluated[image], true) {
             return 0;
         }
         pose.patch.look(image, work.places[image].middle, work.origin, work.prepared.wavelength_m, level);

@@ -65,7 +65,7 @@ struct ChirpRow {
 
 /// Chirps of an interval between key times.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StretchChirps {
+pub struct IntervalChirps {
     rows: Vec<ChirpRow>,
     few: Nodes<FEW>,
     many: Nodes<MANY>,
@@ -109,28 +109,28 @@ fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
     places.iter().copied().filter(move |place| *place != own)
 }
 
-/// Divides chirps into `stretches` intervals of equal length. Chirp times are fractions of the whole, in ascending
+/// Divides chirps into `intervals` intervals of equal length. Chirp times are fractions of the whole, in ascending
 /// order.
-pub fn stretches_of(chirps: &[f64], stretches: usize) -> Vec<StretchChirps> {
-    let last = stretches.saturating_sub(1);
+pub fn intervals_of(chirps: &[f64], intervals: usize) -> Vec<IntervalChirps> {
+    let last = intervals.saturating_sub(1);
     // Chirps before the first key time or after the last belong to the nearest interval.
-    let stretch_of = |chirp: f64| ((chirp * stretches as f64).max(0.0) as usize).min(last);
-    let in_stretch = |stretch: usize| {
+    let stretch_of = |chirp: f64| ((chirp * intervals as f64).max(0.0) as usize).min(last);
+    let in_stretch = |interval: usize| {
         let in_row = |(row, chirps): (usize, &[f64])| {
-            let begin = chirps.iter().position(|&chirp| stretch_of(chirp) == stretch)?;
+            let begin = chirps.iter().position(|&chirp| stretch_of(chirp) == interval)?;
             let (mut places, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
             for i in 0..CHIRPS {
                 // An incomplete last block is padded with its last chirp.
                 let Some(&chirp) = chirps.get(i).or(chirps.last()) else { continue };
-                places[i] = (chirp * stretches as f64 - stretch as f64) as f32;
-                inside[i] = if i < chirps.len() && stretch_of(chirp) == stretch { 1.0 } else { 0.0 };
+                places[i] = (chirp * intervals as f64 - interval as f64) as f32;
+                inside[i] = if i < chirps.len() && stretch_of(chirp) == interval { 1.0 } else { 0.0 };
             }
             Some(ChirpRow { row, begin, places, inside })
         };
         let rows: Vec<ChirpRow> = chirps.chunks(CHIRPS).enumerate().filter_map(in_row).collect();
-        StretchChirps { few: Nodes::new(&rows), many: Nodes::new(&rows), rows }
+        IntervalChirps { few: Nodes::new(&rows), many: Nodes::new(&rows), rows }
     };
-    (0..stretches).map(in_stretch).collect()
+    (0..intervals).map(in_stretch).collect()
 }
 
 /// Sums of the echoes of one patch in each chirp.
@@ -153,14 +153,14 @@ impl PatchSums {
         self.sums.resize(chirps.div_ceil(CHIRPS), EchoChirps::default());
     }
 
-    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `stretch_s` seconds. `ends`
+    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `interval_s` seconds. `ends`
     /// are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
-    pub fn follow(&mut self, ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps) {
-        follow(self.level, ends, stretch_s, chirps, &mut self.sums);
+    pub fn follow(&mut self, ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps) {
+        follow(self.level, ends, interval_s, chirps, &mut self.sums);
     }
 
     /// Adds echoes in the chirps of an interval, from their values at its ends.
-    pub fn add(&mut self, ends: [&TrackRows; 2], chirps: &StretchChirps) {
+    pub fn add(&mut self, ends: [&TrackRows; 2], chirps: &IntervalChirps) {
         add(self.level, ends, chirps, &mut self.sums);
     }
 
@@ -183,15 +183,15 @@ impl PatchSums {
 }
 
 compiled_for_levels! {
-    fn follow(ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps, sums: &mut [EchoChirps]) = follow_body;
+    fn follow(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) = follow_body;
 }
 
 #[inline(always)]
-fn follow_body(ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps, sums: &mut [EchoChirps]) {
+fn follow_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
     let [(begin_m, begin_rate), (end_m, end_rate)] = ends;
-    let (first, second, step_m) = (begin_rate * stretch_s, end_rate * stretch_s, end_m - begin_m);
+    let (first, second, step_m) = (begin_rate * interval_s, end_rate * interval_s, end_m - begin_m);
     let (square, cube) = (3.0 * step_m - 2.0 * first - second, first + second - 2.0 * step_m);
-    let per_s = 1.0 / stretch_s;
+    let per_s = 1.0 / interval_s;
     for ChirpRow { row, begin, places, .. } in &chirps.rows {
         let Some(sums) = sums.get_mut(*row) else { continue };
         for i in 0..CHIRPS {
@@ -207,11 +207,11 @@ fn follow_body(ends: [(f64, f64); 2], stretch_s: f64, chirps: &StretchChirps, su
 }
 
 compiled_for_levels! {
-    fn add(ends: [&TrackRows; 2], chirps: &StretchChirps, sums: &mut [EchoChirps]) = add_body;
+    fn add(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChirps]) = add_body;
 }
 
 #[inline(always)]
-fn add_body(ends: [&TrackRows; 2], chirps: &StretchChirps, sums: &mut [EchoChirps]) {
+fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
     let cubics = CubicRows::between(ends);
     let [a, b] = ends.map(|end| end.field);
     let is_live = |l: usize| (a[0][l] != 0.0) | (a[1][l] != 0.0) | (b[0][l] != 0.0) | (b[1][l] != 0.0);
@@ -425,7 +425,7 @@ mod tests {
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
                 let mut sums = PatchSums::new(level);
                 sums.clear(COUNT);
-                for chirps in stretches_of(&places, 1) {
+                for chirps in intervals_of(&places, 1) {
                     sums.add(ends.each_ref(), &chirps);
                 }
                 for (i, &u) in places.iter().enumerate() {
@@ -443,15 +443,15 @@ mod tests {
     /// The path in every chirp is the cubic of its interval, and continues to the end of the last block.
     #[test]
     fn paths_are_followed_through_all_stretches() {
-        let (count, stretches, span_s) = (45, 3, 0.06);
+        let (count, intervals, span_s) = (45, 3, 0.06);
         let places: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
         let at = |t: f64| (3.0 + t * (1.5 - 4.0 * t), 1.5 - 8.0 * t);
         let mut sums = PatchSums::new(KernelLevel::detect());
         sums.clear(places.len());
-        for (stretch, chirps) in stretches_of(&places, stretches).iter().enumerate() {
-            let stretch_s = span_s / stretches as f64;
-            let ends = [stretch, stretch + 1].map(|end| at(end as f64 * stretch_s));
-            sums.follow(ends, stretch_s, chirps);
+        for (interval, chirps) in intervals_of(&places, intervals).iter().enumerate() {
+            let interval_s = span_s / intervals as f64;
+            let ends = [interval, interval + 1].map(|end| at(end as f64 * interval_s));
+            sums.follow(ends, interval_s, chirps);
         }
         for number in 0..places.len().next_multiple_of(CHIRPS) {
             let place = places[number.min(places.len() - 1)];
@@ -466,14 +466,14 @@ mod tests {
     #[test]
     fn every_chirp_is_in_one_stretch() {
         let chirps: Vec<f64> = (0..45).map(|i| -0.01 + f64::from(i) / 43.0).collect();
-        for stretches in [1, 2, 3, 8] {
+        for intervals in [1, 2, 3, 8] {
             let mut found = [0; 45];
-            for (stretch, of) in stretches_of(&chirps, stretches).iter().enumerate() {
+            for (interval, of) in intervals_of(&chirps, intervals).iter().enumerate() {
                 for (row, i) in of.rows.iter().flat_map(|row| (0..CHIRPS).map(move |i| (row, i))) {
                     if row.inside[i] == 1.0 {
                         let number = row.row * CHIRPS + i;
                         found[number] += 1;
-                        let at = (stretch as f64 + f64::from(row.places[i])) / stretches as f64;
+                        let at = (interval as f64 + f64::from(row.places[i])) / intervals as f64;
                         assert!((at - chirps[number]).abs() < 1e-6 && i >= row.begin);
                     } else {
                         assert_eq!(row.inside[i], 0.0);

@@ -23,7 +23,7 @@ pub(super) struct WideFields {
 
 /// Echoes at one receiver, one path per lane.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct HeardRows {
+pub(super) struct ReceivedRows {
     pub(super) delay_s: WideRow,
     pub(super) delay_rate: WideRow,
     /// Amplitude at the ADC, LSB: real and imaginary part.
@@ -132,14 +132,14 @@ fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
 
 compiled_for_levels! {
     /// Computes the echoes at a receiver whose images are at `sinks`.
-    pub(super) fn heard(
+    pub(super) fn received(
         prepared: &PreparedScene,
         lsb: f64,
         seen: &SpecularRows,
         drift: &Drift,
         sinks: &WideRow3,
         amplitude: &[WideRow; 2],
-        out: &mut HeardRows,
+        out: &mut ReceivedRows,
     ) = heard_body;
 }
 
@@ -151,7 +151,7 @@ fn heard_body(
     drift: &Drift,
     sinks: &WideRow3,
     amplitude: &[WideRow; 2],
-    out: &mut HeardRows,
+    out: &mut ReceivedRows,
 ) {
     let (chirp, filters) = (prepared.chirp, prepared.filters);
     let [centre, x, y, z] = drift.0;

@@ -10,7 +10,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::obstruction::{Bystanders, SharedWays, limb_column, opposite};
-use super::path_rows::{Drift, HeardRows, WideFields, heard, launched, reflected};
+use super::path_rows::{Drift, ReceivedRows, WideFields, launched, received, reflected};
 use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
 use crate::diffraction::weaken_rows;
 use crate::em::Phasor3;
@@ -189,13 +189,13 @@ impl Paths<'_> {
         amplitude: &[WideRow; 2],
         met: &mut [Met],
     ) {
-        let mut rows = HeardRows::default();
+        let mut rows = ReceivedRows::default();
         for (rx, &lsb) in self.prepared.lsb.iter().enumerate().take(RECEIVERS) {
             let mut sinks = [[0.0; WIDE]; 3];
             for (l, pair) in pairs.iter().enumerate() {
                 store(&mut sinks, l, pair.sinks.get(rx).copied().unwrap_or_default().to_array());
             }
-            heard(self.level, self.prepared, lsb, seen, drift, &sinks, amplitude, &mut rows);
+            received(self.level, self.prepared, lsb, seen, drift, &sinks, amplitude, &mut rows);
             for (l, &at) in lanes.iter().enumerate() {
                 let Some(met) = met.get_mut(at).filter(|met| met.place.is_some()) else { continue };
                 let amplitude = Complex64::new(rows.amplitude[0][l], rows.amplitude[1][l]);

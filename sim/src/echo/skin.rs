@@ -21,7 +21,7 @@ use super::error_budget::{ErrorBudget, Missed};
 use super::patch::{FrameTimes, Place, middle_antenna};
 use super::patch_pose::vertex_rows;
 use super::patch_solver::{Pair, PatchSolver, Tally, Work};
-use super::surface_currents::{any_shines, light_rows};
+use super::surface_currents::{any_near_specular, direction_rows};
 use super::{EchoReport, Snapshot, past_people, self_occlusion};
 use crate::em::curved_triangle::Integrator;
 use crate::em::image::ImageIndex;
@@ -125,17 +125,19 @@ impl SkinnedPerson {
             weights: Vec::new(),
             missed_between_keys: budget.missed_between_keys(),
         };
-        let shining = self.shining(&work);
-        work.weights = self.weights(&work, people, me, &shining, budget);
+        let near_specular = self.near_specular(&work);
+        work.weights = self.weights(&work, people, me, &near_specular, budget);
 
         let loudest = prepared.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up, so the threshold of a single patch lies far below the visible level.
         let least = (budget.least_patch_lsb() / loudest.max(1e-300)) as f32;
         let mut solver = PatchSolver::new(&work, least);
         let mut missed = Tally::default();
-        for (patch, shining) in work.skin.patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
-            report.clamped += solver.pose(&work, patch, shining);
-            for &number in shining {
+        for (patch, near_specular) in
+            work.skin.patches().iter().zip(&near_specular).filter(|(_, pairs)| !pairs.is_empty())
+        {
+            report.clamped += solver.pose(&work, patch, near_specular);
+            for &number in near_specular {
                 let Some(pair) = work.pairs.get(number) else { continue };
                 if !solver.integrate(&work, patch, pair) {
                     continue;
@@ -155,18 +157,18 @@ impl SkinnedPerson {
 
     /// Returns, for each patch, the pairs of images for which it is near a specular point at the beginning or at the
     /// end.
-    fn shining(&self, work: &Work) -> Vec<Vec<usize>> {
+    fn near_specular(&self, work: &Work) -> Vec<Vec<usize>> {
         let level = work.integrator.level;
         let patches = self.mesh.skin().patches();
         let mut all = vec![Vec::new(); patches.len()];
         let ends = [work.posed.first(), work.posed.last()];
-        for (patch, shining) in patches.iter().zip(&mut all) {
+        for (patch, near_specular) in patches.iter().zip(&mut all) {
             let seen: Vec<_> = ends
                 .iter()
                 .flatten()
                 .map(|posed| {
                     let [places, normals] = vertex_rows(posed, patch, work.origin);
-                    let light = |place: &Place| light_rows(level, from(work.origin, place.middle), &places);
+                    let light = |place: &Place| direction_rows(level, from(work.origin, place.middle), &places);
                     (normals, work.places.iter().map(light).collect::<Vec<_>>())
                 })
                 .collect();
@@ -175,11 +177,12 @@ impl SkinnedPerson {
                 let [a, b] = pair.images;
                 let outer = pair.settings.window[1] as f32;
                 let lit = |(normals, lights): &([Row; 3], Vec<_>)| {
-                    any_shines(level, normals, &narrowing, [&lights[a], &lights[b]], outer)
+                    any_near_specular(level, normals, &narrowing, [&lights[a], &lights[b]], outer)
                 };
                 seen.iter().any(lit)
             };
-            shining.extend(work.pairs.iter().enumerate().filter(|(_, pair)| shines(pair)).map(|(number, _)| number));
+            near_specular
+                .extend(work.pairs.iter().enumerate().filter(|(_, pair)| shines(pair)).map(|(number, _)| number));
         }
         all
     }
@@ -191,11 +194,11 @@ impl SkinnedPerson {
         work: &Work,
         people: &[Vec<Snapshot>],
         me: usize,
-        shining: &[Vec<usize>],
+        near_specular: &[Vec<usize>],
         budget: &ErrorBudget,
     ) -> Vec<Vec<(f64, Vec<f64>)>> {
         let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
-        for (patch, pairs) in work.skin.patches().iter().zip(shining) {
+        for (patch, pairs) in work.skin.patches().iter().zip(near_specular) {
             for image in pairs.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images) {
                 patch.vertices.iter().for_each(|&v| wanted[image][v as usize] = true);
             }

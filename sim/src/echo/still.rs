@@ -12,7 +12,7 @@ use super::error_budget::IntegrationSettings;
 use super::patch_pose::{at_corners, vectors_at_corners, vertex_rows};
 use super::patch_solver::rules_for;
 use super::self_occlusion;
-use super::surface_currents::{Between, FieldAround, VertexRows, field_rows, light_rows, strengths};
+use super::surface_currents::{Between, FieldAround, VertexRows, direction_rows, field_rows, strengths};
 use crate::em::Phasor3;
 use crate::em::curved_triangle::{
     HALVES, Integrator, Nodes, bulge_rows, moments, place_nodes, spans_rad, triangle_rows, view_rows,
@@ -79,7 +79,7 @@ impl StillSkin {
         let bulges = bulge_rows(level, &corners, &corner_normals);
         let triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
         let seen = view_rows(level, view.antenna, self.origin, &triangles, view.wavelength_m);
-        let light = light_rows(level, (view.antenna - self.origin).as_vec3().to_array(), &places);
+        let light = direction_rows(level, (view.antenna - self.origin).as_vec3().to_array(), &places);
         let around = FieldAround::new(self.centre(patch), self.origin, view.field);
         let field = field_rows(level, &around, &places);
         let weights = patch.vertices.map(|v| weights.get(v as usize).map_or(1.0, |weight| *weight as f32));

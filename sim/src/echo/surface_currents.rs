@@ -26,7 +26,7 @@ pub(super) struct VertexRows {
 
 /// Directions and distances from vertices to an image antenna.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct LightRows {
+pub(super) struct DirectionRows {
     /// Unit vectors to the antenna.
     pub(super) towards: Row3,
     /// Inverse distance, 1/m, with the distance clamped to [`LEAST_DISTANCE_M`].
@@ -91,7 +91,7 @@ fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
 pub(super) struct Between<'a> {
     pub(super) vertices: &'a VertexRows,
     /// The transmitting and the receiving image antenna.
-    pub(super) lights: [&'a LightRows; 2],
+    pub(super) lights: [&'a DirectionRows; 2],
     pub(super) fields: [&'a FieldRows; 2],
     /// Factors of obstruction by people and limbs on both fields.
     pub(super) weights: [&'a Row; 2],
@@ -101,10 +101,10 @@ pub(super) struct Between<'a> {
     pub(super) factor: f32,
 }
 
-impl LightRows {
+impl DirectionRows {
     #[inline(always)]
     fn new(antenna: [f32; 3], places: &Row3) -> Self {
-        let mut rows = LightRows { towards: Default::default(), inverse_m: [0.0; LANES] };
+        let mut rows = DirectionRows { towards: Default::default(), inverse_m: [0.0; LANES] };
         for l in 0..LANES {
             let (x, y, z) = (antenna[0] - places[0][l], antenna[1] - places[1][l], antenna[2] - places[2][l]);
             let distance = (x * x + y * y + z * z).sqrt();
@@ -124,16 +124,16 @@ impl LightRows {
 compiled_for_levels! {
     /// Computes directions and inverse distances to an antenna. Its position has the same origin as those of the
     /// vertices.
-    pub(super) fn light_rows(antenna: [f32; 3], places: &Row3) -> LightRows = LightRows::new;
+    pub(super) fn direction_rows(antenna: [f32; 3], places: &Row3) -> DirectionRows = DirectionRows::new;
 }
 
 compiled_for_levels! {
     /// Returns whether any vertex is near a specular point: within the window, and facing both antennas.
-    pub(super) fn any_shines(normals: &Row3, narrowing: &Row, lights: [&LightRows; 2], outer: f32) -> bool = shines_body;
+    pub(super) fn any_near_specular(normals: &Row3, narrowing: &Row, lights: [&DirectionRows; 2], outer: f32) -> bool = near_specular_body;
 }
 
 #[inline(always)]
-fn shines_body(normals: &Row3, narrowing: &Row, [out, back]: [&LightRows; 2], outer: f32) -> bool {
+fn near_specular_body(normals: &Row3, narrowing: &Row, [out, back]: [&DirectionRows; 2], outer: f32) -> bool {
     let mut any = 0u32;
     for l in 0..LANES {
         let (mut with_out, mut with_back, mut square) = (0.0, 0.0, 0.0);
@@ -193,7 +193,7 @@ fn divide(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
 
 #[inline(always)]
 fn strengths_body(between: &Between) -> (Row, Row) {
-    let Between { vertices, lights: [out, back], fields: [field, heard], weights, permittivity, settings, factor } =
+    let Between { vertices, lights: [out, back], fields: [field, received], weights, permittivity, settings, factor } =
         between;
     let (eps_re, eps_im) = (permittivity.re as f32, permittivity.im as f32);
     let (inner, outer) = (settings.window[0] as f32, settings.window[1] as f32);
@@ -203,7 +203,7 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let t = lane(&out.towards, l);
         let s = lane(&back.towards, l);
         let (field_re, field_im) = (lane(&field.re, l), lane(&field.im, l));
-        let (heard_re, heard_im) = (lane(&heard.re, l), lane(&heard.im, l));
+        let (heard_re, heard_im) = (lane(&received.re, l), lane(&received.im, l));
         let bisector = sum(t, s, 1.0);
         let length = dot(bisector, bisector).sqrt();
         let cosine = dot(n, bisector) / length.max(1e-6);
@@ -306,7 +306,7 @@ mod tests {
             }
             let row3 = |v: DVec3| v.as_vec3().to_array().map(|x| [x; LANES]);
             let vertices = VertexRows { places: row3(point), normals: row3(normal), left: ones, narrowing: ones };
-            let lights = [out, back].map(|a| light_rows(level, a.as_vec3().to_array(), &vertices.places));
+            let lights = [out, back].map(|a| direction_rows(level, a.as_vec3().to_array(), &vertices.places));
             let zero = Phasor3::real(DVec3::ZERO);
             let around = |field| FieldAround { place: [0.0; 3], field, slopes: [zero; 3] };
             let rows = fields.map(|field| field_rows(level, &around(field), &vertices.places));

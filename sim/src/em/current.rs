@@ -27,7 +27,7 @@ pub struct Listener {
 /// Evaluates physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and `M
 /// = -n x (E_i + E_r)`. The received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
 /// phase). For a conductor in the monostatic case it is the cosine of the angle of incidence.
-pub fn heard(
+pub fn received(
     arrival: &Arrival,
     normal: DVec3,
     boundary: &Wall,
@@ -37,7 +37,7 @@ pub fn heard(
     heard_by(arrival, normal, boundary, wavenumber_per_m, listener.towards, Phasor3::real(listener.polarisation))
 }
 
-/// Evaluates [`heard`] for an antenna whose polarisation at the surface is complex, as behind a lossy wall.
+/// Evaluates [`received`] for an antenna whose polarisation at the surface is complex, as behind a lossy wall.
 pub fn heard_by(
     arrival: &Arrival,
     normal: DVec3,
@@ -72,11 +72,11 @@ mod tests {
         let polarisation = towards.any_orthonormal_vector();
         let listener = Listener { towards, polarisation };
         let arrival = Arrival { field: Phasor3::real(polarisation), direction: -towards };
-        let conductor = heard(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
+        let conductor = received(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
         assert!((conductor - towards.z).norm() < 1e-12);
         let permittivity = Complex64::new(7.98, -10.9);
         let skin = Wall::HalfSpace { permittivity };
-        let back = heard(&arrival, towards, &skin, 1257.0, &listener);
+        let back = received(&arrival, towards, &skin, 1257.0, &listener);
         let index = permittivity.sqrt();
         assert!((back + (1.0 - index) / (1.0 + index)).norm() < 1e-12);
     }
@@ -93,8 +93,8 @@ mod tests {
         );
         let arrival = Arrival { field, direction };
         let listener = Listener { towards: DVec3::new(-0.2, 0.5, 0.7).normalize(), polarisation: DVec3::Y };
-        let metal = heard(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
+        let metal = received(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e12) };
-        assert!((heard(&arrival, DVec3::Z, &almost, 1257.0, &listener) - metal).norm() < 1e-5);
+        assert!((received(&arrival, DVec3::Z, &almost, 1257.0, &listener) - metal).norm() < 1e-5);
     }
 }

@@ -28,8 +28,8 @@ impl FrameSimulator {
             let end = (begin + CHIRPS).min(shape.chirps);
             self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
             for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
-                for (stretch, places) in self.stretches_of(begin..end, halvings) {
-                    let tracks = traced.tracks.at(halvings, stretch);
+                for (interval, places) in self.intervals_of(begin..end, halvings) {
+                    let tracks = traced.tracks.at(halvings, interval);
                     self.synthesiser.spread_tracks(&self.prepared.chirp, tracks, &places, &mut grids);
                 }
             }
@@ -63,8 +63,8 @@ impl FrameSimulator {
             grids.clear();
             let at_ends = static_grids.grids.get(rx).filter(|_| !static_grids.by_chirp);
             let Some(at_ends) = at_ends else { continue };
-            for (stretch, places) in self.stretches_of(block.clone(), halvings) {
-                if let Some([a, b]) = at_ends.get(stretch..stretch + 2) {
+            for (interval, places) in self.intervals_of(block.clone(), halvings) {
+                if let Some([a, b]) = at_ends.get(interval..interval + 2) {
                     grids.blend(a, b, &places);
                 }
             }
@@ -74,23 +74,23 @@ impl FrameSimulator {
     /// Returns the interval that contains a chirp in a frame that is halved this often, and the chirp's position in it,
     /// 0..1.
     pub(super) fn place_of(&self, chirp: usize, halvings: u32) -> (usize, f64) {
-        let stretches = 1usize << halvings;
-        let at = self.middle_s(chirp) / self.active_s() * stretches as f64;
-        let stretch = (at as usize).min(stretches - 1);
-        (stretch, at - stretch as f64)
+        let intervals = 1usize << halvings;
+        let at = self.middle_s(chirp) / self.active_s() * intervals as f64;
+        let interval = (at as usize).min(intervals - 1);
+        (interval, at - interval as f64)
     }
 
     /// Returns the intervals that contain chirps of a block in a frame that is halved this often, each with the
     /// positions of those chirps.
-    pub(super) fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
+    pub(super) fn intervals_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
         let mut of_block = Vec::new();
         let mut begin = block.start;
         while begin < block.end {
-            let (stretch, _) = self.place_of(begin, halvings);
+            let (interval, _) = self.place_of(begin, halvings);
             let end =
-                (begin..block.end).find(|&chirp| self.place_of(chirp, halvings).0 != stretch).unwrap_or(block.end);
+                (begin..block.end).find(|&chirp| self.place_of(chirp, halvings).0 != interval).unwrap_or(block.end);
             let lanes = begin - block.start..end - block.start;
-            of_block.push((stretch, Places::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
+            of_block.push((interval, Places::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
             begin = end;
         }
         of_block

@@ -36,8 +36,8 @@ impl FrameSimulator {
             self.begin_run(&block, halvings, diffuse, run);
         }
         let in_run = run.chirps.contains(&block.start);
-        for (stretch, places) in self.stretches_of(block.clone(), halvings) {
-            let of_stretch = if in_run { Some(run.rates.left()) } else { diffuse.get(stretch) };
+        for (interval, places) in self.intervals_of(block.clone(), halvings) {
+            let of_stretch = if in_run { Some(run.rates.left()) } else { diffuse.get(interval) };
             if let Some(echoes) = of_stretch {
                 self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
             }
@@ -56,8 +56,8 @@ impl FrameSimulator {
     /// would not save work.
     fn begin_run(&self, block: &Range<usize>, halvings: u32, diffuse: &[HeldEchoes], run: &mut DiffuseRun) {
         let chirps = self.waveform().shape().chirps;
-        let (stretch, first) = self.place_of(block.start, halvings);
-        let is_inside = |end: usize| self.place_of(end - 1, halvings).0 == stretch;
+        let (interval, first) = self.place_of(block.start, halvings);
+        let is_inside = |end: usize| self.place_of(end - 1, halvings).0 == interval;
         let ends = (block.start + CHIRPS..block.start + RUN + CHIRPS).step_by(CHIRPS).map(|end| end.min(chirps));
         let end = ends.take_while(|&end| is_inside(end) && end - block.start <= RUN).last().unwrap_or(block.start);
         run.chirps = block.start..end;
@@ -65,7 +65,7 @@ impl FrameSimulator {
             run.chirps.end = run.chirps.start;
             return;
         }
-        let Some(echoes) = diffuse.get(stretch) else { return };
+        let Some(echoes) = diffuse.get(interval) else { return };
         let (_, last) = self.place_of(end - 1, halvings);
         let step = (last - first) / (run.chirps.len() - 1) as f64;
         let spread = Run { first, step, chirps: run.chirps.len() };

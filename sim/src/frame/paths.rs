@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::{FrameReport, FrameSimulator};
 use crate::diffraction::Column;
 use crate::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
-use crate::path_sampling::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
+use crate::path_sampling::{Instants, KeyedPaths, MOST_HALVINGS, SamplingTolerance};
 use crate::people::motion::Motion;
 use crate::scene_file::BodyFile;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
@@ -80,8 +80,8 @@ impl FrameSimulator {
     /// even where skins need shorter intervals.
     fn add_diffuse(&self, people: usize, traced: &mut Traced) {
         let halvings = traced.halvings.min(FIRST_HALVINGS);
-        let stretch_s = self.active_s() / f64::from(1u32 << halvings);
-        traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << halvings];
+        let interval_s = self.active_s() / f64::from(1u32 << halvings);
+        traced.diffuse = vec![HeldEchoes::new(interval_s); 1 << halvings];
         let step = 1usize << (traced.halvings - halvings);
         for me in 0..people {
             let own: Vec<&Snapshot> =
@@ -96,7 +96,7 @@ impl FrameSimulator {
         let report = FrameReport {
             static_paths: self.prepared.static_paths.len(),
             traced_paths: paths.traced,
-            moving_paths: paths.heard,
+            moving_paths: paths.received,
             keys: paths.keys,
             between_keys: paths.error(),
             estimate_db: None,
@@ -109,7 +109,7 @@ impl FrameSimulator {
 
     /// Samples the paths of all people, each at as many key times as it needs.
     fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
-        let demand = KeyDemand {
+        let demand = SamplingTolerance {
             // The limit is 6 dB below a path alone in its cell, since many weak paths add up; the limit of errors is
             // lower still.
             heard_lsb: HEARD * self.prepared.threshold_lsb,
@@ -137,7 +137,7 @@ impl FrameSimulator {
 
     /// Returns the ends of a frame's intervals, s.
     pub(super) fn ends_s(&self, start_s: f64, halvings: u32) -> Vec<f64> {
-        let stretches = 1u32 << halvings;
-        (0..=stretches).map(|k| start_s + self.active_s() * f64::from(k) / f64::from(stretches)).collect()
+        let intervals = 1u32 << halvings;
+        (0..=intervals).map(|k| start_s + self.active_s() * f64::from(k) / f64::from(intervals)).collect()
     }
 }

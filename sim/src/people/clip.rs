@@ -108,7 +108,7 @@ impl BodyClip {
         // The body faces +x, and the soles rest on the floor.
         let ahead = DMat3::from_rotation_z(-stance.travel_m.y.atan2(stance.travel_m.x));
         for (pose, surge_m) in poses.iter_mut().zip(stance.surge_m()) {
-            pose.iter_mut().for_each(|m| *m = Map { centre: ahead * m.centre, stretch: ahead * m.stretch });
+            pose.iter_mut().for_each(|m| *m = Map { centre: ahead * m.centre, interval: ahead * m.interval });
             if let Some(hips) = pose.first_mut() {
                 hips.centre += (ahead * surge_m - DVec3::Z * stance.floor_m) / unit_m;
             }
@@ -195,7 +195,7 @@ fn lift_toes(build: &Build, pose: &mut [Map], unit_m: f64) {
         });
         let frames = turned(pose, best.unwrap_or(0.0));
         if let Some(foot) = pose.get_mut(12 + side) {
-            foot.stretch = frames.foot[side];
+            foot.interval = frames.foot[side];
         }
     }
 }
@@ -347,7 +347,7 @@ fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
 fn to_maps(f: &Frames) -> Vec<Map> {
     let parts = [f.pelvis, f.trunk, f.chest, f.head].into_iter();
     let limbs = [f.upper_arm, f.forearm, f.thigh, f.shank, f.foot].into_iter().flatten();
-    let mut maps: Vec<Map> = parts.chain(limbs).map(|stretch| Map { centre: DVec3::ZERO, stretch }).collect();
+    let mut maps: Vec<Map> = parts.chain(limbs).map(|interval| Map { centre: DVec3::ZERO, interval }).collect();
     if let Some(hips) = maps.first_mut() {
         hips.centre = f.hips;
     }
@@ -355,7 +355,7 @@ fn to_maps(f: &Frames) -> Vec<Map> {
 }
 
 fn from_maps(maps: &[Map], unit_m: f64, chest_m: f64) -> Frames {
-    let at = |i: usize| maps.get(i).map_or(DMat3::IDENTITY, |m| rigid(m.stretch));
+    let at = |i: usize| maps.get(i).map_or(DMat3::IDENTITY, |m| rigid(m.interval));
     debug_assert_eq!(maps.len(), FRAMES);
     Frames {
         hips: maps.first().map_or(DVec3::ZERO, |m| m.centre * unit_m),

@@ -238,7 +238,7 @@ mod tests {
     fn the_curve_goes_through_the_poses_and_between_them_smoothly() {
         let pose = |phase: f64| {
             let centre = DVec3::new((TAU * phase).cos(), (2.0 * TAU * phase).sin(), 1.0);
-            vec![Map { centre, stretch: DMat3::from_rotation_y(0.6 * (TAU * phase).sin()) }]
+            vec![Map { centre, interval: DMat3::from_rotation_y(0.6 * (TAU * phase).sin()) }]
         };
         let poses: Vec<_> = (0..48).map(|k| pose(f64::from(k) / 48.0)).collect();
         let cycle = Cycle::through(&poses);
@@ -246,7 +246,7 @@ mod tests {
             let phase = f64::from(i) / 333.0;
             let (found, exact) = (cycle.at(phase)[0], pose(phase)[0]);
             assert!(found.centre.distance(exact.centre) < 2e-5, "{phase}");
-            assert!((found.stretch.determinant() - 1.0).abs() < 1e-5, "turned without stretching at {phase}");
+            assert!((found.interval.determinant() - 1.0).abs() < 1e-5, "turned without stretching at {phase}");
         }
     }
 

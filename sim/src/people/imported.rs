@@ -201,7 +201,7 @@ impl Actor {
         let maps = self.maps(walk);
         self.parts.map(|(bone, part)| {
             let (Some(now), Some(then)) = (maps.get(bone), self.standing.get(bone)) else { return part };
-            let moved = now.stretch * then.stretch.inverse();
+            let moved = now.interval * then.interval.inverse();
             let x = (moved * part.axes.x_axis).normalize_or(DVec3::X);
             let y = (moved * part.axes.y_axis).reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
             let axes = DMat3::from_cols(x, y, x.cross(y));
@@ -318,7 +318,7 @@ fn up_axis(rig: &Rig) -> DVec3 {
 /// Rotates (and scales) all maps about the origin, then moves them.
 fn turn(maps: &mut [Map], by: DMat3, then: DVec3) {
     for map in maps {
-        *map = Map { centre: by * map.centre + then, stretch: by * map.stretch };
+        *map = Map { centre: by * map.centre + then, interval: by * map.interval };
     }
 }
 

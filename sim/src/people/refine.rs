@@ -43,7 +43,7 @@ impl BoundMesh {
 /// Returns the position of a vertex in a pose.
 pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DVec3 {
     let at = |&(bone, weight): &(usize, f64)| {
-        maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.stretch * place) * weight)
+        maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.interval * place) * weight)
     };
     weights.iter().map(at).sum()
 }
@@ -184,7 +184,7 @@ mod tests {
     use crate::geometry::shape;
 
     fn still() -> Vec<Map> {
-        vec![Map { centre: DVec3::ZERO, stretch: DMat3::IDENTITY }]
+        vec![Map { centre: DVec3::ZERO, interval: DMat3::IDENTITY }]
     }
 
     fn ball() -> Mesh {

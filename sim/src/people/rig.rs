@@ -342,7 +342,7 @@ impl Rig {
         let of = |joint: &Joint| {
             let joint_world = world.get(joint.node).copied().unwrap_or(DMat4::IDENTITY);
             let map = joint_world * joint.inverse_bind;
-            let map = Map { centre: map.w_axis.truncate(), stretch: DMat3::from_mat4(map) };
+            let map = Map { centre: map.w_axis.truncate(), interval: DMat3::from_mat4(map) };
             (joint_world.w_axis.truncate(), map)
         };
         self.joints.iter().map(of).unzip()

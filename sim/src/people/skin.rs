@@ -277,7 +277,7 @@ impl Skin {
 
     fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
         self.influences(binding)
-            .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
+            .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].interval * unit) * weight)
             .sum()
     }
 }
@@ -410,42 +410,42 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Map {
     pub(super) centre: DVec3,
-    pub(super) stretch: DMat3,
+    pub(super) interval: DMat3,
 }
 
 impl Map {
     pub(super) fn of(e: &Ellipsoid) -> Self {
-        Map { centre: e.centre, stretch: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
+        Map { centre: e.centre, interval: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
     }
 
     pub(super) fn is_finite(&self) -> bool {
-        self.centre.is_finite() && self.stretch.is_finite()
+        self.centre.is_finite() && self.interval.is_finite()
     }
 }
 
 impl Map {
     /// Zero map, which adds nothing.
-    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
+    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, interval: DMat3::ZERO };
 }
 
 impl std::ops::Add for Map {
     type Output = Map;
     fn add(self, other: Map) -> Map {
-        Map { centre: self.centre + other.centre, stretch: self.stretch + other.stretch }
+        Map { centre: self.centre + other.centre, interval: self.interval + other.interval }
     }
 }
 
 impl std::ops::Sub for Map {
     type Output = Map;
     fn sub(self, other: Map) -> Map {
-        Map { centre: self.centre - other.centre, stretch: self.stretch - other.stretch }
+        Map { centre: self.centre - other.centre, interval: self.interval - other.interval }
     }
 }
 
 impl std::ops::Mul<f64> for Map {
     type Output = Map;
     fn mul(self, factor: f64) -> Map {
-        Map { centre: self.centre * factor, stretch: self.stretch * factor }
+        Map { centre: self.centre * factor, interval: self.interval * factor }
     }
 }
 

@@ -58,7 +58,7 @@ impl WalkingMesh {
             .zip(near)
             .map(|((a, d), (b, c))| Map {
                 centre: (a.centre - d.centre + (c.centre - b.centre) * 8.0) / (12.0 * h),
-                stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
+                interval: (a.interval - d.interval + (c.interval - b.interval) * 8.0) * (1.0 / (12.0 * h)),
             })
             .collect();
         let vertices = self.skin.pose(&self.maps(time_s));

@@ -65,7 +65,7 @@ pub struct EchoChirps {
 
 /// Factors from an echo's field to LSB at one receiver, as it multiplies `exp(+j ...)`, by powers of the chirp index.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct EchoWay {
+pub struct EchoFactors {
     /// Sum over the forward path and its reverse.
     pub both: [Complex<f32>; 3],
     /// Forward path minus its reverse: factor of the detour term.
@@ -80,7 +80,7 @@ pub struct Echo<'a> {
     /// Wavelength at which the field was computed, m.
     pub wavelength_m: f64,
     /// Echo factors for each receiver.
-    pub ways: &'a [EchoWay],
+    pub ways: &'a [EchoFactors],
     /// Blocks of chirps.
     pub chirps: &'a [EchoChirps],
 }
@@ -141,11 +141,11 @@ fn echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec
         let (runs, width) = runs(kernel, &turned);
         for (way, blocks) in echo.ways.iter().zip(blocks.iter_mut()) {
             let Some(grids) = blocks.get_mut(block) else { continue };
-            let heard = heard(way, &turned, (block * CHIRPS) as f32);
+            let received = received(way, &turned, (block * CHIRPS) as f32);
             if width == CHIRPS {
-                lay(kernel, &runs[0], &turned.apart, &heard, &mut grids.cells);
+                lay(kernel, &runs[0], &turned.apart, &received, &mut grids.cells);
             } else {
-                lay_in_runs(kernel, &runs, width, &turned.apart, &heard, &mut grids.cells);
+                lay_in_runs(kernel, &runs, width, &turned.apart, &received, &mut grids.cells);
             }
         }
     }
@@ -255,14 +255,14 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
 
 /// Echo at a receiver in a block of chirps: the field, and the field times the offset of its origin from the tone's
 /// position, cells.
-struct Heard {
+struct Received {
     field: [Row; 2],
     beside: [Row; 2],
 }
 
 /// Applies a receiver's factors. `first` is the index of the block's first chirp.
 #[inline(always)]
-fn heard(way: &EchoWay, turned: &Turned, first: f32) -> Heard {
+fn received(way: &EchoFactors, turned: &Turned, first: f32) -> Received {
     let ([a, b, c], [d, e, f]) = (way.both, way.apart);
     let (field, detoured, beside) = (&turned.field, &turned.detoured, &turned.beside);
     // Separate rows: in-place sums would be computed one lane at a time.
@@ -277,20 +277,20 @@ fn heard(way: &EchoWay, turned: &Turned, first: f32) -> Heard {
         beside_re[i] = beside[0][i] * x - beside[1][i] * y;
         beside_im[i] = beside[0][i] * y + beside[1][i] * x;
     }
-    Heard { field: [re, im], beside: [beside_re, beside_im] }
+    Received { field: [re, im], beside: [beside_re, beside_im] }
 }
 
 /// Adds an echo around one position of the grid.
 #[inline(always)]
-fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, heard: &Heard, cells: &mut [Cell]) {
+fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, received: &Received, cells: &mut [Cell]) {
     let (Some(taps), Some(slopes)) = (kernel.taps.get(run.place), kernel.slopes.get(run.place)) else { return };
     let Some([c0, c1, c2, c3, c4, c5]) = window::<WIDTH>(cells, run.first) else { return };
-    let [re, im] = &heard.field;
+    let [re, im] = &received.field;
     let (mut moved_re, mut moved_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
         let aside = apart[i] - run.from_middle;
-        moved_re[i] = heard.beside[0][i] + aside * re[i];
-        moved_im[i] = heard.beside[1][i] + aside * im[i];
+        moved_re[i] = received.beside[0][i] + aside * re[i];
+        moved_im[i] = received.beside[1][i] + aside * im[i];
     }
     // Unrolled, like all loops over taps.
     add(c0, [re, im], taps[0], [&moved_re, &moved_im], slopes[0]);
@@ -317,17 +317,17 @@ fn lay_in_runs(
     runs: &[Run; CHIRPS],
     width: usize,
     apart: &Row,
-    heard: &Heard,
+    received: &Received,
     cells: &mut [Cell],
 ) {
     let zero = [0f32; CHIRPS];
     for (run, begin) in runs.iter().zip((0..CHIRPS).step_by(width)) {
-        let mut own = Heard { field: [zero; 2], beside: [zero; 2] };
+        let mut own = Received { field: [zero; 2], beside: [zero; 2] };
         for part in 0..2 {
             for i in 0..CHIRPS {
                 let within = if i >= begin && i < begin + width { 1.0 } else { 0.0 };
-                own.field[part][i] = within * heard.field[part][i];
-                own.beside[part][i] = within * heard.beside[part][i];
+                own.field[part][i] = within * received.field[part][i];
+                own.beside[part][i] = within * received.beside[part][i];
             }
         }
         lay(kernel, run, apart, &own, cells);
@@ -421,7 +421,7 @@ mod tests {
         blocks
     }
 
-    fn ways(source: &Source) -> Vec<EchoWay> {
+    fn ways(source: &Source) -> Vec<EchoFactors> {
         let way = |&(factor, later_m): &(f64, [f64; 2])| {
             let delay_s = source.length_m[0] / SPEED_OF_LIGHT_M_PER_S;
             let [there, reverse] = later_m.map(|later_m| {
@@ -431,7 +431,7 @@ mod tests {
                 Complex::new(turned.re as f32, turned.im as f32)
             });
             let constant = |value| [value, Complex::default(), Complex::default()];
-            EchoWay { both: constant(there + reverse), apart: constant(there - reverse) }
+            EchoFactors { both: constant(there + reverse), apart: constant(there - reverse) }
         };
         source.receivers.iter().map(way).collect()
     }

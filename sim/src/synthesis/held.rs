@@ -65,13 +65,13 @@ pub(super) struct Pack {
 pub struct HeldEchoes {
     packs: Vec<Pack>,
     count: usize,
-    stretch_s: f64,
+    interval_s: f64,
 }
 
 impl HeldEchoes {
     /// Creates an empty list for an interval of this duration, s.
-    pub fn new(stretch_s: f64) -> Self {
-        HeldEchoes { packs: Vec::new(), count: 0, stretch_s }
+    pub fn new(interval_s: f64) -> Self {
+        HeldEchoes { packs: Vec::new(), count: 0, interval_s }
     }
 
     /// Returns the number of echoes.
@@ -95,15 +95,15 @@ impl HeldEchoes {
     }
 
     /// Returns the duration of the interval, s.
-    pub(super) fn stretch_s(&self) -> f64 {
-        self.stretch_s
+    pub(super) fn interval_s(&self) -> f64 {
+        self.interval_s
     }
 
     /// Adds an echo, with a delay that is quintic between both ends and an amplitude that is linear.
     pub fn push(&mut self, echo: &HeldEcho) {
-        let stretch_s = self.stretch_s;
+        let interval_s = self.interval_s;
         let (pack, e) = self.next_lane();
-        let scaled = echo.delay.map(|[y, v, w]| [y, v * stretch_s, w * stretch_s * stretch_s]);
+        let scaled = echo.delay.map(|[y, v, w]| [y, v * interval_s, w * interval_s * interval_s]);
         for (row, c) in pack.delay_s.iter_mut().zip(quintic(scaled[0], scaled[1])) {
             row[e] = c;
         }
@@ -117,10 +117,10 @@ impl HeldEchoes {
     }
 
     /// Removes all echoes, and sets the duration of the interval, s.
-    pub(super) fn clear(&mut self, stretch_s: f64) {
+    pub(super) fn clear(&mut self, interval_s: f64) {
         self.packs.clear();
         self.count = 0;
-        self.stretch_s = stretch_s;
+        self.interval_s = interval_s;
     }
 
     /// Adds one echo of a pack from an interval of the same duration.
@@ -262,7 +262,7 @@ compiled_for_levels! {
 fn held_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) {
     let mut left = echoes.count;
     for pack in &echoes.packs {
-        let anchors = anchors(kernel, pack, 1.0 / echoes.stretch_s);
+        let anchors = anchors(kernel, pack, 1.0 / echoes.interval_s);
         for e in 0..left.min(ECHOES) {
             lay_echo(kernel, &anchors, e, grids);
         }

@@ -161,9 +161,9 @@ impl Synthesiser {
         blocks: &mut [Vec<Grids>],
     ) {
         let middle = run.first + run.step * (run.chirps / 2) as f64;
-        let (cells, per_s) = (self.cells as f64, 1.0 / echoes.stretch_s());
+        let (cells, per_s) = (self.cells as f64, 1.0 / echoes.interval_s());
         let kernel = Kernel { taps: &self.rate_taps, cells, chirp, middle, step: run.step, per_s };
-        rates.left.clear(echoes.stretch_s());
+        rates.left.clear(echoes.interval_s());
         lay_rates(self.level, &kernel, echoes, rates);
         rates.transform(&*self.rate_taps.fft, run.chirps, blocks);
     }

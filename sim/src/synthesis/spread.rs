@@ -164,7 +164,7 @@ fn tracks_body(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) {
         let weights = weights(kernel.taps, &tones.u);
         lay_weighted(&weights, &mut grids_of_first.cells, &tones.re, &tones.im, &tones.first);
         for (aside, grids) in track.others.iter().zip(grids_of_others.iter_mut()) {
-            lay_beside(kernel, &tones, &weights, aside, track.first.stretch_s(), &mut grids.cells);
+            lay_beside(kernel, &tones, &weights, aside, track.first.interval_s(), &mut grids.cells);
         }
     }
 }
@@ -176,13 +176,13 @@ fn lay_beside(
     tones: &Tones,
     weights_of_first: &[Row; WIDTH],
     aside: &Aside,
-    stretch_s: f64,
+    interval_s: f64,
     cells: &mut [Cell],
 ) {
     let [a, b, c, d] = aside.delay_s;
     let [begin, step] = aside.ratio;
     let slope = kernel.chirp.slope_hz_per_s as f32;
-    let (per_s, cells_per_hz) = ((1.0 / stretch_s) as f32, (kernel.cells / kernel.chirp.sample_rate_hz) as f32);
+    let (per_s, cells_per_hz) = ((1.0 / interval_s) as f32, (kernel.cells / kernel.chirp.sample_rate_hz) as f32);
     // Separate rows: in-place sums would be computed one lane at a time.
     let (mut re, mut im, mut moved) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {

@@ -6,7 +6,7 @@ use num_complex::Complex64;
 use super::endpoint::Endpoint;
 use super::facet::Sample;
 use crate::em::Phasor3;
-use crate::em::current::{Arrival, Listener, heard};
+use crate::em::current::{Arrival, Listener, received};
 use crate::em::image::Wall;
 
 /// Transmitter and receiver whose fields have unit strength in every direction.
@@ -66,7 +66,7 @@ impl BistaticPath {
         let direction = -there.towards;
         let arrival = Arrival { field: Phasor3::real(transverse(self.tx_polarisation, direction)), direction };
         let listener = self.listener(back.towards);
-        let amplitude = heard(&arrival, normal, boundary, wavenumber_per_m, &listener);
+        let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, &listener);
         Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
     }
 

@@ -16,7 +16,7 @@ use super::bistatic_path::{BistaticPath, transverse};
 use super::endpoint::Endpoint;
 use super::facet::{Accuracy, Integral, Sample, integrate};
 use crate::em::Phasor3;
-use crate::em::current::{Arrival, heard};
+use crate::em::current::{Arrival, received};
 use crate::em::image::Wall;
 use crate::geometry::{Surface, polygon};
 use crate::paths::exhaustive::all_sequences;
@@ -98,7 +98,7 @@ impl Images {
             let field = self.environment.reflected(before, &[], direction, Phasor3::real(launched));
             let listener = self.path.listener(back.towards);
             let arrival = Arrival { field, direction };
-            let amplitude = heard(&arrival, normal, &self.boundary, accuracy.wavenumber_per_m, &listener);
+            let amplitude = received(&arrival, normal, &self.boundary, accuracy.wavenumber_per_m, &listener);
             Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
         })
     }

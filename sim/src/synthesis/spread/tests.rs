@@ -164,7 +164,7 @@ fn receivers_hear_their_own_delays_within_minus_50_dbc() {
                 let ((delay_s, rate), aside) = (track.first.delay(place), &track.others[receiver - 1]);
                 let [_, b, c, d] = aside.delay_s.map(f64::from);
                 let delay_s = delay_s + f64::from(aside.delay(place as f32));
-                let rate = rate + (b + place * (2.0 * c + place * 3.0 * d)) / track.first.stretch_s();
+                let rate = rate + (b + place * (2.0 * c + place * 3.0 * d)) / track.first.interval_s();
                 Tone {
                     phase_cycles: CHIRP.phase_cycles(delay_s),
                     cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
