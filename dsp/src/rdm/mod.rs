@@ -1,4 +1,4 @@
-//! Range-Doppler maps: their specification ([`RdmSpec`]), the processor ([`RdmProcessor`]) and a slow [`reference`].
+//! Range-Doppler maps: their specification ([`RdmSpec`]), the processor ([`RdmProcessor`]) and a slow [`mod@reference`].
 //!
 //! [`RdmProcessor`] checks a specification against a waveform and derives a plan: sizes, windows and scales. One of three
 //! transforms then computes power from samples by that plan:

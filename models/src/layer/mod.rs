@@ -2,7 +2,7 @@
 //!
 //! candle's max-pool gradient is wrong (scaled by the share of maxima in a window), and its convolution backward pass
 //! takes several times as long as needed. Therefore this crate implements every layer itself:
-//! - [`conv_relu_pool`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the largest cell of each pooling window has a
+//! - [`conv_relu_pool()`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the largest cell of each pooling window has a
 //!   gradient, so the backward pass does at most a quarter of the dense work, and the convolution's output is never stored.
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
 //!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit()`], [`cross_entropy`].

@@ -7,7 +7,7 @@
 //! same, byte for byte, however the jobs were spread.
 //!
 //! # Equal treatment
-//! Every variant is trained by the same recipe ([`crate::train`]) with the same grid of learning rates. The best rate by balanced
+//! Every variant is trained by the same recipe ([`mod@crate::train`]) with the same grid of learning rates. The best rate by balanced
 //! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that
 //! stops on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the
 //! means.

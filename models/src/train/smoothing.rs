@@ -42,7 +42,7 @@ type Sums = (f64, u64);
 /// recordings, and then over the groups. `None` without a labelled frame.
 ///
 /// The method is a compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and
-/// [`Smoothing::temperature`] from [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs
+/// [`Smoothing::temperature`] from `START` (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs
 /// frames that follow each other more closely than errors last, and people who come and go. Frames a second apart do
 /// not show how long errors last. `newest` is [`Smoothing::newest`]: the log loss alone would set it near 1, where
 /// answers flicker.

@@ -97,7 +97,7 @@ pub struct Missed {
     /// key time left out, over 16.
     pub between_keys: f64,
     /// Relative error of windows and quadrature in that field. It is the difference from a coarser field
-    /// ([`IntegrationSettings::coarser`]) by path length, scaled to the directions beyond the finer window.
+    /// (`IntegrationSettings::coarser`) by path length, scaled to the directions beyond the finer window.
     pub by_integration: f64,
     /// Power of the omitted pairs and patches, over the noise power of a cell.
     pub left_out: f64,

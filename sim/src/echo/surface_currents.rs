@@ -157,7 +157,7 @@ fn near_specular_body(normals: &Row3, narrowing: &Row, [out, back]: [&DirectionR
 /// the first value to one at the second. Below that, forward scattering dominates, which this method does not model.
 pub(super) const GRAZING: [f32; 2] = [0.1, 0.3];
 
-/// [`crate::people::track::smooth_step`] from 0 at `from` to 1 at `to`.
+/// [`crate::math::smooth_step`] from 0 at `from` to 1 at `to`.
 #[inline(always)]
 fn smooth_step(x: f32, from: f32, to: f32) -> f32 {
     let x = ((x - from) / (to - from)).clamp(0.0, 1.0);

@@ -3,7 +3,7 @@
 //! A file is processed in this order. The requested clip is sampled, its displacement over the ground is removed, and
 //! its ends are joined. The body is placed on the floor, scaled to its height and rotated to face the direction of
 //! walking. The displacement in a cycle is computed from the feet on the floor, so that they do not slide. The mesh is
-//! welded and refined ([`super::refine`]). The result is a table of the bones' maps over phase ([`super::cycle`]), and
+//! welded and refined (`refine`). The result is a table of the bones' maps over phase (`cycle`), and
 //! phase advances with the ground covered. A standing actor takes the mean pose of the cycle.
 //!
 //! Limitations: an actor does not sit, breathe or fidget. Only faces that point outward reflect. Clothes that are

@@ -4,7 +4,7 @@
 //! contain the model's card under `radome`, so that the file can replace the model file.
 //!
 //! Operations that ONNX lacks are matrix products: adaptive pooling multiplies by matrices of means from both sides, and a circuit
-//! consists of phases, a trained real matrix and squares ([`circuit`]).
+//! consists of phases, a trained real matrix and squares (`circuit`).
 
 mod circuit;
 mod export;

@@ -1,7 +1,7 @@
 //! Meshes from files: STL, OBJ and glTF.
 //!
 //! STL and OBJ state neither the unit of their numbers nor the axis that points up, so the caller specifies both. glTF
-//! is in metres with y up. The result is in metres with z up and not yet welded ([`super::weld`]): an STL file has
+//! is in metres with y up. The result is in metres with z up and not yet welded ([`super::weld()`]): an STL file has
 //! three vertices per triangle.
 
 pub(crate) mod gltf;
