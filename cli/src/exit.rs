@@ -12,9 +12,9 @@ pub const HELP: &str = "Exit status: 0 done, 1 failed, 2 wrong use, 3 done but s
 /// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// All is done.
+    /// Everything is done.
     Done,
-    /// All is done, but data were lost on the way.
+    /// Everything is done, but data were lost.
     Lost,
 }
 
@@ -25,12 +25,12 @@ impl Ended {
     }
 }
 
-/// Says on stderr why a command failed, if it did; gives the exit status.
+/// Prints the error of a failed command on stderr; returns the exit status.
 pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
     match outcome {
         Ok(Ended::Done) => ExitCode::SUCCESS,
         Ok(Ended::Lost) => ExitCode::from(3),
-        // The reader of stdout needs no more.
+        // The reader of stdout has closed it and needs no more.
         Err(error) if output::is_closed_stdout(error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", output::chain(error));
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     fn is(code: ExitCode, expected: u8) -> bool {
-        // An exit code cannot be compared, but it can be printed.
+        // Exit codes cannot be compared, but they can be formatted.
         format!("{code:?}") == format!("{:?}", ExitCode::from(expected))
     }
 

@@ -1,4 +1,4 @@
-//! Paths of the program's own scenes and models, and files that appear whole or not at all.
+//! Paths of the program's own scenes and models, and atomic writes of files.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_driver::recording::{Existing, Partial};
 
-/// Path of a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
+/// Finds a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
 ///
 /// # Errors
 /// The file is in none of these places.
@@ -27,7 +27,7 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
     bail!("fixtures/{name} is not here\n\nhint: run radome in its source folder, or name a file of your own")
 }
 
-/// Writes a file that is whole or absent, in place of one that exists.
+/// Writes a file atomically; replaces an existing one.
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
@@ -38,7 +38,7 @@ pub fn write_atomically(
     write_output(path, Existing::Replace, write)
 }
 
-/// Writes a file that is whole or absent: under a temporary name, brought to the disk, and renamed when `write` is done.
+/// Writes a file atomically: under a temporary name, synced to the disk, and renamed when `write` is done.
 ///
 /// # Errors
 /// The file exists and is not to be replaced, cannot be written, or `write` fails.
@@ -62,10 +62,10 @@ pub fn fill(partial: &Partial, write: impl FnOnce(&mut BufWriter<File>) -> anyho
     writer.flush().with_context(|| format!("cannot write {}", partial.target().display()))
 }
 
-/// Length of the header of a growing array, bytes: any number of rows fits, so that it can be filled in last.
+/// Length of the header of a growing array, bytes. Any number of rows fits, so the header can be completed last.
 const ARRAY_HEADER_BYTES: usize = 192;
 
-/// Header of an array of f32 in the NPY format, version 1.0.
+/// Formats the header of an array of f32 in the NPY format, version 1.0.
 fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
     let row: String = row_shape.iter().map(|n| format!(" {n},")).collect();
     let text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows},{row}), }}");
@@ -76,7 +76,7 @@ fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
     header
 }
 
-/// Writes an `.npy` of f32 whose first axis is as long as `write`, which writes the values, says in the end.
+/// Writes an `.npy` of f32. `write` writes the values and returns the length of the first axis.
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
@@ -92,7 +92,7 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
-/// Fails if an output would take the place of what is read.
+/// Fails if an output would replace the input.
 ///
 /// # Errors
 /// Both paths lead to the same file or folder.
@@ -130,7 +130,7 @@ mod tests {
         let array = npyz::NpyFile::new(file.get_ref().as_slice()).expect("an array");
         assert_eq!(array.shape(), [2, 2, 3]);
         assert_eq!(array.into_vec::<f32>().expect("f32"), (0..12u8).map(f32::from).collect::<Vec<_>>());
-        // The longest header that there can be still fits.
+        // The longest possible header still fits.
         assert_eq!(array_header(u64::MAX, &[u64::MAX; 3]).len(), ARRAY_HEADER_BYTES);
     }
 }

@@ -1,4 +1,5 @@
-//! Classifiers of frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
+//! Classifiers of frames for all commands that take a model: a trained network, or the classical detector as `--model
+//! cfar`.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,24 +16,25 @@ use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
 
-/// The name that takes the place of a model file.
+/// Name that selects the classical detector instead of a model file.
 pub const CFAR: &str = "cfar";
 
-/// The model that judges where none is named: it is part of the program, and takes nearly any waveform.
+/// Default model. It is built into the program and accepts nearly any waveform.
 pub const BUILT_IN: &str = "room-hqnn";
 
-/// Velocity resolution beyond which the shipped models mostly count two people as one, m/s. Of frames of simulated rooms (seeds 731033
-/// to 731038) with two people `room-hqnn` called 67 % `two` at 0.10 m/s, 16 % at 0.26 m/s and none at 0.52 m/s.
+/// Velocity resolution beyond which the shipped models mostly count two people as one, m/s. `room-hqnn` was tested on
+/// frames of simulated rooms (seeds 731033 to 731038) with two people. It called 67 % of them `two` at 0.10 m/s, 16 %
+/// at 0.26 m/s and none at 0.52 m/s.
 const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
 
 static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
-/// Probabilities of the number of people who are seen, by the number that a detector counts, `[counted][seen]`: people who are hidden or
-/// turned away are missed more often than somebody is made of noise. Chosen on simulated corridors (seeds 90001 to 90006) and
-/// halls (200001 to 200006).
+/// Probabilities of the number of people who are seen, by the number that a detector counts, `[counted][seen]`. Missing
+/// a person who is hidden or turned away is more likely than counting noise as a person. Chosen on simulated corridors
+/// (seeds 90001 to 90006) and halls (200001 to 200006).
 const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
 
-/// A network of our own by its file, or the built-in one by its name.
+/// Opens a native network by its file, or the built-in one by its name.
 ///
 /// # Errors
 /// The file cannot be read or is no model.
@@ -44,17 +46,17 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
     })
 }
 
-/// Whether a name is that of the built-in model, and of no file.
+/// Returns whether a name is that of the built-in model, with no file of that name.
 pub fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
 
-/// Delays of the number of people against flicker.
+/// Delays of the number of people, which suppress flicker.
 #[derive(Debug, Clone, Copy)]
 pub struct Delays {
-    /// Time of agreement before a greater number counts, s.
+    /// Time for which a greater number must persist before it counts, s.
     pub on_s: f64,
-    /// Time of agreement before a smaller number counts, s.
+    /// Time for which a smaller number must persist before it counts, s.
     pub off_s: f64,
 }
 
@@ -64,18 +66,18 @@ impl Default for Delays {
     }
 }
 
-/// A model, before it is known which frames it will see.
+/// Model whose waveform is not chosen yet.
 pub enum Model {
-    /// A trained network, native or ONNX.
+    /// Trained network, native or ONNX.
     Network(Box<Classifier>),
-    /// The classical detector: no training, any waveform.
+    /// Classical detector, which needs no training and accepts any waveform.
     Cfar,
 }
 
-/// A model at work on frames of one waveform.
+/// Model set up for frames of one waveform.
 pub struct Judge(Kind);
 
-// There is one in a program: its size does not matter.
+// A program holds one instance, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Kind {
     Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm },
@@ -84,20 +86,20 @@ enum Kind {
 
 /// Prediction for one frame.
 pub enum Prediction {
-    /// Its window over frames is not full yet: so many of so many.
+    /// The window over frames holds `have` of the `need` frames.
     WarmingUp { have: usize, need: usize },
-    /// Probabilities of empty, one and two by this frame.
+    /// Probabilities of empty, one and two from this frame.
     Probabilities([f32; 3]),
-    /// No receiver gives a signal: the frame says nothing of the room.
+    /// No receiver gives a signal, so the frame contains no information about the room.
     NoSignal,
 }
 
-/// Fault of a receiver, as it is said to the user.
+/// Error of a receiver, as reported to the user.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct FaultyReceiver {
     /// Index in the frame, 0-based.
     rx: usize,
-    /// Receivers of a frame.
+    /// Number of receivers of a frame.
     receivers: usize,
     fault: ReceiverFault,
 }
@@ -118,7 +120,7 @@ impl std::fmt::Display for FaultyReceiver {
     }
 }
 
-/// Writes the fault of a receiver to stderr, the same one once in a run of the program.
+/// Prints the error of a receiver on stderr, each one once per run of the program.
 fn say_fault(faulty: FaultyReceiver) {
     static SAID: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
     if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(faulty) {
@@ -127,7 +129,7 @@ fn say_fault(faulty: FaultyReceiver) {
 }
 
 impl Model {
-    /// `cfar`, the built-in model by its name, or a model file.
+    /// Opens a model: `cfar`, the built-in model by its name, or a model file.
     ///
     /// # Errors
     /// The file cannot be read or is no model.
@@ -141,7 +143,7 @@ impl Model {
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
 
-    /// The waveform that a board is programmed with; the detector takes any.
+    /// Returns the waveform to program a board with; `None` for the detector, which accepts any.
     pub fn waveform(&self) -> Option<&Waveform> {
         match self {
             Model::Network(classifier) => Some(classifier.waveform()),
@@ -149,14 +151,14 @@ impl Model {
         }
     }
 
-    /// Name and hash of the model, as recordings store them.
+    /// Returns name and hash of the model, as recordings store them.
     ///
     /// # Errors
     /// The file cannot be read.
     pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {
-            // It is this program's own.
+            // The detector is identified by the program's version.
             Model::Cfar => format!("radome {}", env!("CARGO_PKG_VERSION")),
             Model::Network(_) => {
                 let bytes = if is_built_in(path) {
@@ -171,7 +173,7 @@ impl Model {
         Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
     }
 
-    /// Settings of the filter over predictions.
+    /// Returns the settings of the filter over predictions.
     pub fn smoothing(&self) -> Smoothing {
         match self {
             Model::Network(classifier) => classifier.card().smoothing,
@@ -179,7 +181,7 @@ impl Model {
         }
     }
 
-    /// Frames that a map is made of.
+    /// Number of frames that form a map.
     pub fn frames(&self) -> usize {
         match self {
             Model::Network(classifier) => match classifier.rdm_spec().slow_time {
@@ -193,7 +195,8 @@ impl Model {
     /// Checks whether frames of a waveform can be judged.
     ///
     /// # Errors
-    /// The quantity in which the waveform differs from the model's own; of a model on physical axes, the limit that it exceeds.
+    /// The quantity in which the waveform differs from the model's own; of a model on physical axes, the limit that it
+    /// exceeds.
     pub fn check_waveform(&self, waveform: &Waveform) -> anyhow::Result<()> {
         match self {
             Model::Network(classifier) => {
@@ -203,7 +206,7 @@ impl Model {
         }
     }
 
-    /// Puts it to work on frames of a waveform, and says on stderr what is lost where these are not the model's own.
+    /// Sets the model up for frames of a waveform. Prints on stderr what is lost relative to the model's own waveform.
     ///
     /// # Errors
     /// If the model cannot judge frames of the waveform.
@@ -225,7 +228,7 @@ impl Model {
     }
 }
 
-/// Losses of a map of frames of this waveform against one of the model's own waveform, in words; empty if there are none.
+/// Describes the losses of a map with this waveform relative to the model's own waveform; empty if there are none.
 fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<String> {
     let (given, own) = (axes.coverage(waveform), axes.coverage(nominal));
     let mut losses = Vec::new();
@@ -243,7 +246,7 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
             nominal.max_velocity_m_per_s()
         ));
     }
-    // A tenth is not worth a word.
+    // Differences of a tenth are not reported.
     let is_coarser = |given: f64, own: f64| given > 1.1 * own;
     if is_coarser(given.range_resolution_m, own.range_resolution_m) {
         losses.push(format!(
@@ -268,7 +271,7 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
     losses
 }
 
-/// Writes losses to stderr, the same ones once in a run of the program.
+/// Prints losses on stderr, the same ones once per run of the program.
 fn say_losses(losses: &[String]) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if losses.is_empty() {
@@ -281,7 +284,7 @@ fn say_losses(losses: &[String]) {
 }
 
 impl Judge {
-    /// The newest map: the network's input, or what the detector sees move.
+    /// Newest map: the network's input, or the moving echoes that the detector sees.
     pub fn map(&self) -> &Rdm {
         match &self.0 {
             Kind::Network { map, .. } => map,
@@ -289,7 +292,7 @@ impl Judge {
         }
     }
 
-    /// The network at work, to be asked about changed maps; the detector looks at frames and has none.
+    /// Returns the network, for predictions on modified maps; `None` for the detector, which uses frames.
     pub fn classifier(&mut self) -> Option<&mut Classifier> {
         match &mut self.0 {
             Kind::Network { classifier, .. } => Some(classifier.as_mut()),
@@ -297,7 +300,7 @@ impl Judge {
         }
     }
 
-    /// Forgets what must not reach across missing frames.
+    /// Resets state that must not persist across missing frames.
     pub fn reset(&mut self) {
         match &mut self.0 {
             Kind::Network { processor, .. } => processor.reset(),
@@ -305,7 +308,7 @@ impl Judge {
         }
     }
 
-    /// Judges the next frame. Says on stderr which receivers have faults, each fault once in a run of the program.
+    /// Classifies the next frame. Reports receivers with errors on stderr, each error once per run of the program.
     ///
     /// # Errors
     /// The frame is of another shape than the waveform says, or the model fails.
@@ -318,12 +321,12 @@ impl Judge {
                 dead += usize::from(fault.is_dead());
             }
         }
-        // A map is made of any frame: what shows maps has the newest.
+        // Every frame gives a map, so that displays of maps have the newest one.
         let prediction = self.judge(frame)?;
         if dead < receivers {
             return Ok(prediction);
         }
-        // The frames behind it are not held against it.
+        // The reset keeps a frame without a signal from affecting later frames.
         self.reset();
         Ok(Prediction::NoSignal)
     }
@@ -341,7 +344,7 @@ impl Judge {
         }
     }
 
-    /// The model back, for frames of another source.
+    /// Returns the model, for frames of another source.
     pub fn into_model(self) -> Model {
         match self.0 {
             Kind::Network { classifier, .. } => Model::Network(classifier),
@@ -376,7 +379,7 @@ mod tests {
         let own = waveform(|_| ());
         let lost = |given: Waveform| losses(&axes, &given, &own).join("; ");
         assert_eq!(lost(own.clone()), "");
-        // Other receivers, gain and frame rate lose nothing.
+        // Other receivers, gain and frame rate cause no loss.
         let one = RxMask::from_antennas(&[1]).expect("a receiver");
         assert_eq!(lost(waveform(|w| (w.rx_antennas, w.if_gain_db, w.frame_interval_s) = (one, 33.0, 0.05))), "");
         assert_eq!(lost(waveform(|w| (w.chirps_per_frame, w.frame_interval_s) = (512, 0.25))), "");

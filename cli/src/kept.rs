@@ -1,4 +1,4 @@
-//! Recordings of simulations that are kept for the next time.
+//! Stored recordings of simulations, for reuse by later runs.
 
 use std::ops::Range;
 use std::path::Path;
@@ -7,8 +7,8 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_sim::Simulator;
 
-/// Whether a file is the recording of just these frames of a simulation, by their numbers and by those that are looked at: whatever
-/// changes a scene or the simulator shows in them.
+/// Returns whether a file is the recording of exactly these frames of a simulation. It compares the frame numbers and
+/// the content of the `looked_at` frames, where any change of a scene or the simulator shows.
 pub fn is_recording_of(path: &Path, simulator: &Simulator, frames: Range<u64>, looked_at: &[u64]) -> bool {
     let Ok(mut recording) = Recording::open(path) else { return false };
     let Ok(extent) = recording.extent() else { return false };

@@ -1,4 +1,4 @@
-//! Labels of recordings: in the recording where it can hold them, else in a file beside it.
+//! Labels of recordings, stored in the recording where it can hold them, else in a file beside it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     read.with_context(|| format!("{} cannot be understood", path.display()))
 }
 
-/// Writes such a file, whole or not at all.
+/// Writes a file of labels atomically.
 ///
 /// # Errors
 /// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
@@ -52,7 +52,7 @@ pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Re
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
 }
 
-/// Content of such a file.
+/// Formats a file of labels.
 fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
     Ok(match format(path)? {
         Format::Audacity => label_text::to_audacity(spans),
@@ -60,8 +60,8 @@ fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
     })
 }
 
-/// Replaces the labels in the file beside a recording that cannot hold any by what `change` makes of those that are there. Meanwhile
-/// nobody else writes to it.
+/// Replaces the labels in the file beside a recording that cannot hold any by the result of `change`. No other process
+/// writes to it meanwhile.
 ///
 /// # Errors
 /// The labels cannot be read or written, or `change` fails.
@@ -81,8 +81,8 @@ pub fn name_beside(recording: &Path) -> PathBuf {
     if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
 }
 
-/// A file with the labels of such a recording, if there is one: where [`name_beside`] says; in a folder, `labels.label` and
-/// `labels.txt` are taken too, and in a session's folder they are as good as in the radar's.
+/// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a
+/// folder, `labels.label` and `labels.txt` are accepted too, in the radar's folder as well as in that of the session.
 pub fn file_beside(recording: &Path) -> Option<PathBuf> {
     let mut places = vec![name_beside(recording)];
     if recording.is_dir() {
@@ -95,7 +95,7 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
     places.into_iter().find(|path| path.is_file())
 }
 
-/// All labels of a recording.
+/// Reads all labels of a recording.
 ///
 /// # Errors
 /// The recording or the file beside it cannot be read.
@@ -106,7 +106,8 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     }
 }
 
-/// Truth of a frame by its labels: the class at its first chirp, and whether it is another at its last.
+/// Returns the truth of a frame by its labels: the class at its first chirp, and whether the class at its last chirp
+/// differs.
 pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
         let holds = |span: &&LabelSpan| {
@@ -120,8 +121,8 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
     Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
 }
 
-/// Spans of one class each, from the classes of single frames: a frame lasts until the next one, and the last for a frame
-/// interval.
+/// Builds spans of one class each from the classes of single frames. A frame lasts until the next one, and the last for
+/// a frame interval.
 pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
     let mut spans: Vec<LabelSpan> = Vec::new();
     for (index, (time_s, class)) in frames.iter().enumerate() {
@@ -134,15 +135,15 @@ pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> 
     spans
 }
 
-/// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's
-/// range, or that overlap each other or those that are there, are refused, and nothing is written.
+/// Adds labels to a recording, or to the file beside it, and returns the path. Labels that are reversed, outside the
+/// recording, or overlap each other or existing ones are refused; then nothing is written.
 ///
 /// # Errors
 /// The recording cannot be read or written, or the labels are refused.
 pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     let mut source = Recording::open(recording)?;
     let named = || format!("{}: labels refused", recording.display());
-    // What is wrong with the new ones by themselves comes first: it says most.
+    // Errors within the new labels are checked first, since their messages are the most specific.
     check_spans(spans, None).with_context(named)?;
     check_spans(spans, extent_s(&mut source)?).with_context(named)?;
     let with_all = |mut all: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
@@ -160,7 +161,8 @@ pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     Ok(file)
 }
 
-/// Start of a recording's first frame and end of its last one by the frames' own clock, s; `None` if it has none.
+/// Start of a recording's first frame and end of its last one by the frames' own clock, s; `None` for an empty
+/// recording.
 fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
     let interval_s = source.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(source.waveform().shape());

@@ -1,6 +1,6 @@
-//! The program `radome`: occupancy from a 60 GHz radar. Answers go to stdout, messages to stderr.
+//! Program `radome`: occupancy from a 60 GHz radar. Answers go to stdout, messages to stderr.
 
-// A program talks; the libraries below it only report.
+// Only the program prints; the libraries below it return results.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod command;
@@ -28,7 +28,7 @@ use clap::{CommandFactory, Parser};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-/// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
+/// A training step allocates and frees hundreds of large blocks. The system allocator would clear each one again.
 #[global_allocator]
 static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
 
@@ -59,7 +59,7 @@ fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let level = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG][usize::from(verbose.min(2))];
     let given: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
     let filter = given.unwrap_or_else(|| Targets::new().with_default(level));
-    // Files and journals get no codes of colours; https://no-color.org.
+    // Files and journals get no colour codes; https://no-color.org.
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let has_colours = std::io::stderr().is_terminal() && !is_plain;
     let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours);

@@ -1,4 +1,4 @@
-//! Kinds of range-Doppler map that commands name.
+//! Presets of range-Doppler maps, as named in commands.
 
 use radome_dsp::{RdmSpec, Waveform};
 
@@ -16,7 +16,7 @@ pub enum MapPreset {
 }
 
 impl MapPreset {
-    /// Specification of the map for frames of a waveform.
+    /// Returns the specification of the map for frames of a waveform.
     pub fn spec(self, waveform: &Waveform) -> RdmSpec {
         match self {
             MapPreset::Default => RdmSpec::default(),

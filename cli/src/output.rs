@@ -1,4 +1,4 @@
-//! Answers on stdout, errors and progress on stderr.
+//! Output of answers on stdout, and of errors and progress on stderr.
 
 use std::io::{IsTerminal, Read, StdoutLock, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-/// Writes one JSON object on a line of its own, at once.
+/// Writes one JSON object on a line of its own, and flushes it.
 ///
 /// # Errors
 /// [`StdoutClosed`], or standard output cannot be written.
@@ -16,7 +16,7 @@ pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
     text_line(&line)
 }
 
-/// Writes a line of text, at once.
+/// Writes a line of text, and flushes it.
 ///
 /// # Errors
 /// [`StdoutClosed`], or standard output cannot be written.
@@ -24,7 +24,7 @@ pub fn text_line(line: &str) -> anyhow::Result<()> {
     text(&format!("{line}\n"))
 }
 
-/// Writes text, at once.
+/// Writes text, and flushes it.
 ///
 /// # Errors
 /// [`StdoutClosed`], or standard output cannot be written.
@@ -40,7 +40,7 @@ pub fn bytes(reader: &mut impl Read) -> anyhow::Result<()> {
     to_stdout(|stdout| std::io::copy(reader, stdout).map(drop))
 }
 
-/// Writes to stdout. All that goes there goes through here.
+/// Writes to stdout. All output there uses this function.
 fn to_stdout(write: impl FnOnce(&mut StdoutLock) -> std::io::Result<()>) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match write(&mut stdout).and_then(|()| stdout.flush()) {
@@ -60,17 +60,18 @@ pub fn check_no_terminal() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Nobody reads stdout any more. The one error that ends a command without a message and with status 0.
+/// Error of a stdout that its reader has closed. It is the only error that ends a command without a message and with
+/// status 0.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout was closed")]
 pub struct StdoutClosed;
 
-/// Whether an error only says that nobody reads stdout any more.
+/// Returns whether an error only says that the reader of stdout has closed it.
 pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
     error.is::<StdoutClosed>()
 }
 
-/// Takes a closed stdout for success: for what is said when the work is done.
+/// Treats a closed stdout as success, for output after the work is done.
 ///
 /// # Errors
 /// The given error, unless it is [`StdoutClosed`].
@@ -78,7 +79,7 @@ pub fn unless_closed(said: anyhow::Result<()>) -> anyhow::Result<()> {
     said.or_else(|error| if is_closed_stdout(&error) { Ok(()) } else { Err(error) })
 }
 
-/// An error with its causes, each said once, and hints moved to the end.
+/// Formats an error with its causes, each once, and with hints moved to the end.
 pub fn chain(error: &anyhow::Error) -> String {
     let mut parts: Vec<String> = Vec::new();
     let mut hints: Vec<String> = Vec::new();
@@ -96,7 +97,7 @@ pub fn chain(error: &anyhow::Error) -> String {
     parts.join(": ") + &hints
 }
 
-/// A progress bar on stderr, hidden where nobody watches.
+/// Creates a progress bar on stderr, hidden if stderr is not a terminal.
 pub fn progress(length: u64, what: &'static str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
@@ -108,12 +109,12 @@ pub fn progress(length: u64, what: &'static str) -> ProgressBar {
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Makes Ctrl-C and SIGTERM ask for an orderly end; a second one ends at once.
+/// Makes Ctrl-C and SIGTERM request an orderly end; a second one ends the program at once.
 ///
 /// # Errors
 /// The system refuses the handler.
 pub fn catch_interrupts() -> anyhow::Result<()> {
-    // A command may be made of others that ask for the same.
+    // A command may call other commands that install the handler too.
     static CAUGHT: AtomicBool = AtomicBool::new(false);
     if CAUGHT.swap(true, Ordering::SeqCst) {
         return Ok(());
@@ -126,7 +127,7 @@ pub fn catch_interrupts() -> anyhow::Result<()> {
     .context("cannot catch Ctrl-C")
 }
 
-/// Whether an orderly end has been asked for.
+/// Returns whether an orderly end has been requested.
 pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
 }

@@ -1,4 +1,4 @@
-//! The file that `-o` names: never in place of one that exists, unless asked for; and names with the time in them.
+//! Output files named by `-o`. Existing files are replaced only on request, and names can include the time.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -8,12 +8,12 @@ use radome_driver::recording::{Existing, Format, utc};
 
 use crate::files;
 
-/// Whether `-o` names stdout: `-`. A file of this name is `./-`.
+/// Returns whether `-o` names stdout: `-`. A file of this name is `./-`.
 pub fn is_stdout(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// Stands for the time in the name of an output.
+/// Placeholder of the time in the name of an output.
 const TIME: &str = "{time}";
 
 /// Permission to replace an existing output file.
@@ -25,13 +25,13 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
-    /// The same choice as the recording library's type.
+    /// Converts to the recording library's type.
     pub fn existing(self) -> Existing {
         if self.overwrite { Existing::Replace } else { Existing::Refuse }
     }
 
-    /// Fails early where the output could not be written in the end: its folder is missing, or a file has its name. What is no file,
-    /// such as a device, may be written to.
+    /// Fails early if the output could not be written later: its folder is missing, or a file has its name. Existing
+    /// non-files, such as devices, may be written to.
     ///
     /// # Errors
     /// The folder is missing, or the file exists and is not to be replaced.
@@ -44,8 +44,8 @@ impl Overwrite {
     }
 }
 
-/// The file to record to. In a folder it is one with the time as its name; `{time}` in a name stands for the time, in UTC. Where that
-/// exists, a number follows: two runs never have the same file.
+/// Returns the file to record to. In a folder, its name is the time; `{time}` in a name is replaced by the time, in
+/// UTC. If that file exists, a number is appended, so that no two runs use the same file.
 pub fn dated(path: &Path) -> PathBuf {
     let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
     dated_at(path, &utc::file_stamp(now_s))
@@ -63,7 +63,7 @@ fn dated_at(path: &Path, stamp: &str) -> PathBuf {
     names.find(|path| path.symlink_metadata().is_err()).unwrap_or(pattern)
 }
 
-/// Fails where the name of a recording to be made says that it is of another format than MCAP.
+/// Fails if the name of a new recording implies another format than MCAP.
 ///
 /// # Errors
 /// The name is that of a text recording.
@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z.mcap"));
         std::fs::write(folder.join("night-20261122T212200Z.mcap"), "").expect("writes");
         assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z-2.mcap"));
-        // A name is a name, and a folder that is missing is noticed by who writes.
+        // Names without a placeholder stay, and a missing folder is reported when the file is written.
         assert_eq!(dated_at(&folder.join("a.mcap"), stamp), folder.join("a.mcap"));
         assert_eq!(dated_at(Path::new("no/such/"), stamp), Path::new("no/such/20261122T212200Z.mcap"));
         std::fs::remove_dir_all(&folder).expect("removes");

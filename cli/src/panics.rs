@@ -1,4 +1,4 @@
-//! Panics as errors that name their place: an error in the program ends a run as other errors do.
+//! Converts panics to errors that name their source location, so that a bug ends a run like any other error.
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -7,25 +7,26 @@ use std::sync::{Mutex, PoisonError};
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-/// Panics whose place is remembered: several threads may panic at once.
+/// Number of panics whose location is remembered, since several threads may panic at once.
 const REMEMBERED: usize = 32;
 
-/// A panic, as an error.
+/// Panic as an error.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "internal error at {place}: {message}\n\nhint: this is a fault of the program; please report it with the command line, and with \
      the file that `radome doctor --bundle` makes"
 )]
 pub struct Panicked {
-    /// File and line, or that nobody knows.
+    /// File and line, or a text that they are unknown.
     pub place: String,
     pub message: String,
 }
 
-/// Message and place of the last panics. A panic that a thread hands on to another has its place nowhere else.
+/// Messages and locations of the last panics. When a thread passes a panic on to another, its location is stored
+/// nowhere else.
 static PLACES: Mutex<VecDeque<(String, String)>> = Mutex::new(VecDeque::new());
 
-/// Makes each panic leave its place for the error that is made of it. Panics are written to stderr as before.
+/// Installs a hook that remembers the location of each panic for its error. Panics are still printed on stderr.
 pub fn remember_places() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic: &PanicHookInfo| {
@@ -40,8 +41,8 @@ pub fn remember_places() {
     }));
 }
 
-/// Does some work; a panic becomes an error. What the work had in its hands is not used any more after that, or is fit for use
-/// in any state.
+/// Runs a function and converts a panic to an error. Values that the function borrows must be unused afterwards, or
+/// valid in any state.
 ///
 /// # Errors
 /// A panic of the work, with its place.
@@ -50,7 +51,7 @@ pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
 }
 
 impl Panicked {
-    /// Error for the payload of a panic, as `catch_unwind` and the joining of a thread give it.
+    /// Creates the error from the payload of a panic, as returned by `catch_unwind` or by joining a thread.
     pub fn new(payload: &(dyn Any + Send)) -> Self {
         let message = message(payload);
         let places = PLACES.lock().unwrap_or_else(PoisonError::into_inner);
@@ -67,14 +68,14 @@ fn message(payload: &(dyn Any + Send)) -> String {
     }
 }
 
-/// A source whose panics are errors. It is not asked again after one.
+/// Source whose panics become errors. It is not read again after one.
 pub struct Guarded {
     source: Box<dyn FrameSource>,
     panicked: Option<Panicked>,
 }
 
 impl Guarded {
-    /// Guards a source.
+    /// Wraps a source.
     pub fn new(source: Box<dyn FrameSource>) -> Self {
         Guarded { source, panicked: None }
     }
@@ -108,7 +109,7 @@ pub mod tests {
 
     use super::*;
 
-    /// Gives some frames and panics.
+    /// Source that returns some frames and then panics.
     pub struct Panicking {
         waveform: Waveform,
         left: u64,
@@ -116,7 +117,7 @@ pub mod tests {
     }
 
     impl Panicking {
-        /// A source that panics instead of giving frame number `frames`.
+        /// Creates a source that panics instead of returning frame number `frames`.
         pub fn after(frames: u64) -> Box<Self> {
             static HOOK: Once = Once::new();
             HOOK.call_once(remember_places);
@@ -144,11 +145,11 @@ pub mod tests {
         }
     }
 
-    /// Gives some frames, and then an error.
+    /// Source that returns some frames and then an error.
     pub struct Failing(Box<Panicking>, fn() -> SourceError);
 
     impl Failing {
-        /// A source that gives this error instead of frame number `frames`.
+        /// Creates a source that returns this error instead of frame number `frames`.
         pub fn after(frames: u64, error: fn() -> SourceError) -> Box<Self> {
             Box::new(Failing(Panicking::after(frames), error))
         }

@@ -1,4 +1,4 @@
-//! Part of a job that is this process's: `--shard I/N`.
+//! Part of a job that this process does: `--shard I/N`.
 
 use std::str::FromStr;
 
@@ -12,10 +12,10 @@ pub struct Shard {
 }
 
 impl Shard {
-    /// Everything.
+    /// Shard that is the whole job.
     pub const WHOLE: Shard = Shard { index: 0, count: 1 };
 
-    /// Name of the shard's folder or the part of its file's name.
+    /// Name of the shard's folder, or suffix of its file's name.
     pub fn name(self) -> String {
         format!("shard-{:05}-of-{:05}", self.index, self.count)
     }
@@ -30,13 +30,14 @@ impl std::fmt::Display for Shard {
 impl FromStr for Shard {
     type Err = String;
 
-    /// `I/N` with I from 0, `auto/N` with I from the environment, or `auto` in a Slurm array, which knows N too.
+    /// Parses `I/N` with I from 0, `auto/N` with I from the environment, or `auto` in a Slurm array, which also gives
+    /// N.
     fn from_str(text: &str) -> Result<Self, String> {
         parse(text, &|name| std::env::var(name).ok())
     }
 }
 
-/// The variables in which schedulers say which task of an array this is, the innermost first: HyperQueue's workers run in
+/// Variables in which schedulers store the task index in an array, the innermost first: HyperQueue's workers run in
 /// Slurm's jobs.
 const INDEX_VARIABLES: [&str; 3] = ["HQ_TASK_ID", "JOB_COMPLETION_INDEX", "SLURM_ARRAY_TASK_ID"];
 
@@ -95,7 +96,7 @@ mod tests {
         assert_eq!(shard("3/8", &[]), Ok((3, 8)));
         assert_eq!(shard("auto/8", &[("SLURM_ARRAY_TASK_ID", "5")]), Ok((5, 8)));
         assert_eq!(shard("auto/8", &[("JOB_COMPLETION_INDEX", "0")]), Ok((0, 8)));
-        // HyperQueue inside of a Slurm array: its own index counts.
+        // HyperQueue inside a Slurm array: its own index counts.
         assert_eq!(shard("auto/8", &[("SLURM_ARRAY_TASK_ID", "1"), ("HQ_TASK_ID", "7")]), Ok((7, 8)));
         let array = [
             ("SLURM_ARRAY_TASK_ID", "3"),
@@ -119,7 +120,7 @@ mod tests {
             assert!(said("auto/8", &[]).contains("SLURM_ARRAY_TASK_ID"));
             assert!(said("auto/8", &[("HQ_TASK_ID", "x")]).contains("HQ_TASK_ID is 'x'"));
             assert!(said("auto", &[("HQ_TASK_ID", "1")]).contains("auto/N"));
-            // Every second task: what the shards are is not to be guessed.
+            // Arrays with gaps, such as every second task, are refused, since the shards are ambiguous.
             let holes = [
                 ("SLURM_ARRAY_TASK_ID", "2"),
                 ("SLURM_ARRAY_TASK_MIN", "0"),

@@ -19,7 +19,7 @@ pub struct Array {
 }
 
 impl Array {
-    /// Refuses an array of nothing.
+    /// Refuses an array without tasks.
     ///
     /// # Errors
     /// A number is zero.
@@ -30,8 +30,8 @@ impl Array {
         Ok(())
     }
 
-    /// The script, which `sbatch` takes. `shard` is the command of a shard without its `--shard`, and `merge` the one for what comes
-    /// behind all shards, both without the program's name. The array is called by the name of `spec`.
+    /// Returns the script for `sbatch`. `shard` is the command of a shard without its `--shard`. `merge` is the command
+    /// that runs after all shards. Both lack the program's name. The array is named after `spec`.
     ///
     /// # Errors
     /// The program's own path is unknown or cannot stand in a script.
@@ -60,7 +60,7 @@ exec {program} {shard} --shard auto/{tasks}"
     }
 }
 
-/// Full form of a path as one word of a shell.
+/// Formats the full form of a path as one word of a shell.
 ///
 /// # Errors
 /// The path has no full form, is not UTF-8, or has a line's end in it.
@@ -68,7 +68,7 @@ pub fn word(path: &Path) -> anyhow::Result<String> {
     word_with("", path)
 }
 
-/// Text and, right behind it, the full form of a path, as one word of a shell.
+/// Formats a text followed by the full form of a path, as one word of a shell.
 ///
 /// # Errors
 /// Those of [`word`].

@@ -1,4 +1,4 @@
-//! The SOURCE grammar: wherever frames are read, one string says where from.
+//! Parser of SOURCE arguments. In all commands that read frames, one string names their source.
 //!
 //! | SOURCE | frames from |
 //! |---|---|
@@ -28,7 +28,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use crate::judge::{self, BUILT_IN};
 use crate::panics::Guarded;
 
-/// Seed of a simulation where none is named.
+/// Default seed of a simulation.
 pub const DEFAULT_SEED: u64 = 1;
 
 /// Source of frames and its options, as every command that reads frames takes them.
@@ -58,7 +58,7 @@ pub struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// Options with which the source is opened.
+    /// Returns the options with which the source is opened.
     ///
     /// # Errors
     /// Those of [`waveform`].
@@ -79,26 +79,27 @@ impl SourceArgs {
 /// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
-    /// Waveform that is named to program a board with, or that a board measures which takes no requests; recordings and scenes bring
-    /// their own.
+    /// Explicit waveform, with which a board is programmed, or which a board without a request protocol uses.
+    /// Recordings and scenes have their own.
     pub waveform: Option<Waveform>,
-    /// Waveform to program a board with where none is named: that of the model which judges its frames.
+    /// Default waveform to program a board with: that of the model which classifies its frames.
     pub model_waveform: Option<Waveform>,
     pub seed: u64,
-    /// People that a simulation is forced to have.
+    /// Number of people that a simulation is forced to have.
     pub people: Option<usize>,
-    /// Frames that a simulation ends after.
+    /// Number of frames after which a simulation ends.
     pub frames: Option<u64>,
-    /// Times real time; 0 is as fast as it goes, and so is `None` except for a [`Playback`]. Boards have their own pace.
+    /// Speed as a multiple of real time; 0 is as fast as possible, and so is `None` except for a [`Playback`]. Boards
+    /// have their own pace.
     pub speed: Option<f64>,
-    /// Whether a recording is to be a [`Playback`], by default at the pace at which it was taken.
+    /// Whether a recording is opened as a [`Playback`], by default at its original pace.
     pub as_playback: bool,
-    /// Time for which a lost board is looked for; the default if `None`.
+    /// Time for which a lost board is searched; the default if `None`.
     pub give_up_after: Option<Duration>,
 }
 
 impl SourceOptions {
-    /// Waveform to program a board with.
+    /// Returns the waveform to program a board with.
     fn to_program(&self) -> Option<&Waveform> {
         self.waveform.as_ref().or(self.model_waveform.as_ref())
     }
@@ -109,12 +110,12 @@ impl SourceOptions {
     }
 }
 
-/// A recording that somebody plays, pauses and seeks.
+/// Recording that a user plays, pauses and seeks.
 #[derive(Clone)]
 pub struct Playback {
-    /// Its keys.
+    /// Playback controls.
     pub transport: Transport,
-    /// Its first and last frame.
+    /// First and last frame.
     pub extent: Extent,
     pub path: PathBuf,
 }
@@ -124,12 +125,12 @@ pub struct Source {
     pub frames: Box<dyn FrameSource>,
     /// Whether it cannot wait for slow consumers.
     pub is_live: bool,
-    /// One line that says what it is.
+    /// One-line description.
     pub description: String,
-    /// The board behind it, if there is one.
+    /// Board of the source, if there is one.
     pub board: Option<BoardIdentity>,
     pub registers: RegisterList,
-    /// The recording, where it is one that can be sought.
+    /// Playback, if the source is a recording that can be sought.
     pub playback: Option<Playback>,
 }
 
@@ -144,7 +145,7 @@ impl Source {
     }
 }
 
-/// Reads the next frame, across gaps; `false` at the end.
+/// Reads the next frame, skipping gaps; `false` at the end.
 ///
 /// # Errors
 /// Those of the source.
@@ -158,7 +159,7 @@ pub fn next_frame(source: &mut dyn FrameSource, frame: &mut Frame) -> anyhow::Re
     }
 }
 
-/// Opens a SOURCE. A panic below it is an error of its frames.
+/// Opens a SOURCE. A panic of the source becomes an error of its frames.
 ///
 /// # Errors
 /// There is no such source, it cannot be read, or a board cannot be programmed.
@@ -170,7 +171,7 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     Ok(Source { frames: Box::new(Guarded::new(source.frames)), ..source })
 }
 
-/// Frames of a board with the host's time, where the board's own driver gives none.
+/// Frames of a board, stamped with the host's time where the driver gives none.
 struct Stamped(Box<dyn FrameSource>);
 
 impl FrameSource for Stamped {
@@ -243,8 +244,8 @@ fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator
     Ok(Simulator::new(scene, simulate)?.on_own_threads()?)
 }
 
-/// Feed of an emulated board and a one-line description. A scene is simulated in whatever waveform a client
-/// programs; a recording can be begun again.
+/// Returns the feed of an emulated board and a one-line description. A scene is simulated in any waveform that a client
+/// programs; a recording can be restarted.
 ///
 /// # Errors
 /// Those of [`open`].
@@ -261,7 +262,7 @@ pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String
     Ok((feed, description))
 }
 
-/// A scene in another waveform than its own, from the frame on that begins at this time or next after it.
+/// Simulates a scene in another waveform than its own, from the first frame that begins at or after this time.
 fn simulation_in(
     path: &Path,
     waveform: &Waveform,
@@ -274,7 +275,7 @@ fn simulation_in(
     Ok(Box::new(simulator))
 }
 
-/// A recording to play; its board is the one that it was taken with.
+/// Opens a recording for playback; its board is the one that recorded it.
 fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();
@@ -293,7 +294,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
                 );
             };
             let identity = board.identity().clone();
-            // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
+            // Boards may disconnect by accident; frames lost meanwhile are a gap.
             let stream = board.start(waveform)?.with_reconnect(options.reconnect());
             let registers = stream.registers().clone();
             Ok(Source::of_board(Box::new(stream), identity, address, registers))
@@ -319,7 +320,7 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     Ok(Source::of_board(Box::new(stream), identity, port, registers))
 }
 
-/// The only board that discovery finds.
+/// Returns the only board that discovery finds.
 fn the_one_board() -> anyhow::Result<Address> {
     let mut boards: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
     match (boards.pop(), boards.is_empty()) {
@@ -335,7 +336,7 @@ fn the_one_board() -> anyhow::Result<Address> {
     }
 }
 
-/// The same frames through an emulated board and the wire protocol.
+/// Opens the same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let source = open_unstamped(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
@@ -350,7 +351,7 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
 }
 
-/// A finite number of 0 or more, as an argument.
+/// Parses an argument that is a finite number of 0 or more.
 ///
 /// # Errors
 /// The text is no such number.
@@ -359,7 +360,7 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected a finite number, 0 or more".to_owned())
 }
 
-/// Seconds, as an argument.
+/// Parses an argument in seconds.
 ///
 /// # Errors
 /// The text is no number of seconds, or more than a [`Duration`] holds.
@@ -367,8 +368,8 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(not_negative(text)?).map_err(|error| error.to_string())
 }
 
-/// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file or a built-in model, or
-/// of a recording.
+/// Returns a waveform by name (`paper`), or from a file or a built-in model. The file is a model, a recording, or TOML
+/// of a [`radome_dsp::WaveformRequest`].
 ///
 /// # Errors
 /// The file cannot be read or holds no waveform, or the chip cannot produce the waveform.

@@ -48,7 +48,7 @@ enum Stage {
     Trainability(trainability::Arguments),
 }
 
-/// Speed against error: one stage, or all of them in one table.
+/// Measures speed against error, of one stage or of all of them in one table.
 ///
 /// # Errors
 /// A stage cannot be set up or measured, or standard output cannot be written.

@@ -1,4 +1,4 @@
-//! `radome board`: boards that are attached, and emulated ones.
+//! `radome board`: attached and emulated boards.
 
 mod config;
 mod emulate;

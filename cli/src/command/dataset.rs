@@ -1,4 +1,4 @@
-//! `radome dataset`: from a spec to labelled maps, on one machine or many.
+//! `radome dataset`: builds labelled maps from a spec, on one machine or many.
 
 mod build;
 mod counts;

@@ -31,7 +31,7 @@ pub struct Arguments {
     view: crate::live::view::Arguments,
 }
 
-/// The main job with nothing attached.
+/// Runs the live classification on a simulated scene, without hardware.
 ///
 /// # Errors
 /// The scene or the model is not found, or the run fails.

@@ -1,4 +1,4 @@
-//! Checks of everything that could keep the program from working on this machine.
+//! Checks for problems that could keep the program from working on this machine.
 
 mod bundle;
 mod check;
@@ -46,19 +46,20 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Destination of the trace of the protocol, if a bundle is to be written.
+    /// Trace of the board protocol, if a bundle is to be written.
     pub fn wire_log(&self) -> Option<&WireLog> {
         self.bundle.as_ref().map(|_| &self.wire)
     }
 
-    /// Replacer of names in the archive. It knows this machine, its user, and the names in the arguments.
+    /// Replaces names in the archive: those of this machine, of its user, and in the arguments.
     fn redactor(&self, bundle: &Path) -> Redactor {
         let mut redactor = Redactor::of_this_machine();
         let source = self.source.as_deref().map(|spec| {
             let prefixes = ["emulated:", "serial:", "usb:", "deepcraft:"];
             prefixes.iter().fold(spec, |spec, prefix| spec.strip_prefix(*prefix).unwrap_or(spec))
         });
-        // Absolute paths are recognised wherever they stand; one that begins in the working folder is known only from here.
+        // Absolute paths are recognised anywhere. A path relative to the working folder is known only from the
+        // arguments.
         let source = source.filter(|source| *source != "auto").map(Path::new);
         for path in
             [source, self.model.as_deref(), Some(self.record_to.as_path()), self.broker.password_file(), Some(bundle)]
@@ -83,7 +84,7 @@ impl Arguments {
     }
 }
 
-/// Looks at everything; fails if something does.
+/// Runs all checks; fails if a check does.
 ///
 /// # Errors
 /// A check fails, or the bundle cannot be written.
@@ -138,7 +139,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes the archive, and says what is in it.
+/// Writes the archive, and prints a list of its content.
 fn pack(arguments: &Arguments, path: &Path, checks: &[Check], examined: Option<&Examined>) -> anyhow::Result<()> {
     let mut redactor = arguments.redactor(path);
     let parts = bundle::parts(checks, examined, arguments.model.as_deref(), &arguments.wire, &mut redactor)?;
@@ -154,7 +155,7 @@ fn pack(arguments: &Arguments, path: &Path, checks: &[Check], examined: Option<&
     Ok(())
 }
 
-/// Says what is found as it is found, and keeps it.
+/// Prints each finding as it is found, and keeps it.
 struct Report {
     as_json: bool,
     checks: Vec<Check>,

@@ -1,8 +1,9 @@
-//! Former names of commands, which work for one version: arguments that begin with one are read as if they had the present name.
+//! Former names of commands, supported for one version. Arguments that begin with one are read as if they had the
+//! present name.
 
 use std::ffi::OsString;
 
-/// Former and present names. Former ones stand in no help. They work in version 0.1 and are removed with 0.2.
+/// Former and present names. The help lists no former ones. They work in version 0.1 and are removed with 0.2.
 const NAMES: [(&str, &str); 23] = [
     ("devices", "board list"),
     ("config", "board config"),
@@ -29,8 +30,8 @@ const NAMES: [(&str, &str); 23] = [
     ("rcs", "bench rcs"),
 ];
 
-/// Arguments of the program, the program's name first, with a former name of a command replaced by the present one. Flags before and
-/// within the name stay; `help` may stand before it.
+/// Replaces a former command name in the arguments, of which the program's name is the first. Flags before and within
+/// the name stay; `help` may precede it.
 pub fn with_present_names(arguments: Vec<OsString>) -> Vec<OsString> {
     let words = arguments.iter().enumerate().skip(1).filter_map(|(index, argument)| {
         let argument = argument.to_str().filter(|argument| !argument.starts_with('-'))?;
@@ -91,7 +92,7 @@ mod tests {
         }
     }
 
-    /// The end-to-end tests run every row of that table.
+    /// Every former name is on the page of commands. The end-to-end tests run every row of that table.
     #[test]
     fn the_page_of_commands_lists_all_former_names() {
         let page = include_str!("../../../docs/commands.md");

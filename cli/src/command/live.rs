@@ -64,8 +64,8 @@ pub struct Arguments {
     pub integrations: integrations::Arguments,
 }
 
-/// Watches a source until it ends, is stopped, or has given enough frames. Frames that are missing are in the summary; only in a
-/// recording do they count as lost.
+/// Classifies the frames of a source until it ends, is stopped, or has delivered enough frames. The summary counts
+/// missing frames; they count as lost only in a recording.
 ///
 /// # Errors
 /// The model, the source or the output cannot be opened, or the run fails.
@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
     }
-    // Before anything is written: a page that cannot be served leaves files as they are.
+    // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let page = view::Page::open(&arguments.view, &source, &arguments.model, output)?;
     let header = RecordingHeader {
         waveform,
@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 }
 
 impl Arguments {
-    /// Options of the source; a board is programmed with a waveform that the model can judge.
+    /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
         Ok(SourceOptions {
             waveform: self.named_waveform(model)?,
@@ -142,7 +142,7 @@ impl Arguments {
         })
     }
 
-    /// The waveform that is named, if one is and the model can judge it.
+    /// Returns the named waveform, if there is one and the model accepts it.
     fn named_waveform(&self, model: &Model) -> anyhow::Result<Option<Waveform>> {
         let Some(named) = &self.source.waveform else { return Ok(None) };
         let waveform = source::waveform(named)?;
@@ -156,7 +156,7 @@ impl Arguments {
         Ok(Some(waveform))
     }
 
-    /// Starts to record frames and answers; of a board none may be lost meanwhile.
+    /// Starts to record frames and answers. Frames of a board must not be lost meanwhile.
     fn recorder(
         &self,
         path: &Path,

@@ -20,7 +20,7 @@ pub struct ManArguments {
     output: PathBuf,
 }
 
-/// A script that completes commands and options.
+/// Prints a script that completes commands and options.
 ///
 /// # Errors
 /// Standard output cannot be written.
@@ -30,7 +30,7 @@ pub fn completions(arguments: &CompletionArguments, mut program: clap::Command) 
     output::text_line(String::from_utf8_lossy(&script).trim_end())
 }
 
-/// Manual pages: what `--help` says, for `man`.
+/// Writes manual pages with the text of `--help`, for `man`.
 ///
 /// # Errors
 /// The folder cannot be made, or a page cannot be written.

@@ -1,4 +1,4 @@
-//! Commands, grouped by noun: one file a group and one a command.
+//! Commands, grouped by noun: one file per group and one per command.
 
 mod bench;
 mod board;

@@ -1,4 +1,4 @@
-//! `radome model`: networks: training, measurement, adaptation, export.
+//! `radome model`: training, evaluation, adaptation and export of networks.
 
 mod adapt;
 mod background;

@@ -41,7 +41,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Captures every frame, or stops and says why it cannot.
+/// Records every frame, or stops with an error.
 ///
 /// # Errors
 /// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
@@ -87,17 +87,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }
 
-/// Counts of recorded and lost frames.
+/// Numbers of recorded and lost frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Tally {
     frames: u64,
-    /// Frames that are known to be lost.
+    /// Number of frames that are known to be lost.
     dropped: u64,
     gaps: u64,
 }
 
 impl Tally {
-    /// Writes a gap, counts it and says it.
+    /// Writes a gap, counts it and reports it.
     fn gap(&mut self, recorder: &mut Recorder, gap: &Gap) -> anyhow::Result<()> {
         recorder.gap(gap)?;
         self.gaps += 1;
@@ -112,12 +112,12 @@ impl Tally {
 
 /// Records until the source ends or fails, the disk fails, or the user stops it.
 ///
-/// The file is finished unless the disk has failed, or the source by a panic: then it stays marked unfinished. A board that was
-/// lost for good leaves a gap at the end, of nobody knows how many frames.
+/// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
+/// that is lost for good leaves a gap of unknown length at the end.
 fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) -> (Tally, anyhow::Result<()>) {
     let mut tally = Tally::default();
     let end = match write_all(inlet, &mut recorder, &mut tally, bar) {
-        // The first cause is the one to be told: to finish the file would fail again.
+        // The first error is reported; finishing the file would fail again.
         Err(error) => {
             drop(recorder);
             Err(error.context(format!("the recording ended after {} frames", tally.frames)))
@@ -138,7 +138,7 @@ fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) 
     (tally, end)
 }
 
-/// Writes what comes; gives why the source failed, if it did.
+/// Writes all items; returns the source's error, if it failed.
 fn write_all(
     inlet: &Inlet,
     recorder: &mut Recorder,
@@ -151,7 +151,7 @@ fn write_all(
         let delivery = match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
             Ok(delivery) => delivery,
             Err(RecvTimeoutError::Timeout) => {
-                // A board that has gone silent may never come back: what it said is safe.
+                // A silent board may never come back, so its frames are flushed to the disk.
                 if std::mem::take(&mut is_unflushed) {
                     recorder.flush()?;
                 }
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
     use crate::panics::tests::{Failing, Panicking};
 
-    /// Records what a source gives; without a source the pipeline has gone. What was captured, the error, and whether the
+    /// Records a source; without a source, the pipeline ends at once. Returns the counts, the error, and whether the
     /// recording is marked finished.
     fn captured(source: Option<Box<dyn FrameSource>>) -> (Tally, Option<String>, bool) {
         let folder = tempfile::tempdir().expect("a folder");
@@ -214,7 +214,7 @@ mod tests {
         let (tally, error, is_finished) = captured(Some(damaged));
         assert_eq!(tally, Tally { frames: 3, ..Tally::default() });
         assert_eq!((error.as_deref(), is_finished), (Some("chunk 3 is damaged"), true));
-        // Of a board that was lost nobody knows what it would have sent.
+        // The number of frames that a lost board would have sent is unknown.
         let lost = Failing::after(3, || BoardError::Stopped.into());
         let (tally, error, is_finished) = captured(Some(lost));
         assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1 });

@@ -1,4 +1,4 @@
-//! `radome recording`: recordings and what can be read from them.
+//! `radome recording`: recordings and their contents.
 
 mod answers;
 mod convert;

@@ -1,4 +1,4 @@
-//! `radome schema`: JSON schemas of the TOML files that people write, by which editors complete and check keys.
+//! `radome schema`: JSON schemas of hand-written TOML files, with which editors complete and check keys.
 
 use radome_dsp::WaveformRequest;
 use radome_models::TrainSpec;
@@ -53,12 +53,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn schema<T: JsonSchema>() -> Schema {
-    // Taplo reads drafts up to 7.
+    // Taplo supports drafts up to 7.
     let settings = SchemaSettings::draft07().with_transform(RecursiveTransform(adapt_to_toml));
     settings.into_generator().into_root_schema_for::<T>()
 }
 
-/// Removes null, which TOML does not have, and defaults that are tables: the keys of a table have defaults of their own.
+/// Removes null, which TOML lacks, and defaults that are tables: the keys of a table have their own defaults.
 fn adapt_to_toml(schema: &mut Schema) {
     if let Some(Value::Array(types)) = schema.get_mut("type") {
         types.retain(|name| name != "null");
@@ -81,7 +81,7 @@ fn adapt_to_toml(schema: &mut Schema) {
     }
 }
 
-/// Shortest number that reads as the same f32: 0.3 instead of 0.30000001192092896. `None` for other values.
+/// Shortest number that parses to the same f32: 0.3 instead of 0.30000001192092896. `None` for other values.
 fn shortest_of_f32(value: &Value) -> Option<Value> {
     let number = value.as_f64().filter(|number| value.is_f64() && f64::from(*number as f32) == *number)?;
     (number as f32).to_string().parse::<f64>().ok().map(Value::from)

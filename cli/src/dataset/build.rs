@@ -1,7 +1,8 @@
-//! Builds of datasets, which continue where they were stopped.
+//! Builds of datasets. An interrupted build can be continued.
 //!
-//! While a build runs, its finished units and its plan lie in `NAME.parts`, each unit whole or absent. The same command goes
-//! on with them after anything; when all are there they are merged, or, of a shard, take the shard's name as they are.
+//! While a build runs, `NAME.parts` holds its plan and its finished units, each complete or absent. After any
+//! interruption the same command continues with them. When all units are there, they are merged; those of a shard only
+//! take the shard's name.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,19 +18,19 @@ use crate::output::Interrupted;
 use crate::shard::Shard;
 use crate::{files, output, panics};
 
-/// Dataset or shard that a build made.
+/// Dataset or shard that a build produced.
 pub struct Built {
     /// Folder of the dataset, or of the shard.
     pub folder: PathBuf,
-    /// Number of units that it is made of.
+    /// Number of its units.
     pub units: usize,
-    /// Number of units that an earlier run had made.
+    /// Number of units that an earlier run had finished.
     pub found: usize,
     /// Number of its maps.
     pub counts: Counts,
 }
 
-/// Builds a dataset in the folder `output`, or one shard of it in a folder within. Continues where an earlier run was stopped.
+/// Builds a dataset in the folder `output`, or one shard of it in a folder within. Continues an interrupted build.
 ///
 /// # Errors
 /// The spec or a source cannot be read, the folder holds something else, a unit fails, or the user interrupts.
@@ -78,7 +79,7 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
     Ok(Built { folder: target, units: plan.units_of(plan.card.shard).count(), found, counts })
 }
 
-/// A shard that is there is not made twice, unless it is another's.
+/// Checks that a finished shard belongs to this plan, so that it is not made twice.
 fn shard_again(plan: &Plan, target: &Path) -> anyhow::Result<usize> {
     if let Some(difference) = plan.card.difference(&PlanCard::read(target)?) {
         bail!("{} is there already, but was {difference}\n\nhint: move it away", target.display());
@@ -93,13 +94,13 @@ pub fn unit_name(unit: usize) -> String {
 }
 
 impl Plan {
-    /// Units of a shard: every so many, so that long and short sources are dealt out evenly.
+    /// Units of a shard: every `count`-th, so that long and short sources are spread evenly.
     pub fn units_of(&self, shard: Shard) -> impl Iterator<Item = usize> {
         (shard.index..self.units.len()).step_by(shard.count)
     }
 }
 
-/// The folder in which the units of an unfinished build lie.
+/// Folder with the units of an unfinished build.
 struct Parts {
     folder: PathBuf,
 }
@@ -111,8 +112,8 @@ impl Parts {
         Parts { folder: target.with_file_name(name) }
     }
 
-    /// Makes the folder, or goes on in it if it holds units of the same plan. Nobody else may, until what comes back is
-    /// dropped.
+    /// Creates the folder, or continues in it if it holds units of the same plan. The folder is locked for other
+    /// processes until the returned file is dropped.
     fn enter(&self, plan: &Plan) -> anyhow::Result<fs::File> {
         fs::create_dir_all(&self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
         let lock = dataset::lock_folder(&self.folder)?;
@@ -131,13 +132,13 @@ impl Parts {
         Ok(lock)
     }
 
-    /// Whether all that is left to do is to clean up: the dataset had its name when an earlier run ended.
+    /// Returns whether only the cleanup is left: an earlier run ended after it had renamed the dataset.
     fn was_merged(&self, plan: &Plan, target: &Path) -> bool {
         let same = |card: PlanCard| plan.card.difference(&card).is_none();
         target.join("dataset.json").exists() && PlanCard::read(&self.folder).is_ok_and(same)
     }
 
-    /// Makes the units that are missing, on all threads; returns how many were there.
+    /// Makes the missing units on all threads; returns how many existed.
     fn make(&self, plan: &Plan) -> anyhow::Result<usize> {
         let all = plan.units_of(plan.card.shard).count();
         let place = |unit: &usize| self.folder.join(unit_name(*unit));
@@ -150,14 +151,15 @@ impl Parts {
         bar.set_position(found as u64);
         let make = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
             let Some(source) = plan.units.get(*unit) else { return Ok(()) };
-            // A unit that panics ends the build as one that fails: the others stay.
+            // A unit that panics ends the build like one that fails: the other units stay.
             panics::caught(|| unit::make(plan, source, &place(unit), parallel))
                 .unwrap_or_else(|panicked| Err(panicked.into()))
                 .with_context(|| source.recording.clone())?;
             bar.inc(1);
             Ok(())
         };
-        // Many units: each on one thread, which no thread waits for. Few: the frames of each on all threads.
+        // Many units are made in parallel, each on one thread. Of few units, the frames of each are computed on all
+        // threads.
         let made = if missing.len() >= 2 * rayon::current_num_threads() {
             missing.par_iter().with_max_len(1).try_for_each(|unit| make(unit, false))
         } else {
@@ -173,7 +175,7 @@ impl Parts {
         Err(error)
     }
 
-    /// Gives a shard's units the shard's name.
+    /// Gives the units of a shard the shard's name.
     fn finish_shard(&self, target: &Path) -> anyhow::Result<()> {
         Ok(rename_synced(&self.folder, target)?)
     }
@@ -183,7 +185,7 @@ impl Parts {
     }
 }
 
-/// Merges all units of a plan into the dataset, in order; `place` gives the folder in which those of a shard lie.
+/// Merges all units of a plan into the dataset, in order. `place` returns the folder with the units of a shard.
 ///
 /// # Errors
 /// A unit cannot be read, or none has a map, or the dataset cannot be written.
@@ -207,9 +209,9 @@ pub fn merge_units(
 /// Number of maps by class.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Maps of empty, one and two.
+    /// Maps of the classes empty, one and two.
     pub classes: [u64; 3],
-    /// Maps during which somebody came or went.
+    /// Maps during which somebody entered or left.
     pub transitions: u64,
 }
 

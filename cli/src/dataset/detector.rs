@@ -1,5 +1,5 @@
-//! Labels that a classical detector proposes for a recording ([`CfarCounter`]): something to correct by hand, not to train on as
-//! it is.
+//! Labels that a classical detector ([`CfarCounter`]) proposes for a recording. They are meant for correction by hand,
+//! not for training as they are.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 
 use crate::labels::spans_of;
 
-/// Time over which frames are asked to agree, s.
+/// Time over which frames vote for a class, s.
 const AGREEMENT_S: f64 = 1.5;
 
-/// Labels for a recording: each with the share of its frames that agreed.
+/// Proposes labels for a recording, each with the fraction of its frames that agreed.
 ///
 /// # Errors
 /// The recording cannot be read, holds no frame, or has a waveform that the detector cannot use.
@@ -36,11 +36,12 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
         bail!("{}: no frame", path.display());
     }
     let believe = |index: usize, (time_s, seen): &(f64, Observation)| {
-        // Who has just left still fills the window of who breathes: it counts where few of its frames held a walker.
+        // People who have just left still affect the window of the detector for breathing. Its result counts only where
+        // few frames of the window held a walker.
         let half = frames / 2;
         let window = looked.get(index.saturating_sub(half)..(index + half).min(looked.len())).unwrap_or(&[]);
         let walked = window.iter().filter(|(_, seen)| seen.walking > 0).count();
-        // At either end of the recording the first and the last whole window answer.
+        // At either end of the recording, the first and the last complete window are used.
         let slow = (index + half).max(frames - 1).min(looked.len() - 1);
         let breathes = looked.get(slow).is_some_and(|(_, seen)| seen.breathes) && 4 * walked <= window.len();
         let people = seen.walking.max(usize::from(breathes)).min(2);
@@ -59,7 +60,7 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     Ok(spans)
 }
 
-/// Class of most frames within [`AGREEMENT_S`] about each.
+/// Returns the most frequent class within [`AGREEMENT_S`] around each frame.
 fn agree(believed: &[(f64, Occupancy)]) -> Vec<(f64, Occupancy)> {
     let half_s = 0.5 * AGREEMENT_S;
     let (mut from, mut to) = (0, 0);
@@ -82,7 +83,7 @@ fn agree(believed: &[(f64, Occupancy)]) -> Vec<(f64, Occupancy)> {
                 from += 1;
             }
             let most = votes.iter().copied().max().unwrap_or(0);
-            // Among equals, what the frame itself says.
+            // In a tie, the frame's own class wins.
             let class = if votes[own.index()] == most {
                 Some(*own)
             } else {

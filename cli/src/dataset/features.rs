@@ -1,4 +1,4 @@
-//! Features of maps and frames beside those measured on recordings.
+//! Features of maps and frames, compared with those measured on recordings.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -14,14 +14,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::source::{self, SourceOptions};
 
-/// Measured features of walking people, if no other file is named.
+/// Default file of measured features, for walking people.
 const WALKING: &str = include_str!("../../../fixtures/features/walking.toml");
-/// Ranges at which static clutter is looked for, m.
+/// Ranges at which static clutter is searched for, m.
 const CLUTTER_M: [f64; 2] = [1.8, 3.9];
-/// Rooms that are looked at of a scene that draws them, and frames of each.
+/// Number of rooms that are examined of a scene that draws its rooms, and frames of each.
 const ROOMS: u64 = 24;
 const FRAMES: u64 = 100;
-/// Seed of the first, far from those that datasets are made of.
+/// Seed of the first room, far from the seeds of datasets.
 const FIRST_SEED: u64 = 500_001;
 
 /// A file of measured features.
@@ -44,28 +44,28 @@ pub struct Measured {
     /// Tolerance of the median beyond that range, in its unit.
     #[serde(default)]
     within: f64,
-    /// The same as a ratio of amplitudes, dB.
+    /// Tolerance as a ratio of amplitudes, dB.
     #[serde(default)]
     within_db: f64,
 }
 
-/// Feature of a dataset beside its measured range.
+/// Feature of a dataset with its measured range.
 #[derive(Serialize)]
 pub struct Row {
     /// Measured range.
     #[serde(flatten)]
     pub measured: Measured,
-    /// Median over maps; `None` where nothing shows it.
+    /// Median over maps; `None` where no map shows the feature.
     pub found: Option<f64>,
-    /// Values that nine maps in ten lie above and below, for features of maps.
+    /// Quantiles of 10 % and 90 % over maps, for features of maps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spread: Option<[f64; 2]>,
     /// Whether the median agrees with the measured range.
     pub holds: Option<bool>,
 }
 
-/// Compares the maps with these indices, and the frames of `sources`, with a file of measured features; `None` is the built-in
-/// file of walking people.
+/// Compares the maps with these indices, and the frames of `sources`, with a file of measured features; `None` is the
+/// built-in file of walking people.
 ///
 /// # Errors
 /// The file or a source cannot be read, or no range bin lies where clutter is looked for.
@@ -96,7 +96,7 @@ pub fn compare(
     Ok(measured.feature.into_iter().map(row).collect())
 }
 
-/// A feature's median, and its spread where it has one.
+/// Median of each feature, and its spread where it has one.
 type Found = BTreeMap<String, (f64, Option<[f64; 2]>)>;
 
 fn of_maps(features: &Features) -> Found {
@@ -124,7 +124,7 @@ fn of_maps(features: &Features) -> Found {
     found
 }
 
-/// Features of the strongest static bin of each source: medians over sources.
+/// Features of the strongest static bin of each source, as medians over sources.
 fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
     let mut values: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for spec in sources {
@@ -147,7 +147,8 @@ fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
     Ok(values.into_iter().filter_map(|(name, values)| Some((format!("clutter.{name}"), spread(values)?))).collect())
 }
 
-/// Level, phase jitter and drift, amplitude jitter of the strongest bin in [`CLUTTER_M`]; `None` of fewer than ten frames.
+/// Level, phase jitter and drift, and amplitude jitter of the strongest bin in [`CLUTTER_M`]; `None` for fewer than ten
+/// frames.
 fn clutter(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str, f64); 4]>> {
     let waveform = frames.waveform().clone();
     let samples = waveform.request.samples_per_chirp;

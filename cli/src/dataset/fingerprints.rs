@@ -1,4 +1,4 @@
-//! Fingerprints of what a build is made from, so that a change between two runs of it is noticed.
+//! Fingerprints of the inputs of a build, with which a change between two runs is detected.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -9,10 +9,10 @@ use anyhow::Context;
 use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use sha2::{Digest, Sha256};
 
-/// Length of either end of a longer file that enters the fingerprint beside the file's length, bytes: recordings of many
-/// gigabytes would be read twice otherwise.
+/// Length at either end of a longer file that enters the fingerprint, with the file's length, bytes. Recordings of many
+/// gigabytes would otherwise be read twice.
 const END: u64 = 1 << 19;
-/// Files that name files that name files.
+/// Largest nesting depth of files that name other files.
 const DEEPEST: usize = 4;
 
 /// Fingerprints by name.
@@ -22,17 +22,17 @@ pub struct Fingerprints {
 }
 
 impl Fingerprints {
-    /// Takes fingerprints of files named relative to a folder.
+    /// Creates a collector for files named relative to a folder.
     pub fn new(base: &Path) -> Self {
         Fingerprints { base: base.to_owned(), prints: BTreeMap::new() }
     }
 
-    /// The fingerprints.
+    /// Returns the fingerprints.
     pub fn into_map(self) -> BTreeMap<String, String> {
         self.prints
     }
 
-    /// A file.
+    /// Adds a file.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -42,7 +42,7 @@ impl Fingerprints {
         Ok(())
     }
 
-    /// A scene file and every file that it names, and so on.
+    /// Adds a scene file and, recursively, every file that it names.
     ///
     /// # Errors
     /// A file cannot be read, or files name each other too deeply.
@@ -61,18 +61,18 @@ impl Fingerprints {
             return Ok(());
         }
         let text = read_text(&path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-        // What is no TOML has been refused by who reads scenes.
+        // The scene's reader has rejected files that are not TOML.
         let Ok(table) = text.parse::<toml::Table>() else { return Ok(()) };
         let mut strings = Vec::new();
         collect_strings(&toml::Value::Table(table), &mut strings);
         let folder = name.parent().unwrap_or(Path::new(""));
-        // Only what a scene may name; any other string is no file of it.
+        // Only names that a scene may use; other strings do not name a file.
         let own = self.base.join(folder);
         let files = strings.iter().filter(|string| named_by_spec(&own, Path::new(string)).is_ok());
         files.into_iter().try_for_each(|string| self.named(&folder.join(string), depth + 1))
     }
 
-    /// A recording, file or folder, with the file of its labels.
+    /// Adds a recording, file or folder, with the file of its labels.
     ///
     /// # Errors
     /// A file of the recording cannot be read.

@@ -1,4 +1,4 @@
-//! Recordings in a folder, and what their names say of them.
+//! Recordings in a folder, and the labels in their names.
 
 use std::path::{Path, PathBuf};
 
@@ -7,21 +7,21 @@ use regex_lite::Regex;
 
 use super::spec::{FolderLabel, Recorded};
 
-/// Folders within folders that are looked into.
+/// Largest nesting depth of folders that are searched.
 const DEEPEST: usize = 12;
 
-/// A recording that was found.
+/// Recording that was found.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Found {
     /// Path to open.
     pub path: PathBuf,
     /// Session by its path from the folder; several radars may have recorded it.
     pub session: String,
-    /// The recording: the session, and which radar where there are several.
+    /// Name of the recording: the session, and the radar where there are several.
     pub name: String,
 }
 
-/// All recordings in a folder, by name.
+/// Finds all recordings in a folder, ordered by name.
 ///
 /// # Errors
 /// A folder cannot be listed, or there is no recording in it.
@@ -36,7 +36,7 @@ pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
             folder.display()
         );
     }
-    // A folder that is itself a recording is called by its own name.
+    // A folder that is itself a recording uses its own name.
     for found in found.iter_mut().filter(|f| f.session.is_empty()) {
         let own = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
         found.session = own.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -84,7 +84,7 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
     Ok(())
 }
 
-/// Whether the file is a text recording: `NAME` beside `NAME_config.json`, or `NAME.txt`.
+/// Returns whether the file is a text recording: `NAME` beside `NAME_config.json`, or `NAME.txt`.
 fn is_text(path: &Path) -> bool {
     let with_config = |name: &std::ffi::OsStr| {
         let mut name = name.to_owned();
@@ -95,7 +95,7 @@ fn is_text(path: &Path) -> bool {
         || (path.extension().is_some_and(|e| e == "txt") && path.file_stem().is_some_and(with_config))
 }
 
-/// Meaning of a name.
+/// Label that a name gives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reading {
     pub label: FolderLabel,
@@ -104,12 +104,12 @@ pub struct Reading {
     pub sequence: Option<String>,
 }
 
-/// The patterns of a source.
+/// Patterns of a source.
 #[derive(Debug)]
 pub struct Rules(Vec<(String, Regex, FolderLabel)>);
 
 impl Rules {
-    /// From the spec.
+    /// Compiles the patterns of the spec.
     ///
     /// # Errors
     /// A pattern is not valid.
@@ -118,7 +118,7 @@ impl Rules {
         Ok(Rules(rules.collect::<anyhow::Result<_>>()?))
     }
 
-    /// Label by name: the one pattern that fits decides.
+    /// Returns the label of a name, by the single pattern that matches.
     ///
     /// # Errors
     /// No pattern fits the name, or more than one does.
@@ -148,7 +148,7 @@ impl Rules {
     }
 }
 
-/// A pattern as a regular expression.
+/// Compiles a pattern to a regular expression.
 fn compile(pattern: &str) -> anyhow::Result<Regex> {
     let mut text = String::from("^");
     let mut rest = pattern;
@@ -211,7 +211,7 @@ mod tests {
                     || said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"empty*\", \"*one*\"")
             );
             assert!(said("empty_or_one").contains("fits two patterns"));
-            // Dots and brackets mean themselves; a star does not go across folders.
+            // Dots and brackets are literal; a star does not match across folders.
             let strict = super::rules(&[("a.[b]*", One), ("x/*", Empty)]).expect("rules");
             assert!(strict.read("a.[b]c").is_ok() && strict.read("ab").is_err() && strict.read("x/y/z").is_err());
             assert!(compile("{who}_*").expect_err("unknown").to_string().contains("{who}"));

@@ -24,7 +24,7 @@ pub fn merge(parts: &[PathBuf], target: &Path) -> anyhow::Result<Built> {
     Ok(Built { folder: target.to_owned(), units, found: 0, counts })
 }
 
-/// Merges the shards of a build: the bytes are those of the build on one machine.
+/// Merges the shards of a build. The bytes are those of a build on one machine.
 fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     let mut by_index: BTreeMap<usize, &PathBuf> = BTreeMap::new();
     let mut first: Option<(&PathBuf, PlanCard)> = None;
@@ -63,7 +63,7 @@ fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     Ok(card.units)
 }
 
-/// Merges datasets, one behind the other.
+/// Concatenates datasets.
 fn datasets(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     if let Some(shard) = parts.iter().find(|part| part.join(plan::FILE).exists()) {
         bail!("{} is a shard, others are not; merge the shards of a build first", shard.display());

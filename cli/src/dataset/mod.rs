@@ -1,8 +1,8 @@
-//! Datasets: from a spec to labelled maps, on one machine or many.
+//! Datasets: builds labelled maps from a spec, on one machine or many.
 //!
-//! A spec ([`spec`]) is planned into units, runs of a scene and recordings ([`plan`]); each unit becomes a small dataset of
-//! its own ([`unit`]), whole or absent; together they are merged in the order of the plan ([`mod@build`], [`merge`]). So the
-//! bytes that come out depend neither on how many processes made the units nor on how often one was killed.
+//! A spec ([`spec`]) is planned into units: runs of a scene, and recordings ([`plan`]). Each unit becomes a small
+//! dataset of its own ([`mod@unit`]), complete or absent. The units are merged in the order of the plan ([`mod@build`],
+//! [`merge`]). The resulting bytes depend neither on the number of processes that made the units nor on interruptions.
 
 pub mod build;
 pub mod detector;

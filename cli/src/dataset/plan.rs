@@ -1,4 +1,4 @@
-//! The work list of a build, the same on every machine: units, each a run of a scene or a recording.
+//! Work list of a build, the same on every machine. Its units are runs of a scene, and recordings.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -20,14 +20,14 @@ use super::folders::{self, Found, Reading, Rules};
 use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::shard::Shard;
 
-/// Version of `plan.json`.
+/// Format version of `plan.json`.
 const FORMAT: u32 = 1;
-/// Longest card that is read: it names every file that the build is made from.
+/// Largest card that is read, bytes. It names every file that the build uses.
 const CARD_LIMIT_BYTES: u64 = 256 << 20;
-/// Its name in a folder of units.
+/// File name of the card in a folder of units.
 pub const FILE: &str = "plan.json";
 
-/// A run of a scene, or a recording.
+/// Run of a scene, or recording.
 #[derive(Debug, Clone)]
 pub struct Unit {
     pub scene: String,
@@ -35,7 +35,7 @@ pub struct Unit {
     pub sequence: String,
     pub subject: Option<String>,
     pub split: Option<Split>,
-    /// Take one map in so many.
+    /// Spacing of the maps that are taken: 1 takes every map.
     pub every: u64,
     pub source: UnitSource,
 }
@@ -46,7 +46,7 @@ pub enum UnitSource {
     Recording { path: PathBuf, label: Option<Occupancy>, label_file: Option<PathBuf> },
 }
 
-/// Units and what their maps have in common.
+/// Units, and the properties that their maps share.
 pub struct Plan {
     pub header: DatasetHeader,
     pub kernel: KernelLevel,
@@ -54,25 +54,25 @@ pub struct Plan {
     pub card: PlanCard,
 }
 
-/// Inputs that decide the bytes of a build, as written beside its units: a later run or a merge compares them.
+/// Inputs that determine the bytes of a build, stored with its units. A later run or a merge compares them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanCard {
     format: u32,
     /// Version of the program.
     program: String,
-    /// Instructions that the maps are made with.
+    /// Instruction set that computes the maps.
     kernel: KernelLevel,
     pub spec: BuildSpec,
-    /// Fingerprints of the files that the spec names, by the names that it gives them.
+    /// Fingerprints of the files that the spec names, keyed by their names in it.
     sources: BTreeMap<String, String>,
-    /// Units of the whole build; unit `k` is shard `k mod N`'s.
+    /// Number of units of the whole build. Unit `k` belongs to shard `k mod N`.
     pub units: usize,
     pub shard: Shard,
 }
 
 impl Plan {
-    /// The plan of a spec file.
+    /// Plans a spec file.
     ///
     /// # Errors
     /// The spec or a source cannot be read, a name occurs twice, or the machine lacks the kernel.
@@ -80,7 +80,7 @@ impl Plan {
         Self::of_spec(BuildSpec::load(path)?, path, shard)
     }
 
-    /// The plan of a spec; its paths are relative to the file `path`.
+    /// Plans a spec whose paths are relative to the file `path`.
     ///
     /// # Errors
     /// A source cannot be read, a name occurs twice, or the machine lacks the kernel.
@@ -120,7 +120,7 @@ impl Plan {
     }
 }
 
-/// Path of what a spec in a folder names.
+/// Returns the path of a file that a spec in a folder names.
 fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
     named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
 }
@@ -128,7 +128,7 @@ fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
 struct List<'a> {
     units: Vec<Unit>,
     prints: Fingerprints,
-    /// The first source sets it; its name is for messages.
+    /// Header, which the first source sets, with the name of that source for messages.
     header: Option<(String, DatasetHeader)>,
     spec: &'a BuildSpec,
 }
@@ -160,7 +160,7 @@ impl List<'_> {
         }
         self.check_waveform(&path.display().to_string(), scene.waveform())?;
         if let Channels::One(index) = self.spec.map.channels {
-            // What no map shows need not be simulated.
+            // Receivers that no map uses need not be simulated.
             let receivers = scene.waveform().request.rx_antennas.up_to(index);
             scene = scene.with_receivers(receivers);
         }
@@ -231,7 +231,7 @@ impl List<'_> {
         Ok(())
     }
 
-    /// A recording as a unit; `called` is its name in the list of sources.
+    /// Returns a recording as a unit; `called` is its name in the list of sources.
     fn recording(
         &mut self,
         source: &Recorded,
@@ -295,7 +295,7 @@ impl PlanCard {
         Ok(serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n")
     }
 
-    /// Difference that keeps another plan's units from being merged with this one's; `None` if there is none.
+    /// Returns the difference that prevents a merge with the units of another plan; `None` if there is none.
     pub fn difference(&self, other: &PlanCard) -> Option<String> {
         if self.program != other.program {
             return Some(format!("made by version {} of this program, not {}", other.program, self.program));

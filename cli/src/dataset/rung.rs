@@ -10,21 +10,21 @@ use serde::Deserialize;
 
 use super::spec::{Body, BuildSpec, Simulated};
 
-/// Format of a rung's file.
+/// Format version of a rung's file.
 const FORMAT: u32 = 1;
-/// Most frames of a rung: a day at ten a second.
+/// Largest number of frames of a rung: a day at ten per second.
 pub const MOST_FRAMES: u64 = 864_000;
 
-/// A rung's file.
+/// Content of a rung's file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RungFile {
     format: u32,
     /// Short name: letters, digits, `-` and `_`.
     pub name: String,
-    /// One sentence that says how it differs from training.
+    /// One sentence that describes the difference from training.
     pub about: String,
-    /// Scenes that are simulated.
+    /// Scenes to simulate.
     pub scene: Vec<RungScene>,
 }
 
@@ -34,12 +34,12 @@ pub struct RungFile {
 pub struct RungScene {
     /// Scene file, relative to the rung's file.
     pub path: PathBuf,
-    /// First and last seed: a recording each.
+    /// First and last seed; each seed gives one recording.
     pub seeds: (u64, u64),
-    /// People that the scene is forced to have at most; its own number if absent.
+    /// Maximum number of people; the scene's own number if absent.
     #[serde(default)]
     pub people: Option<usize>,
-    /// Frames of a recording.
+    /// Number of frames of a recording.
     pub frames: u64,
     /// Bodies of people, "ellipsoids" or "mesh"; those of the scene if absent.
     #[serde(default)]
@@ -87,7 +87,7 @@ impl RungFile {
         Ok(())
     }
 
-    /// The rung as a dataset of all of its frames. Paths stay relative to the rung's file.
+    /// Returns the rung as a dataset spec of all its frames. Paths stay relative to the rung's file.
     pub fn build_spec(self, map: RdmSpec) -> BuildSpec {
         let simulated = self.scene.into_iter().map(|of| Simulated {
             scene: of.path,

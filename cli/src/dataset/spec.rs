@@ -13,13 +13,13 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-/// Newest format of the file.
+/// Newest format version of the file.
 const FORMAT: u32 = 1;
-/// Frames of one run at most: eleven days at ten a second.
+/// Largest number of frames of one run: eleven days at ten per second.
 const MOST_FRAMES: u64 = 10_000_000;
-/// Runs of all scenes together at most: each is a folder of its own while a dataset is built.
+/// Largest total number of runs of all scenes. Each is a folder of its own while a dataset is built.
 const MOST_RUNS: u64 = 1_000_000;
-/// Largest magnitude of a ratio of signal to noise, dB: at more, either of them is not to be seen.
+/// Largest magnitude of a signal-to-noise ratio, dB. Beyond it, the noise or the signal is not visible.
 const MOST_SNR_DB: f64 = 100.0;
 
 /// The whole file.
@@ -148,8 +148,8 @@ pub enum FolderLabel {
     Skip,
 }
 
-/// Map on which networks are trained, whatever the board: the mean power of all receivers, less each chirp's mean and what stands
-/// still within the frame.
+/// Default map for the training of networks, independent of the board: the mean power of all receivers, without each
+/// chirp's mean and without echoes that are static within the frame.
 fn map_of_networks() -> RdmSpec {
     RdmSpec {
         channels: Channels::IncoherentSum,
@@ -160,7 +160,7 @@ fn map_of_networks() -> RdmSpec {
 }
 
 fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<RdmSpec, D::Error> {
-    // Not a TOML table: a build's plan holds its spec as JSON, whose nulls that has no place for.
+    // This is not a TOML table. The plan of a build stores its spec as JSON, and TOML tables cannot hold JSON's nulls.
     let given = serde_json::Map::deserialize(deserializer)?;
     let Value::Object(mut all) = serde_json::to_value(map_of_networks()).map_err(D::Error::custom)? else {
         return Err(D::Error::custom("a map is a table"));
@@ -169,7 +169,7 @@ fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rd
     serde_json::from_value(Value::Object(all)).map_err(D::Error::custom)
 }
 
-/// Schema of a table of which any key may be left out.
+/// Schema of a table whose keys are all optional.
 fn any_keys<T: JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
     let mut schema = T::json_schema(generator);
     schema.remove("required");
@@ -200,12 +200,12 @@ impl BuildSpec {
         Ok(spec)
     }
 
-    /// Spec of maps of runs, without splits.
+    /// Creates a spec of maps of runs, without splits.
     pub fn of_runs(map: RdmSpec, simulated: Vec<Simulated>) -> Self {
         BuildSpec { format: FORMAT, map, raw_snr_db: None, kernel: None, split: None, simulated, recorded: Vec::new() }
     }
 
-    /// The spec with noise of this ratio on the raw samples, or with its own if `raw_snr_db` is `None`.
+    /// Returns the spec with noise of this ratio on the raw samples, or with its own ratio if `raw_snr_db` is `None`.
     ///
     /// # Errors
     /// The ratio is out of range.
@@ -282,7 +282,7 @@ mod tests {
         assert!(error.contains("channel"), "{error}");
     }
 
-    /// A build is continued only with the spec that it was begun with, which its plan holds as JSON.
+    /// A build continues only with its original spec, which its plan stores as JSON.
     #[test]
     fn another_ratio_is_another_spec_and_none_is_not_written() {
         let read = |text: &str| BuildSpec::parse(text).expect("valid");

@@ -1,11 +1,11 @@
-//! Thermal noise on the raw samples of frames, before maps are made of them.
+//! Thermal noise on the raw samples of frames, added before maps are computed.
 
 use radome_dsp::rdm::SampleScale;
 use radome_dsp::{Frame, MapError, MapStatus, Rdm, RdmProcessor};
 use radome_models::stream;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Sum of the squares of codes about the mean of their chirp of so many samples: an offset is no signal.
+/// Sum of the squared deviations of codes from the mean of their chirp of `samples` samples. An offset is no signal.
 pub fn signal_squares(codes: &[u16], samples: usize) -> f64 {
     let of_chirp = |chirp: &[u16]| {
         let mean = chirp.iter().map(|&code| f64::from(code)).sum::<f64>() / chirp.len() as f64;
@@ -16,12 +16,12 @@ pub fn signal_squares(codes: &[u16], samples: usize) -> f64 {
 
 /// White Gaussian noise on the samples of one recording or run.
 ///
-/// In each frame, the variance of a receiver's noise is the mean square of its samples about the mean of their chirp, over
-/// `10^(snr_db / 10)`. Static echoes, leakage and the receiver's own noise count as signal. The noise is drawn by recording, receiver
-/// and frame: it is the same at all ratios but for its size, and does not depend on how many receivers a frame has. Samples are not
-/// rounded to codes again, and no noise is cut off at the ends of the ADC's range.
+/// In each frame, the variance of a receiver's noise is the mean square of its samples about the mean of their chirp,
+/// over `10^(snr_db / 10)`. Static echoes, leakage and the receiver's own noise count as signal. The noise is drawn by
+/// recording, receiver and frame. Its draws are the same at all ratios except for their scale, and do not depend on the
+/// number of receivers in a frame. Samples are not rounded to codes again, and noise is not clipped to the ADC's range.
 pub struct RawNoise<'a> {
-    /// Ratio of the signal's power to the noise's, dB.
+    /// Signal-to-noise power ratio, dB.
     pub snr_db: f64,
     /// Seed of the run; 0 for a recording.
     pub seed: u64,
@@ -30,7 +30,7 @@ pub struct RawNoise<'a> {
 }
 
 impl RawNoise<'_> {
-    /// Puts the samples of a frame into `samples`, `[rx][chirp][sample]` in the scale, with noise on them.
+    /// Writes the samples of a frame with noise into `samples`, `[rx][chirp][sample]` in the given scale.
     fn samples(&self, frame: &Frame, scale: SampleScale, samples: &mut Vec<f32>) {
         let (factor, offset) = scale.affine();
         samples.clear();
@@ -50,16 +50,16 @@ impl RawNoise<'_> {
     }
 }
 
-/// Processor from frames to maps, with noise on the frames' samples where there is any.
+/// Processor from frames to maps, optionally with noise on the samples of the frames.
 pub struct NoisyProcessor<'a> {
-    /// The processor, which knows nothing of the noise.
+    /// Processor without noise.
     pub processor: RdmProcessor,
     noise: Option<RawNoise<'a>>,
     samples: Vec<f32>,
 }
 
 impl<'a> NoisyProcessor<'a> {
-    /// Puts noise before a processor.
+    /// Wraps a processor, with optional noise before it.
     pub fn new(processor: RdmProcessor, noise: Option<RawNoise<'a>>) -> Self {
         NoisyProcessor { processor, noise, samples: Vec::new() }
     }
@@ -83,7 +83,7 @@ mod tests {
 
     const SHAPE: FrameShape = FrameShape { rx: 3, chirps: 64, samples: 64 };
 
-    /// A tone in each receiver, of another amplitude (codes), on an offset that differs from chirp to chirp.
+    /// A tone in each receiver, each with its own amplitude (codes), on an offset that differs between chirps.
     fn frame(amplitudes: [f64; 3], sequence: u64) -> Frame {
         let mut frame = Frame { sequence, ..Frame::zeroed(SHAPE) };
         for (index, code) in frame.codes.iter_mut().enumerate() {
@@ -112,7 +112,7 @@ mod tests {
         values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64
     }
 
-    /// A tone of amplitude A has the power A^2 / 2, whatever offset it stands on.
+    /// A tone of amplitude A has the power A^2 / 2, regardless of its offset.
     #[test]
     fn the_power_of_the_noise_is_that_of_the_ratio_in_each_receiver() {
         let amplitudes = [400.0, 100.0, 25.0];
@@ -121,13 +121,13 @@ mod tests {
             for (added, amplitude) in added.chunks_exact(64 * 64).zip(amplitudes) {
                 let ratio = 0.5 * amplitude * amplitude / mean_square(added);
                 let found_db = 10.0 * ratio.log10();
-                // Of 4096 draws the mean square deviates by 0.1 dB.
+                // The mean square of 4096 draws deviates by 0.1 dB.
                 assert!((found_db - snr_db).abs() < 0.4, "{amplitude}: {found_db} dB, expected {snr_db} dB");
             }
         }
     }
 
-    /// White: neighbouring samples, and samples of neighbouring chirps and receivers, have nothing to do with each other.
+    /// White noise: neighbouring samples, chirps and receivers are uncorrelated.
     #[test]
     fn the_noise_is_white() {
         let added = added(&frame([200.0; 3], 3), 0.0);
@@ -147,7 +147,7 @@ mod tests {
             assert!((10.0 * weak - strong).abs() < 1e-2, "{weak} {strong}");
         }
         assert_ne!(weak, added(&frame([200.0; 3], 4), 20.0));
-        // Receivers that no map shows are not simulated: the others have the same noise without them.
+        // Receivers that no map uses are not simulated. The others have the same noise without them.
         let mut first = Frame::zeroed(FrameShape { rx: 1, ..SHAPE });
         first.sequence = 3;
         first.codes.copy_from_slice(&three.codes[..64 * 64]);
@@ -157,7 +157,8 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Without noise, samples are those that a processor makes of codes; a constant signal has no power, and no noise.
+        /// Without noise, samples are those that a processor computes from codes. A constant signal has no power and
+        /// gets no noise.
         #[test]
         fn an_infinite_ratio_and_no_signal_give_no_noise() {
             let three = frame([200.0; 3], 3);

@@ -1,4 +1,4 @@
-//! The maps of one unit, in the order of its frames, whatever runs beside it.
+//! Maps of one unit, in the order of its frames, independent of parallel work.
 
 use std::path::Path;
 
@@ -16,11 +16,11 @@ use super::thermal::{NoisyProcessor, RawNoise};
 use crate::output::Interrupted;
 use crate::{labels, output};
 
-/// Frames that are rendered before maps are made of them.
+/// Number of frames that are simulated before maps are computed from them.
 const CHUNK: usize = 32;
 
-/// Makes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are rendered on all
-/// threads; the bytes are the same either way.
+/// Computes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are simulated on
+/// all threads; the bytes are the same either way.
 ///
 /// # Errors
 /// The source cannot be read or simulated, a map cannot be written, or the user interrupts.
@@ -33,14 +33,15 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
             let mut options =
                 SimulateOptions { seed: *seed, people: *people, frames: Some(*frames), ..Default::default() };
             options.tolerance_db = tolerance_db.unwrap_or(options.tolerance_db);
-            // Receivers that no map shows are not simulated.
+            // Receivers that no map uses are not simulated.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, scene.waveform(), plan.kernel)?;
             let processor = NoisyProcessor::new(processor, noise(*seed));
             run(scene, options, &plan.header.rdm_spec, processor, parallel, &mut sink)?;
         }
         UnitSource::Recording { path, label, label_file } => {
             let mut recording = Recording::open(path)?;
-            // A recording's own axes may differ from the first's within what counts as the same; on physical axes its waveform may.
+            // A recording's axes may differ from the first recording's within the tolerance. With physical axes, its
+            // waveform may differ too.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, recording.waveform(), plan.kernel)?;
             let processor = NoisyProcessor::new(processor, noise(0));
             let spans = match (label, label_file) {
@@ -56,7 +57,7 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
     Ok(sink.writer.finish()?)
 }
 
-/// Takes in one map in so many.
+/// Takes every `unit.every`-th map.
 struct Sink<'a> {
     writer: DatasetWriter,
     unit: &'a Unit,
@@ -95,7 +96,7 @@ fn run(
 ) -> anyhow::Result<()> {
     let simulator = Simulator::new(scene, options)?;
     let is_single = spec.is_of_single_frames();
-    // Maps of single frames need no others: render only those that are taken.
+    // Maps of single frames need no other frames, so only the frames that are taken are simulated.
     let step = if is_single { sink.unit.every as usize } else { 1 };
     let wanted: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();
     let mut map = processor.processor.empty_map();

@@ -1,8 +1,8 @@
 //! Access to the ports that the program serves: checks of host name, origin and token.
 //!
-//! A browser on this machine runs scripts of any site. A request therefore names its host and, where it has one, its origin, and
-//! both must be this server's: otherwise a site could read through its visitors' browsers (cross-site requests, rebound names).
-//! Whoever is on the network, or is another user of this machine, is told apart by a token.
+//! A browser on this machine runs scripts of any site. A request therefore names its host and, where it has one, its
+//! origin, and both must be this server's. Otherwise a site could read through its visitors' browsers (cross-site
+//! requests, DNS rebinding). A token distinguishes other clients on the network and other users of this machine.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -39,12 +39,12 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether any of these options is given.
+    /// Returns whether any of these options is given.
     pub fn is_given(&self) -> bool {
         self.token_file.is_some() || !self.allow_host.is_empty()
     }
 
-    /// The token of `--token-file`, if there is to be one.
+    /// Returns the token of `--token-file`, if one is used.
     ///
     /// # Errors
     /// If the file can be neither read nor made, others than its owner may read it, or it holds no token.
@@ -53,7 +53,7 @@ impl Arguments {
     }
 }
 
-/// A text that opens the ports. It is shown in the page's link and nowhere else.
+/// Secret text that grants access to the ports. It is shown in the page's link and nowhere else.
 #[derive(Clone)]
 pub struct Token {
     text: String,
@@ -61,7 +61,7 @@ pub struct Token {
 }
 
 impl Token {
-    /// A new token for one run.
+    /// Creates a random token for one run.
     ///
     /// # Errors
     /// If the system gives no random numbers.
@@ -69,7 +69,7 @@ impl Token {
         Ok(Token { text: random_text()?, file: None })
     }
 
-    /// The token in a file; a new one is written there if the file is absent.
+    /// Reads the token from a file; writes a new one there if the file is absent.
     fn from_file(path: &Path) -> anyhow::Result<Self> {
         let text = match std::fs::metadata(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => make_token_file(path)?,
@@ -78,12 +78,12 @@ impl Token {
         Ok(Token { text, file: Some(path.to_owned()) })
     }
 
-    /// The text itself.
+    /// Returns the text of the token.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The file that holds it.
+    /// Returns the file that holds the token.
     pub fn file(&self) -> Option<&Path> {
         self.file.as_deref()
     }
@@ -102,7 +102,7 @@ fn hex(bytes: &[u8]) -> String {
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let text = random_text()?;
     let mut options = OpenOptions::new();
-    // Never a file or a link that somebody else has put there meanwhile.
+    // Never opens a file or a link that another process has created meanwhile.
     options.write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
@@ -110,7 +110,7 @@ fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let mut file = options.open(path).with_context(cannot)?;
     let written = file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.sync_all());
     if let Err(error) = written {
-        // Half a token would be refused at the next start.
+        // A partial token would be refused at the next start.
         let _ = std::fs::remove_file(path);
         return Err(error).with_context(cannot);
     }
@@ -120,7 +120,7 @@ fn make_token_file(path: &Path) -> anyhow::Result<String> {
 
 fn read_token_file(path: &Path) -> anyhow::Result<String> {
     let cannot = || format!("cannot read the token file {}", path.display());
-    // Asked before it is opened, because opening a pipe would wait for its writer.
+    // Checked before opening, because opening a pipe would wait for its writer.
     if !std::fs::metadata(path).with_context(cannot)?.is_file() {
         bail!("the token file {} is no regular file", path.display());
     }
@@ -140,7 +140,7 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
     let mut text = String::new();
     file.take(2 * MOST_TOKEN as u64).read_to_string(&mut text).with_context(cannot)?;
     let text = text.trim();
-    // What a link and a header can hold as it is. The text itself is never quoted.
+    // Characters that a link and a header can hold unescaped. The token itself is never quoted.
     let is_plain = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte));
     if !is_plain || !(LEAST_TOKEN..=MOST_TOKEN).contains(&text.len()) {
         bail!(
@@ -157,17 +157,17 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
 pub enum Refusal {
     /// The request names a host that is not this server.
     Host,
-    /// A page of another site made it.
+    /// The request comes from a page of another site.
     Origin,
-    /// The request brings no token.
+    /// The request contains no token.
     NoToken,
-    /// The request brings a token that is not this server's.
+    /// The request contains a wrong token.
     WrongToken,
     /// The request has a body.
     Body,
 }
 
-/// Page for those who come without a token.
+/// Page that is shown to clients without a token.
 const TOKEN_NEEDED: &str = "<!doctype html>
 <html lang=\"en\">
 <meta charset=\"utf-8\">
@@ -179,7 +179,7 @@ const TOKEN_NEEDED: &str = "<!doctype html>
 ";
 
 impl Refusal {
-    /// The answer to such a request. That to a wrong token comes late, so that tokens cannot be tried quickly.
+    /// Builds the response. The response to a wrong token is delayed, so that tokens cannot be tried quickly.
     pub async fn answer(self) -> Response {
         if self == Refusal::WrongToken {
             tokio::time::sleep(WRONG_TOKEN_DELAY).await;
@@ -209,14 +209,15 @@ pub struct Access {
 /// Secret of a port: its token and the cookie derived from it.
 struct Login {
     token: String,
-    /// Name of the cookie. Browsers send cookies to every port of a machine: each port has a name of its own.
+    /// Name of the cookie. Browsers send cookies to every port of a machine, so each port has its own name.
     cookie: String,
-    /// Value of the cookie: derived from the token, so that it outlives a restart with the same token and does not tell it.
+    /// Value of the cookie. It is derived from the token, so it survives a restart with the same token and does not
+    /// reveal it.
     session: String,
 }
 
 impl Access {
-    /// Access to a port that is served at `address`; with a token only to those who bring it.
+    /// Creates the policy of a port that is served at `address`. With a token, clients must present it.
     pub fn new(address: SocketAddr, arguments: &Arguments, token: Option<&Token>) -> Self {
         let login = token.map(|token| Login {
             token: token.text.clone(),
@@ -226,7 +227,7 @@ impl Access {
         Access { hosts: Hosts::new(address, &arguments.allow_host), login }
     }
 
-    /// Checks that a request means this server and comes from no other site.
+    /// Checks that a request is meant for this server and comes from no other site.
     ///
     /// # Errors
     /// [`Refusal::Host`] or [`Refusal::Origin`].
@@ -236,7 +237,7 @@ impl Access {
         if !self.hosts.knows(&host) {
             return Err(Refusal::Host);
         }
-        // Only browsers name an origin; what they send from another site names another host.
+        // Only browsers send an origin. From another site, it names another host.
         if headers.contains_key(header::ORIGIN) {
             let origin = text(header::ORIGIN).to_ascii_lowercase();
             let of = origin.strip_prefix("http://").or(origin.strip_prefix("https://")).unwrap_or("");
@@ -247,7 +248,7 @@ impl Access {
         Ok(())
     }
 
-    /// Checks that a request brings the token, as `Authorization: Bearer`, or the cookie that it was exchanged for.
+    /// Checks that a request contains the token, as `Authorization: Bearer`, or the cookie that it was exchanged for.
     ///
     /// # Errors
     /// [`Refusal::NoToken`] or [`Refusal::WrongToken`].
@@ -272,14 +273,15 @@ impl Access {
         Err(refusal)
     }
 
-    /// Whether the token in the page's link, `/?token=TOKEN`, is right; `None` where it is no such link or no token is needed.
+    /// Checks the token in the page's link, `/?token=TOKEN`; `None` for other links, or where no token is needed.
     pub fn check_link(&self, uri: &Uri) -> Option<bool> {
         let login = self.login.as_ref().filter(|_| uri.path() == "/")?;
         let given = uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))?;
         Some(is_same(given, &login.token))
     }
 
-    /// Answer to the right link: a cookie, and the page's address without the token, which leaves the address bar and the history.
+    /// Response to a correct link: a cookie, and a redirect to the page's address without the token. This keeps the
+    /// token out of the address bar and the history.
     pub fn logged_in(&self) -> Response {
         let mut response = StatusCode::SEE_OTHER.into_response();
         let headers = response.headers_mut();
@@ -295,7 +297,7 @@ impl Access {
     }
 }
 
-/// Refuses a request with a body: none is needed here, and none is waited for.
+/// Refuses a request with a body, since no request here needs one. The body is not awaited.
 ///
 /// # Errors
 /// [`Refusal::Body`].
@@ -304,22 +306,22 @@ pub fn check_no_body(headers: &HeaderMap) -> Result<(), Refusal> {
     if has_length || headers.contains_key(header::TRANSFER_ENCODING) { Err(Refusal::Body) } else { Ok(()) }
 }
 
-/// Compares texts in a time that does not tell where they differ.
+/// Compares texts in constant time, regardless of the position of a difference.
 fn is_same(a: &str, b: &str) -> bool {
     let (a, b) = (Sha256::digest(a), Sha256::digest(b));
     a.iter().zip(b.iter()).fold(0u8, |difference, (a, b)| difference | (a ^ b)) == 0
 }
 
-/// Name of this machine, if it has one.
+/// Returns the name of this machine, if it has one.
 pub fn host_name() -> Option<String> {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").ok()?;
     Some(name.trim().to_ascii_lowercase()).filter(|name| !name.is_empty())
 }
 
-/// Names under which a port is reached.
+/// Names and addresses under which a port is reached.
 struct Hosts {
     port: u16,
-    /// Whether only this machine reaches the port.
+    /// Whether the port is reachable from this machine only.
     is_loopback: bool,
     names: Vec<String>,
 }
@@ -336,13 +338,13 @@ impl Hosts {
         Hosts { port, is_loopback, names }
     }
 
-    /// Whether a `Host` in lower case means this server: one of its names, or an address. An address cannot be rebound as a name
-    /// can, and that of another machine does not lead here.
+    /// Returns whether a `Host` in lower case denotes this server: one of its names, or any address. Unlike a name, an
+    /// address cannot be rebound, and another machine's address does not lead here.
     fn knows(&self, host: &str) -> bool {
         if self.names.iter().any(|name| name == host) {
             return true;
         }
-        // Clients leave out the port that is HTTP's own.
+        // Clients omit the default port of HTTP.
         let with_port = match host.parse::<IpAddr>() {
             Ok(_) if self.port == 80 => format!("{host}:80"),
             _ => host.to_owned(),
@@ -397,7 +399,7 @@ mod tests {
         ] {
             assert_eq!(access.check_token(&right), Ok(()), "{right:?}");
         }
-        // The same token after a restart is the same cookie; another one is not.
+        // The same token after a restart gives the same cookie; another token does not.
         let cookie = headers(&[(header::COOKIE, cookie)]);
         assert_eq!(protected("0123456789abcdef").check_token(&cookie), Ok(()));
         assert_eq!(protected("0123456789abcdeg").check_token(&cookie), Err(Refusal::WrongToken));
@@ -470,7 +472,7 @@ mod tests {
                 headers(&[(header::AUTHORIZATION, "Bearer ")]),
                 headers(&[(header::AUTHORIZATION, "Bearer 0123456789abcde")]),
                 headers(&[(header::AUTHORIZATION, "Bearer 0123456789abcdef0")]),
-                // The cookie's value is not the token.
+                // The value of the cookie is not the token.
                 headers(&[(header::COOKIE, "radome_8060=0123456789abcdef")]),
                 headers(&[(header::COOKIE, "radome_8060=")]),
             ] {

@@ -39,22 +39,22 @@ pub struct Answer {
     pub sequence: u64,
     /// Time since the acquisition started, s.
     pub time_s: f64,
-    /// Most likely class; `None` while a window over frames fills, and where no receiver gives a signal.
+    /// Most likely class; `None` while the window over frames fills, and where no receiver gives a signal.
     pub label: Option<Occupancy>,
     /// Probabilities of the filter over the frames so far.
     pub probabilities: Option<Probabilities>,
-    /// Probabilities by this frame's map alone.
+    /// Probabilities from this frame's map alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_probabilities: Option<Probabilities>,
-    /// Whether the room counts as occupied, with delays against flicker.
+    /// Whether the room counts as occupied, after delays that suppress flicker.
     pub occupied: bool,
-    /// People that it counts as holding, with the same delays.
+    /// Number of people in the room, after the same delays.
     pub people: usize,
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,
-    /// Whether no receiver gives a signal in the frame: then it has no label, and `occupied` and `people` are those of the frame
-    /// before.
+    /// Whether no receiver gives a signal in the frame. Such a frame has no label, and `occupied` and `people` keep the
+    /// values of the frame before.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub no_signal: bool,
     /// True class, where it is known.
@@ -63,10 +63,10 @@ pub struct Answer {
     /// Whether someone is partly in the room.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transition: Option<bool>,
-    /// Codes at either end of the ADC.
+    /// Number of codes at either end of the ADC range.
     #[serde(skip_serializing_if = "is_zero")]
     pub saturated_samples: u32,
-    /// From the frame's last byte to its label, ms.
+    /// Time from the frame's last byte to its label, ms.
     pub latency_ms: f64,
 }
 
@@ -78,9 +78,9 @@ fn is_zero(n: &u32) -> bool {
 #[derive(Debug, Clone, Serialize)]
 pub struct Latency {
     pub p50: f64,
-    /// 95 of 100 are faster.
+    /// 95th percentile.
     pub p95: f64,
-    /// 99 of 100 are faster.
+    /// 99th percentile.
     pub p99: f64,
 }
 
@@ -91,7 +91,7 @@ pub struct Summary {
     pub frames: u64,
     /// Frames that were lost on the way.
     pub dropped: u64,
-    /// The same by reason.
+    /// Number of lost frames by reason.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub dropped_by_reason: BTreeMap<&'static str, u64>,
     /// Frames with a label.
@@ -101,20 +101,20 @@ pub struct Summary {
     /// Mean recall over the classes that occurred, over all frames with truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balanced_accuracy: Option<f64>,
-    /// All figures over all frames with truth.
+    /// All metrics over all frames with truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
-    /// The same over the frames in which nobody was entering or leaving.
+    /// Metrics over the frames in which nobody was entering or leaving.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics_without_transitions: Option<Metrics>,
-    /// Frames in which somebody was.
+    /// Number of frames in which somebody was entering or leaving.
     pub transition_frames: u64,
-    /// The same metrics with the map of each frame judged alone, without the filter.
+    /// Metrics of each frame's map classified alone, without the filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics_unfiltered: Option<Metrics>,
-    /// From last byte to label.
+    /// Latency from the last byte to the label.
     pub latency_ms: Latency,
-    /// From the start of the program to the first label, s.
+    /// Time from the start of the program to the first label, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_label_s: Option<f64>,
 }

@@ -1,5 +1,5 @@
-//! Levels of an empty room: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
-//! network makes of it.
+//! Background levels of an empty room with fans, curtains, pipes or machines. A map that shows no more than that is
+//! taken as empty, whatever the network predicts.
 
 use std::path::Path;
 
@@ -12,34 +12,36 @@ use serde::{Deserialize, Serialize};
 use crate::files;
 
 const FORMAT: u32 = 1;
-/// Fewest frames that say anything about a room: ten seconds at ten a second.
+/// Least number of frames of a capture: about ten seconds at ten per second.
 pub const LEAST_FRAMES: usize = 90;
-/// Times the largest excess of the part of the capture that the level was not taken from, from where on there is more than the
-/// empty room; and the least that is, dB over all cells.
+/// Factor on the largest excess in the part of the capture that was not used for the level. It gives the threshold
+/// above which a map shows more than the empty room. The second constant is the least threshold, dB over all cells.
 const MARGIN: f32 = 3.0;
 const LEAST_THRESHOLD_DB: f32 = 60.0;
-/// A room whose own excess is larger is not empty, or never twice the same. Walkers have 300 to 3000.
+/// Largest threshold. A room that exceeds it was not empty, or its background does not repeat. Walkers have 300 to 3000
+/// dB.
 const MOST_THRESHOLD_DB: f32 = 300.0;
-/// Probabilities of empty, one and two by a frame that shows no more than the empty room: people are missed now and then.
+/// Probabilities of empty, one and two for a frame that shows no more than the empty room, since people are sometimes
+/// missed.
 pub const NOBODY_SEEN: [f32; 3] = [0.96, 0.02, 0.02];
 
-/// The level of an empty room, cell by cell, as one model's maps show it.
+/// Level of an empty room in each cell, as shown by the maps of one model.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Background {
     format: u32,
-    /// SHA-256 of the model whose maps these are.
+    /// SHA-256 of the model that the maps are made for.
     model_hash: String,
     doppler: usize,
     range: usize,
     pub frames: usize,
-    /// Sum over cells of what exceeds the level, from which on somebody may be there, dB.
+    /// Sum of the excesses over the level above which somebody may be present, dB.
     pub threshold_db: f32,
     /// Highest level of each cell and its neighbours, `[doppler][range]` of the first channel, dB.
     level_db: Vec<f32>,
 }
 
-/// A capture that goes on.
+/// Capture in progress.
 pub struct Capture {
     maps: Vec<Vec<f32>>,
     doppler: usize,
@@ -51,18 +53,18 @@ fn first_channel(map: &Rdm) -> &[f32] {
 }
 
 impl Capture {
-    /// Nothing yet.
+    /// Creates an empty capture.
     pub fn new() -> Self {
         Capture { maps: Vec::new(), doppler: 0, range: 0 }
     }
 
-    /// Takes a map of the empty room.
+    /// Adds a map of the empty room.
     pub fn add(&mut self, map: &Rdm) {
         (self.doppler, self.range) = (map.shape.doppler, map.shape.range);
         self.maps.push(first_channel(map).to_vec());
     }
 
-    /// The level by the first two thirds, how far it is exceeded by the last.
+    /// Computes the level from the first two thirds, and the threshold from the excess in the last third.
     ///
     /// # Errors
     /// Too few maps were captured.
@@ -93,7 +95,7 @@ impl Capture {
     }
 }
 
-/// The largest of each cell and the eight around it; velocities go round, ranges do not.
+/// Maximum of each cell and its eight neighbours; velocities wrap around, ranges do not.
 fn with_neighbours(cells: &[f32], doppler: usize, range: usize) -> Vec<f32> {
     let at = |d: usize, r: usize| {
         let rows = [(d + doppler - 1) % doppler, d, (d + 1) % doppler];
@@ -104,7 +106,7 @@ fn with_neighbours(cells: &[f32], doppler: usize, range: usize) -> Vec<f32> {
     (0..doppler * range).map(|i| at(i / range, i % range)).collect()
 }
 
-/// Sum of what cells have more than the level, dB.
+/// Sum of the excesses of cells over the level, dB.
 fn excess_db(cells: &[f32], level_db: &[f32]) -> f32 {
     cells.iter().zip(level_db).map(|(cell, level)| (cell - level).max(0.0)).sum()
 }
@@ -137,7 +139,7 @@ impl Background {
         Ok(background)
     }
 
-    /// Writes it, whole or not at all.
+    /// Writes the capture atomically.
     ///
     /// # Errors
     /// The file exists and is not to be replaced, or cannot be written.
@@ -151,7 +153,7 @@ impl Background {
         })
     }
 
-    /// Whether a map shows no more than the empty room did.
+    /// Returns whether a map shows no more than the empty room did.
     pub fn is_all(&self, map: &Rdm) -> bool {
         (map.shape.doppler, map.shape.range) == (self.doppler, self.range)
             && excess_db(first_channel(map), &self.level_db) <= self.threshold_db

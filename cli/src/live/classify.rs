@@ -1,4 +1,4 @@
-//! One classifier at the end of a pipeline: frames in, answers out, and what to say at the end.
+//! Classifier at the end of a pipeline: converts frames to answers, and computes the summary.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ use super::sink::{Moment, Sink};
 use crate::judge::{Delays, Judge, Model, Prediction};
 use crate::{output, panics};
 
-/// Judges frames one after the other.
+/// Classifies frames one after the other.
 pub struct FrameClassifier {
     judge: Judge,
     filter: OccupancyFilter,
@@ -24,7 +24,7 @@ pub struct FrameClassifier {
     people: PeopleCount,
     delays: Delays,
     smoothing: Smoothing,
-    /// Time over which the frames of a map are spread, s.
+    /// Time span of the frames of a map, s.
     map_s: f64,
     last_time_s: Option<f64>,
     health: Health,
@@ -38,7 +38,7 @@ pub struct FrameClassifier {
 type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
-    /// Refuses frames of a waveform that the model was not made for.
+    /// Creates a classifier for a waveform; refuses one that the model does not support.
     ///
     /// # Errors
     /// The model does not take the waveform.
@@ -62,41 +62,42 @@ impl FrameClassifier {
         })
     }
 
-    /// Takes nobody to be seen in maps that show no more than the empty room did.
+    /// Treats maps that show no more than the empty room as empty.
     pub fn with_background(mut self, background: Option<Background>) -> Self {
         self.background = background;
         self
     }
 
-    /// The last map that was made.
+    /// Newest map.
     pub fn map(&self) -> &Rdm {
         self.judge.map()
     }
 
-    /// The run so far.
+    /// Counters of the run so far.
     pub fn health(&self) -> &Health {
         &self.health
     }
 
-    /// Time that an answer looks back, s: the frames of a map, and as long as people stay.
+    /// Time over which earlier frames affect an answer, s: the frames of a map, and the time for which people usually
+    /// stay.
     pub fn memory_s(&self) -> f64 {
         self.map_s + self.smoothing.dwell_s.min(10.0)
     }
 
-    /// Notes missing frames and forgets what must not reach across them.
+    /// Notes missing frames and resets state that must not persist across them.
     pub fn gap(&mut self, gap: &Gap) {
         self.health.lost(gap.reason, gap.frames);
         self.judge.reset();
     }
 
-    /// Judges a frame that arrived at `arrived`.
+    /// Classifies a frame that arrived at `arrived`.
     ///
     /// # Errors
     /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
-            // A recording that was sought: what was known then says nothing of what comes before.
+            // After a backward seek in a recording, the filter's state is invalid.
             self.filter.reset();
             self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
             self.judge.reset();
@@ -113,7 +114,7 @@ impl FrameClassifier {
         match prediction {
             Prediction::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
             Prediction::NoSignal => {
-                // Nothing is known of this frame: what counted before counts on.
+                // The frame contains no information, so the previous state persists.
                 answer.no_signal = true;
                 answer.saturated_samples = self.map().flags.saturated_samples;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
@@ -185,12 +186,12 @@ impl FrameClassifier {
     }
 }
 
-/// Runs until the stream ends: hands every answer and gap to the sinks in their order, and at the end the summary, which it
-/// also returns. A panic of the judge or of a sink is an error, and the other sinks are ended all the same.
+/// Runs until the stream ends. Passes every answer and gap to the sinks in their order, then the summary, which it also
+/// returns. A panic of the classifier or of a sink becomes an error, and the other sinks are still ended.
 ///
 /// # Errors
-/// The first one of the stream, the judge and the sinks; others are written to stderr. A closed stdout, which ends the run too,
-/// is given only where nothing else went wrong.
+/// The first one of the stream, the judge and the sinks; others are written to stderr. A closed stdout, which ends the
+/// run too, is given only where nothing else went wrong.
 pub fn run(
     inlet: &Inlet,
     judge: &mut FrameClassifier,
@@ -199,7 +200,7 @@ pub fn run(
 ) -> anyhow::Result<Summary> {
     let mut ends = vec![guarded(|| judge_all(inlet, judge, patience, sinks))];
     let summary = judge.summary();
-    // Whatever ended the run, what sinks hold is made whole.
+    // Sinks complete their output whatever ended the run.
     ends.extend(sinks.iter_mut().map(|sink| guarded(|| sink.end(&summary))));
     let (closed, failed): (Vec<_>, Vec<_>) =
         ends.into_iter().filter_map(Result::err).partition(output::is_closed_stdout);
@@ -255,7 +256,7 @@ fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>])
     sinks.iter_mut().try_for_each(|sink| sink.gap(gap, judge.health()))
 }
 
-/// Frames that the classifier was too slow for become gaps where they are missing.
+/// Converts frames that the classifier was too slow for to gaps at their position.
 struct Missed<'a> {
     inlet: &'a Inlet,
     noted: u64,
@@ -263,7 +264,7 @@ struct Missed<'a> {
 }
 
 impl Missed<'_> {
-    /// Before the frame with this number is judged.
+    /// Notes missed frames before the frame with this number is classified.
     fn note(&mut self, sequence: u64, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
         let missed = self.inlet.missed.load(Ordering::Relaxed);
         let first_sequence = std::mem::replace(&mut self.next_sequence, sequence.saturating_add(1));
@@ -307,7 +308,7 @@ mod tests {
         }
     }
 
-    /// Does with an answer what it is told to, and counts its ends.
+    /// Sink that runs a given function for each answer, and counts how often it is ended.
     struct Told(fn() -> anyhow::Result<()>, Rc<Cell<usize>>);
 
     impl Sink for Told {
@@ -325,7 +326,7 @@ mod tests {
         }
     }
 
-    /// Runs three frames with a sink that does this; gives the error, and how many sinks were ended.
+    /// Runs three frames with such a sink; returns the error and the number of sinks that were ended.
     fn run_with(answer: fn() -> anyhow::Result<()>) -> (anyhow::Error, usize) {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);

@@ -5,32 +5,32 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::{GapReason, Occupancy};
 
-/// Frames over whose arrivals the rate is taken.
+/// Number of frames whose arrivals determine the rate.
 const RATE_FRAMES: usize = 32;
 
 /// Counters of a run.
 #[derive(Debug, Clone)]
 pub struct Health {
     pub started: Instant,
-    /// Frames that were judged.
+    /// Number of classified frames.
     pub frames: u64,
     /// Number of frames with each label.
     pub labels: [u64; Occupancy::ALL.len()],
     /// Frames lost, by reason.
     pub dropped: BTreeMap<GapReason, u64>,
-    /// Codes at either end of the ADC, over all frames.
+    /// Number of codes at either end of the ADC range, over all frames.
     pub saturated_samples: u64,
-    /// From a frame's last byte to its label.
+    /// Latency from a frame's last byte to its label.
     pub latency: LatencyHistogram,
-    /// From the start to the first label.
+    /// Time from the start to the first label.
     pub first_label: Option<Duration>,
-    /// Temperature of the chip in the newest frame, degrees Celsius in thousandths.
+    /// Temperature of the chip in the newest frame, millidegrees Celsius.
     pub temperature_millicelsius: Option<i32>,
     arrivals: VecDeque<Instant>,
 }
 
 impl Health {
-    /// Nothing has happened yet.
+    /// Creates counters of a run without frames.
     pub fn new(started: Instant) -> Self {
         Health {
             started,
@@ -45,7 +45,7 @@ impl Health {
         }
     }
 
-    /// Becomes a copy of another; in the steady state without setting memory aside.
+    /// Copies another value, without allocating in the steady state.
     pub fn copy_from(&mut self, other: &Health) {
         let Health { started, frames, labels, dropped, saturated_samples, latency, first_label, .. } = other;
         (self.started, self.frames, self.labels, self.saturated_samples) =
@@ -59,7 +59,7 @@ impl Health {
         self.arrivals.clone_from(&other.arrivals);
     }
 
-    /// A frame has arrived and been judged.
+    /// Counts a frame that has arrived and been classified.
     pub fn frame(&mut self, arrived: Instant, latency: Duration) {
         self.frames += 1;
         self.latency.add(latency);
@@ -69,17 +69,17 @@ impl Health {
         self.arrivals.push_back(arrived);
     }
 
-    /// Frames are missing.
+    /// Counts missing frames.
     pub fn lost(&mut self, reason: GapReason, frames: u64) {
         *self.dropped.entry(reason).or_default() += frames;
     }
 
-    /// Frames lost for all reasons.
+    /// Number of frames lost for all reasons.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.values().sum()
     }
 
-    /// Frames in a second, over the newest ones; 0 until there are two.
+    /// Frame rate over the newest frames, 1/s; 0 until there are two.
     pub fn frames_per_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.arrivals.front(), self.arrivals.back()) else { return 0.0 };
         let span_s = last.duration_since(*first).as_secs_f64();
@@ -112,17 +112,18 @@ impl LatencyHistogram {
         self.sum_s += latency_s;
     }
 
-    /// Latencies that were counted.
+    /// Number of latencies that were counted.
     pub fn count(&self) -> u64 {
         self.total
     }
 
-    /// Their sum, s.
+    /// Sum of the latencies, s.
     pub fn sum_s(&self) -> f64 {
         self.sum_s
     }
 
-    /// Latency, within one percent, that a share `q` of frames did not exceed, s; 0 if there was none.
+    /// Latency quantile within one percent: the latency that a fraction `q` of the frames did not exceed, s; 0 without
+    /// frames.
     pub fn quantile_s(&self, q: f64) -> f64 {
         let rank = (q * self.total.saturating_sub(1) as f64).round() as u64;
         let mut seen = 0;
@@ -135,7 +136,7 @@ impl LatencyHistogram {
         0.0
     }
 
-    /// Latencies of at most `bound_s`, to the nearest bin.
+    /// Number of latencies up to `bound_s`, to the nearest bin.
     pub fn count_up_to(&self, bound_s: f64) -> u64 {
         let bins = (bound_s / Self::SHORTEST_S).max(1.0).ln() / Self::RATIO.ln();
         self.counts.iter().take(bins.round() as usize).sum()
@@ -149,7 +150,7 @@ mod tests {
     #[test]
     fn quantiles_are_those_of_the_sorted_latencies_within_a_percent() {
         let mut histogram = LatencyHistogram::new();
-        // 10 us to 10 s, evenly over logarithms: quantile q is 10 us * 10^(6 q).
+        // 10 us to 10 s, uniform in the logarithm: quantile q is 10 us * 10^(6 q).
         for i in 0..10_001 {
             histogram.add(Duration::from_secs_f64(1e-5 * 10f64.powf(6.0 * f64::from(i) / 1e4)));
         }

@@ -1,10 +1,10 @@
-//! HTTP server of the page and of the metrics: one request for each connection, deadlines for its parts, and limits that a crowd of
-//! slow clients cannot use to keep others out.
+//! HTTP server of the page and of the metrics: one request per connection, deadlines for its parts, and limits so that
+//! many slow clients cannot block others.
 //!
-//! A client has [`Limits::head`] from the connection's start until its request is complete, however often it sends a byte, and
-//! [`Limits::request`] until the answer is written. Where there are as many connections as there may be, a new one replaces the
-//! oldest, and one that was not admitted before one that was. A connection that becomes a WebSocket leaves these limits: whoever
-//! answers the upgrade counts those.
+//! From the connection's start, a client has [`Limits::head`] until its request is complete, however often it sends a
+//! byte. It has [`Limits::request`] until the response is written. At the maximum number of connections, a new one
+//! replaces the oldest, and one that was not admitted before one that was. A connection that becomes a WebSocket leaves
+//! these limits; the handler of the upgrade counts those.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,21 +25,22 @@ use tokio::task::AbortHandle;
 
 /// Longest request line and headers, bytes. Browsers send the cookies of all programs on the same machine.
 const MOST_HEAD_BYTES: usize = 16 * 1024;
-/// Most headers of a request.
+/// Largest number of headers of a request.
 const MOST_HEADERS: usize = 64;
-/// Pause after a connection could not be accepted: where file descriptors have run out, others must close first.
+/// Pause after a connection could not be accepted. If file descriptors have run out, others must close first.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// Limits of a server.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// Connections at a time.
+    /// Largest number of simultaneous connections.
     pub connections: usize,
-    /// Connections at a time from one address of the network. Programs on this machine share [`connections`](Self::connections).
+    /// Largest number of simultaneous connections from one network address. Programs on this machine share
+    /// [`connections`](Self::connections).
     pub per_address: usize,
     /// Time from the connection's start until the request's head is complete.
     pub head: Duration,
-    /// Time from the connection's start until the answer is written.
+    /// Time from the connection's start until the response is written.
     pub request: Duration,
 }
 
@@ -50,7 +51,7 @@ impl Default for Limits {
     }
 }
 
-/// Reason why a connection ended without an answer.
+/// Reason why a connection ended without a response.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
     /// The request was replaced by a newer one.
@@ -59,7 +60,7 @@ pub enum Event {
     Failed,
 }
 
-/// The client of a request; handlers find it among the request's extensions.
+/// Client of a request; handlers find it among the request's extensions.
 #[derive(Debug, Clone)]
 pub struct Client {
     pub address: SocketAddr,
@@ -67,7 +68,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// Marks its connection as one that has shown a request that may be answered.
+    /// Marks the connection as admitted: its request passed the checks.
     pub fn admit(&self) {
         self.admitted.store(true, Ordering::Relaxed);
     }
@@ -77,7 +78,7 @@ impl Client {
     }
 }
 
-/// Serves until the future is dropped; tells `on_event` of connections that end without an answer.
+/// Serves until the future is dropped; reports connections that end without a response to `on_event`.
 pub async fn serve(
     listener: TcpListener,
     router: Router,
@@ -98,7 +99,7 @@ pub async fn serve(
     }
 }
 
-/// Ends the connection after its first answer: an idle client keeps no place.
+/// Closes the connection after its first response, so that idle clients occupy no connection.
 async fn close_after(mut response: Response) -> Response {
     if response.status() != StatusCode::SWITCHING_PROTOCOLS {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
@@ -112,7 +113,7 @@ struct Server {
     on_event: Box<dyn Fn(Event) + Send + Sync>,
 }
 
-/// Connections that have not been answered, oldest first.
+/// Connections without a response, oldest first.
 #[derive(Default)]
 struct Connections {
     open: Vec<Connection>,
@@ -170,7 +171,7 @@ impl Server {
     }
 }
 
-/// Removes a connection from the list when its task ends, however it ends.
+/// Guard that removes a connection from the list when its task ends for any reason.
 struct Entry {
     server: Arc<Server>,
     id: u64,
@@ -183,14 +184,14 @@ impl Drop for Entry {
 }
 
 impl Connections {
-    /// Takes the connection out that a new one from `network` replaces, if there are too many.
+    /// Removes and returns the connection that a new one from `network` replaces, if there are too many.
     fn make_room(&mut self, limits: &Limits, network: Option<IpAddr>) -> Option<Connection> {
         let of_network = self.open.iter().filter(|connection| connection.network == network).count();
         let is_crowd = network.is_some() && of_network >= limits.per_address;
         if !is_crowd && self.open.len() < limits.connections {
             return None;
         }
-        // A crowd from one address replaces its own.
+        // If one address has too many connections, a new one replaces one of its own.
         let may_go = |connection: &Connection| !is_crowd || connection.network == network;
         let stranger = self.open.iter().position(|connection| may_go(connection) && !connection.client.is_admitted());
         let oldest = stranger.or_else(|| self.open.iter().position(may_go))?;
@@ -198,7 +199,8 @@ impl Connections {
     }
 }
 
-/// Addresses that count as one client: an IPv4 address, or an IPv6 network of 64 bits. `None` for this machine.
+/// Returns the network that counts as one client: an IPv4 address, or an IPv6 network of 64 bits. `None` for this
+/// machine.
 fn network_of(address: IpAddr) -> Option<IpAddr> {
     match address.to_canonical() {
         address if address.is_loopback() => None,
@@ -217,9 +219,9 @@ mod tests {
     use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
     use axum::routing::get;
 
-    /// Far longer than anything takes on any machine.
+    /// Timeout far above the duration of any operation on any machine.
     const PATIENCE: Duration = Duration::from_secs(60);
-    /// More than the kernel buffers for a client that does not read.
+    /// Size above the kernel's buffers for a client that does not read, bytes.
     const LARGE_BYTES: usize = 64 << 20;
 
     struct Running {
@@ -301,7 +303,7 @@ mod tests {
             let start = Instant::now();
             let ended = loop {
                 assert!(start.elapsed() < PATIENCE, "still open");
-                // Bytes come faster than the deadline: each of them would renew a deadline for silence.
+                // Bytes arrive faster than the deadline. A deadline for silence would be renewed by each of them.
                 if stream.write_all(b"G").is_err() {
                     break server.events.recv_timeout(PATIENCE);
                 }
@@ -361,14 +363,14 @@ mod tests {
             assert_eq!(add(&mut connections, far, true), None);
             assert_eq!(add(&mut connections, near, true), None);
             assert_eq!(add(&mut connections, near, false), None);
-            // Numbers 1 and 2 are its own; 1 is older, but admitted.
+            // Connections 1 and 2 come from the same address; 1 is older, but admitted.
             assert_eq!(add(&mut connections, near, false), Some(2));
             assert_eq!(add(&mut connections, near, true), Some(3));
             assert_eq!(add(&mut connections, near, true), Some(1));
             for _ in 0..3 {
                 assert_eq!(add(&mut connections, here, true), None);
             }
-            // All are admitted: the oldest of all goes.
+            // All are admitted, so the oldest of all is replaced.
             assert_eq!(add(&mut connections, here, false), Some(0));
             assert_eq!(connections.open.len(), 6);
         }

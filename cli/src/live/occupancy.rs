@@ -2,13 +2,13 @@
 
 use radome_dsp::Occupancy;
 
-/// On or off, with delays against flicker.
+/// On/off state with delays that suppress flicker.
 #[derive(Debug, Clone)]
 struct Hysteresis {
     on_delay_s: f64,
     off_delay_s: f64,
     is_on: bool,
-    /// Since when the frames have said otherwise.
+    /// Time since which the frames have contradicted the state.
     contrary_since_s: Option<f64>,
 }
 
@@ -31,19 +31,19 @@ impl Hysteresis {
     }
 }
 
-/// Number of people in a room, with the same delays for each of them: neither the first nor the second person flickers.
+/// Number of people in a room. The same delays apply to each person, so neither the first nor the second one flickers.
 #[derive(Debug, Clone)]
 pub struct PeopleCount {
     at_least: [Hysteresis; 2],
 }
 
 impl PeopleCount {
-    /// One more person counts after `on_delay_s` of agreement, one less after `off_delay_s`.
+    /// Creates a count that rises after `on_delay_s` of agreement and falls after `off_delay_s`.
     pub fn new(on_delay_s: f64, off_delay_s: f64) -> Self {
         PeopleCount { at_least: [Hysteresis::new(on_delay_s, off_delay_s), Hysteresis::new(on_delay_s, off_delay_s)] }
     }
 
-    /// Takes the label of the frame at `time_s`; returns the number of people.
+    /// Updates the count with the label of the frame at `time_s`; returns the number of people.
     pub fn update(&mut self, time_s: f64, label: Occupancy) -> usize {
         let [one, two] = &mut self.at_least;
         one.update(time_s, label >= Occupancy::One);
@@ -82,7 +82,7 @@ mod tests {
         assert_eq!(at(0.5, Occupancy::Two), 2);
         assert_eq!(at(1.0, Occupancy::One), 2);
         assert_eq!(at(2.0, Occupancy::Empty), 2);
-        // Since 1.0 nobody has said two, since 2.0 nobody has said one.
+        // No label has been two since 1.0, and none has been one since 2.0.
         assert_eq!(at(3.0, Occupancy::Empty), 1);
         assert_eq!(at(4.0, Occupancy::Empty), 0);
     }

@@ -1,4 +1,4 @@
-//! A reader thread that hands reference-counted frames from a pool to consumers, each with its own policy.
+//! Reader thread that passes reference-counted frames from a pool to consumers, each with its own policy.
 
 use std::error::Error;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,16 +16,16 @@ use crate::panics::{Panicked, caught};
 pub enum Item {
     /// A frame, shared with the other consumers.
     Frame(Arc<Frame>),
-    /// Frames are missing here.
+    /// Frames are missing at this position.
     Gap(Gap),
-    /// The last item; every consumer is told the same.
+    /// Last item, which every consumer receives.
     End(End),
 }
 
 /// Result of a stream of frames.
 pub type End = Result<(), Failure>;
 
-/// Failure of a source. Consumers share it.
+/// Error of a source, shared by the consumers.
 #[derive(Debug, Clone)]
 pub struct Failure(Arc<dyn Error + Send + Sync>);
 
@@ -48,24 +48,24 @@ impl From<SourceError> for Failure {
 }
 
 impl Failure {
-    /// A source that ended without saying how.
+    /// Error of a source that ended without a result.
     pub fn without_a_word() -> Self {
         SourceError::from("the source ended without a word; what came last may be missing").into()
     }
 
-    /// Whether the source panicked. What it gave before is not vouched for: its recording stays marked unfinished.
+    /// Returns whether the source panicked. Its earlier frames may be wrong, so its recording stays marked unfinished.
     pub fn is_panic(&self) -> bool {
         self.0.is::<Panicked>()
     }
 
-    /// The hole that a board leaves at the end of a recording when it is lost for good: nobody knows how many frames.
+    /// Returns the gap at the end of a recording whose board was lost for good. Its number of frames is unknown.
     pub fn gap(&self, first_sequence: u64) -> Option<Gap> {
         let is_board = self.0.is::<BoardError>();
         is_board.then_some(Gap { first_sequence, frames: 0, reason: GapReason::Disconnected })
     }
 }
 
-/// An item and when the host had it.
+/// Item with its arrival time at the host.
 pub struct Delivery {
     pub item: Item,
     /// Arrival of the frame's last byte.
@@ -75,11 +75,11 @@ pub struct Delivery {
 /// Policy for a consumer that is slower than the source.
 #[derive(Debug, Clone, Copy)]
 pub enum Policy {
-    /// The reader waits: for sources that can wait (files, simulations), where every frame counts.
+    /// The reader waits. For sources that can wait (files, simulations), where every frame counts.
     Wait,
-    /// The oldest waiting frame is dropped and counted: for views and classifiers of a live board.
+    /// The oldest waiting frame is dropped and counted. For views and classifiers of a live board.
     DropOldest,
-    /// Nothing may be lost: if the consumer stalls for this long, the pipeline stops with an error.
+    /// No frame may be lost. If the consumer stalls for this long, the pipeline stops with an error.
     Lossless(Duration),
 }
 
@@ -87,35 +87,36 @@ struct Outlet {
     name: &'static str,
     policy: Policy,
     sender: Sender<Delivery>,
-    /// The other end, to take the oldest from; only held to drop, so that a consumer that goes away is noticed.
+    /// Receiver from which the oldest item is dropped. Only `DropOldest` holds it, so that the exit of other consumers
+    /// is noticed.
     oldest: Option<Receiver<Delivery>>,
     missed: Arc<AtomicU64>,
     end: Arc<OnceLock<End>>,
 }
 
-/// The consumer's end of a queue.
+/// Consumer's end of a queue.
 pub struct Inlet {
     /// Items in order.
     pub receiver: Receiver<Delivery>,
     /// Frames dropped because this consumer was too slow.
     pub missed: Arc<AtomicU64>,
-    /// Result of the stream. It is set before any consumer is told.
+    /// Result of the stream. It is set before any consumer receives it.
     pub end: Arc<OnceLock<End>>,
 }
 
-/// Consumers to be, before the reader starts.
+/// Consumers that are registered before the reader starts.
 pub struct Pipeline {
     outlets: Vec<Outlet>,
 }
 
-/// The running reader.
+/// Running reader thread.
 pub struct Reader {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Pipeline {
-    /// A pipeline without consumers.
+    /// Creates a pipeline without consumers.
     pub fn new() -> Self {
         Pipeline { outlets: Vec::new() }
     }
@@ -129,7 +130,7 @@ impl Pipeline {
         Inlet { receiver, missed, end }
     }
 
-    /// Starts reading. `limit` ends the stream after so many frames.
+    /// Starts the reader. `limit` ends the stream after this number of frames.
     pub fn start(self, source: Box<dyn FrameSource>, limit: Option<u64>) -> Reader {
         let stop = Arc::new(AtomicBool::new(false));
         let told = stop.clone();
@@ -149,7 +150,7 @@ impl Pipeline {
 }
 
 impl Reader {
-    /// Asks for an end after the frame that is being read.
+    /// Requests an end after the frame that is being read.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::SeqCst);
     }
@@ -158,7 +159,7 @@ impl Reader {
 impl Drop for Reader {
     fn drop(&mut self) {
         self.stop();
-        // A source that waits for its board to come back may not hold up the end of the program.
+        // A source that waits for its board to reconnect must not delay the end of the program.
         let patience = Instant::now() + Duration::from_secs(1);
         while self.thread.as_ref().is_some_and(|thread| !thread.is_finished() && Instant::now() < patience) {
             std::thread::sleep(Duration::from_millis(5));
@@ -176,7 +177,7 @@ fn read(
     stop: &AtomicBool,
 ) -> Result<(), SourceError> {
     let shape = source.waveform().shape();
-    // One frame for every place in a queue, one in each consumer's hands, one being read.
+    // One frame for every place in a queue, one held by each consumer, and one being read.
     let places: usize = outlets.iter().map(|o| o.sender.capacity().unwrap_or(1) + 1).sum();
     let mut pool: Vec<Arc<Frame>> = (0..places + 1).map(|_| Arc::new(Frame::zeroed(shape))).collect();
     let mut frames = 0;
@@ -184,7 +185,7 @@ fn read(
         let free = pool.iter().position(|frame| Arc::strong_count(frame) == 1);
         let mut slot = match free {
             Some(index) => pool.swap_remove(index),
-            // A consumer keeps frames for longer than agreed; lend it one more.
+            // A consumer holds frames longer than agreed, so another frame is allocated.
             None => Arc::new(Frame::zeroed(shape)),
         };
         let event = match Arc::get_mut(&mut slot) {
@@ -212,7 +213,7 @@ fn read(
 }
 
 impl Outlet {
-    /// The last item; a consumer that has not come back for it in ten seconds is not waited for.
+    /// Sends the last item. Waits at most ten seconds for a consumer to take it.
     fn finish(&self, end: End) {
         let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
         if self.oldest.is_some() {
@@ -224,7 +225,7 @@ impl Outlet {
 
     fn send(&self, delivery: Delivery) -> Result<(), SourceError> {
         match self.policy {
-            // A consumer that has gone away is no reason to stop the others.
+            // The exit of a consumer does not stop the others.
             Policy::Wait => {
                 let _ = self.sender.send(delivery);
             }
@@ -401,7 +402,7 @@ mod tests {
                 let said = failure.to_string();
                 assert!(said.contains("panics.rs:") && said.contains("frame 3 cannot be made"), "{said}");
                 assert!(inlet.end.get().is_some_and(|end| end.as_ref().is_err_and(Failure::is_panic)));
-                // Nobody waits for more.
+                // The pipeline keeps no sender open after the end.
                 assert!(inlet.receiver.recv().is_err());
             }
         }

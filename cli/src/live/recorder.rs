@@ -1,4 +1,4 @@
-//! Frames and what is said about them into one recording, on a thread of its own that loses nothing.
+//! Recorder of frames and answers into one recording, on a thread of its own, without losses.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -19,12 +19,12 @@ use super::sink::{Moment, Sink};
 use crate::output;
 use crate::panics::Panicked;
 
-/// Answers that may wait for the recorder: more than there are frames on their way to it.
+/// Capacity of the queue of answers to the recorder, larger than the number of frames in its frame queue.
 const WAITING_RESULTS: usize = 1024;
-/// A source that is silent for this long may never come back: what it said is made safe.
+/// Silence of a source after which written data are flushed, since the source may never come back.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Content of a moment that is recorded.
+/// Converts an answer for the recording.
 pub fn frame_result(moment: &Moment) -> FrameResult {
     let Moment { answer, frame, .. } = moment;
     FrameResult {
@@ -40,28 +40,28 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
     }
 }
 
-/// Hands answers to the recorder's thread, which has frames and gaps from the pipeline.
+/// Sink that passes answers to the recorder's thread, which receives frames and gaps from the pipeline.
 ///
-/// A recorder that fails, as on a full disk, says so at once on stderr and leaves its file marked unfinished. The run goes on
-/// without it, since occupancy needs no disk, and fails with that error when it ends.
+/// If the recorder fails, for example on a full disk, the error is printed on stderr at once and the file stays marked
+/// unfinished. The run continues without it, since occupancy needs no disk, and fails with that error when it ends.
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
     thread: Option<JoinHandle<anyhow::Result<Recorded>>>,
-    /// Error that ended the recorder before the run ended.
+    /// Error of a recorder that ended before the run.
     failure: Option<anyhow::Error>,
     has_gaps: Arc<AtomicBool>,
     file: String,
 }
 
-/// A recording whose recorder has ended without an error of its own.
+/// Result of a recorder that ended without an error of its own.
 enum Recorded {
     Finished(RecordingSummary),
-    /// The source panicked behind so many frames.
+    /// The source panicked after this number of frames.
     Unfinished(u64),
 }
 
 impl RecorderSink {
-    /// Creates the file and starts the thread. The header must name a judge.
+    /// Creates the file and starts the thread. The header must name a classifier.
     ///
     /// # Errors
     /// The file cannot be made, or the thread cannot be started.
@@ -77,12 +77,12 @@ impl RecorderSink {
         let mut writer =
             Writer { recorder, ahead: VecDeque::new(), newest: None, frames: 0, has_gaps: has_gaps.clone() };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
-            // An error leaves the file marked unfinished. To finish it would fail again, and hide why.
+            // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
             written.with_context(|| format!("the recording ended after {} frames", writer.frames))?;
             Ok(match inlet.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
-                // A recording that its source or its user ended is whole.
+                // A recording that its source or its user ended is complete.
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
         });
@@ -90,7 +90,7 @@ impl RecorderSink {
         Ok(RecorderSink { results: Some(results), thread: Some(thread), failure: None, has_gaps, file })
     }
 
-    /// Whether frames are missing in the recording.
+    /// Returns the flag that tells whether frames are missing in the recording.
     pub fn has_gaps(&self) -> Arc<AtomicBool> {
         self.has_gaps.clone()
     }
@@ -108,7 +108,7 @@ impl Sink for RecorderSink {
         let Some(results) = &self.results else { return Ok(()) };
         match results.try_send(frame_result(moment)) {
             Ok(()) => Ok(()),
-            // It has gone: its own error says why.
+            // The recorder has ended; its own error tells why.
             Err(TrySendError::Disconnected(_)) => {
                 let joined = self.join();
                 let failure = joined.err().unwrap_or_else(|| anyhow!("the recorder of {} has ended", self.file));
@@ -126,7 +126,7 @@ impl Sink for RecorderSink {
     }
 
     fn gap(&mut self, _gap: &Gap, _health: &Health) -> anyhow::Result<()> {
-        // The pipeline brings it the gaps that are the recording's; what only the classifier missed is there.
+        // The pipeline delivers the gaps of the recording. Frames that only the classifier missed are in the recording.
         Ok(())
     }
 
@@ -159,7 +159,7 @@ struct Writer {
 }
 
 impl Writer {
-    /// Until nobody answers any more, and all that had been taken from the source by then is written.
+    /// Writes until no more answers can come, and until all frames read by then are written.
     fn run(&mut self, inlet: &Inlet, results: &Receiver<FrameResult>) -> anyhow::Result<()> {
         let frames = &inlet.receiver;
         let mut is_unflushed = false;
@@ -192,7 +192,7 @@ impl Writer {
                 }
                 Some(Err(RecvTimeoutError::Timeout)) if std::mem::take(&mut is_unflushed) => self.recorder.flush()?,
                 Some(Err(RecvTimeoutError::Timeout)) => {}
-                // Its end is known where it could not be handed over in time.
+                // The result of the stream is known even if it could not be delivered in time.
                 Some(Err(RecvTimeoutError::Disconnected)) => match inlet.end.get() {
                     Some(_) => has_ended = true,
                     None => return Err(Failure::without_a_word().into()),
@@ -221,7 +221,7 @@ impl Writer {
                 self.frames += 1;
             }
             Item::Gap(gap) => self.gap(&gap)?,
-            // The classifier hears of it and ends the run.
+            // The classifier receives the same item and ends the run.
             Item::End(_) => return Ok(true),
         }
         Ok(false)
@@ -232,8 +232,8 @@ impl Writer {
         Ok(self.recorder.gap(gap)?)
     }
 
-    /// Writes the answers to frames that are written. A source that numbers its frames anew does not make more than a queue of them
-    /// wait: an answer may stand before its frame.
+    /// Writes the answers to frames that are written. The number of waiting answers is limited, in case a source
+    /// restarts its numbering. An answer may then precede its frame.
     fn write_results(&mut self) -> anyhow::Result<()> {
         while let Some(result) = self.ahead.front()
             && (self.ahead.len() > WAITING_RESULTS || self.newest.is_some_and(|newest| result.sequence <= newest))
@@ -262,7 +262,7 @@ mod tests {
         RecordingHeader { waveform: waveform.clone(), board: None, registers: RegisterList::new(), judge: None }
     }
 
-    /// Records a source to its end.
+    /// Records a source until it ends.
     fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
         let mut pipeline = Pipeline::new();
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
@@ -275,7 +275,7 @@ mod tests {
         (joined, sink.has_gaps().load(Ordering::Relaxed))
     }
 
-    /// Whether a recording is marked finished, and its frames and gaps.
+    /// Reads a recording: whether it is marked finished, its frames and its gaps.
     fn read(path: &Path) -> (bool, Vec<u64>, Vec<Gap>) {
         let mut reader = McapReader::open(path).expect("opens");
         let mut frame = Frame::zeroed(reader.waveform().shape());
@@ -303,7 +303,7 @@ mod tests {
         let header = RecordingHeader { judge: Some(judge), ..header(Panicking::after(0).waveform()) };
         let recorder = Recorder::create(&path, &header).expect("creates");
         let has_gaps = Arc::default();
-        // The frames are numbered anew: none has the number of an answer.
+        // The frames are numbered anew, so no frame has the number of an answer.
         let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, has_gaps };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {

@@ -1,4 +1,4 @@
-//! Answers on the terminal, or as JSON lines.
+//! Output of answers on the terminal, or as JSON lines.
 
 use std::io::IsTerminal;
 
@@ -10,7 +10,8 @@ use super::health::Health;
 use super::sink::{Moment, Sink};
 use crate::output;
 
-/// Answers as JSON lines or as text for people: one line a change, and a line that lives on a terminal.
+/// Sink that prints answers as JSON lines or as text. The text has one line per change; on a terminal, the current line
+/// is updated in place.
 pub struct Screen {
     json: bool,
     is_terminal: bool,
@@ -18,7 +19,7 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// A screen whose head, if it has one, is written.
+    /// Creates a screen and writes its heading, if it has one.
     ///
     /// # Errors
     /// Standard output cannot be written.
@@ -57,7 +58,7 @@ impl Sink for Screen {
         }
         let line = format!("{:7.2}s  {label:7} {values:23}  {truth:7} {:7.1} ms", answer.time_s, answer.latency_ms);
         if self.is_terminal {
-            // A change stays on the screen; what is unchanged is written over.
+            // A line with a change is kept; an unchanged line is overwritten.
             let end = if is_change && self.last.is_some() { "\n" } else { "" };
             output::text(&format!("{end}\r{line}\x1b[K"))?;
         } else {

@@ -1,4 +1,4 @@
-//! Destinations of answers: the terminal, the page, the integrations, a recording.
+//! Destinations of answers: the terminal, the page, the integrations and a recording.
 
 use std::sync::Arc;
 
@@ -7,32 +7,32 @@ use radome_dsp::{Frame, Gap, Rdm};
 use super::answer::{Answer, Summary};
 use super::health::Health;
 
-/// A frame that has been judged, and everything that is known then.
+/// Classified frame with its map, answer and counters.
 pub struct Moment<'a> {
     pub answer: &'a Answer,
-    /// The frame; a sink that keeps it longer takes it out of the pool, which then grows by one.
+    /// The frame. A sink that keeps it longer removes it from the pool, which then grows by one.
     pub frame: &'a Arc<Frame>,
-    /// Its map; what it shows means nothing while the answer warms up.
+    /// Map of the frame. It is meaningless while the answer warms up.
     pub map: &'a Rdm,
     pub health: &'a Health,
 }
 
-/// Takes answers in their order, on the classifier's thread: what may wait for a network or a person does so on a thread of
-/// its own. An error ends the run.
+/// Consumer of answers in their order, on the classifier's thread. Work that may wait for a network or a user needs a
+/// thread of its own. An error ends the run.
 pub trait Sink {
-    /// A frame has been judged.
+    /// Receives the answer to a frame.
     ///
     /// # Errors
     /// The answer cannot be passed on.
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()>;
 
-    /// Frames are missing here.
+    /// Receives a gap: frames are missing at this position.
     ///
     /// # Errors
     /// The gap cannot be passed on.
     fn gap(&mut self, gap: &Gap, health: &Health) -> anyhow::Result<()>;
 
-    /// The run is over, however it ended.
+    /// Receives the summary when the run is over, however it ended.
     ///
     /// # Errors
     /// The summary cannot be passed on, or earlier answers were lost.

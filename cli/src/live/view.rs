@@ -1,8 +1,10 @@
-//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, keys to play, pause and seek.
+//! Live page: shows data and answers of the sensor in a browser. Labels can be edited; recordings can be played, paused
+//! and sought.
 //!
-//! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
-//! their own, at most thirty a second and only those that somebody looks at. [`server`] serves, [`policy`] decides to whom, [`control`]
-//! what a page may ask for, [`labels`] keeps the labels, [`adaptation`] offers a command that uses them, [`partner`] the simulation that mirrors a recording.
+//! The classifier's thread passes the newest frame on ([`feed`]) and continues. A thread of the pages computes their
+//! maps, at most thirty per second and only those that a page shows. [`server`] serves the pages, [`policy`] decides on
+//! access, [`control`] handles requests of a page, and [`labels`] keeps the labels. [`adaptation`] offers a command
+//! that uses the labels, and [`partner`] is the simulation that mirrors a recording.
 
 mod adaptation;
 mod control;
@@ -58,26 +60,26 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether there is to be a page.
+    /// Returns whether a page is requested.
     pub fn is_wanted(&self) -> bool {
         self.view
     }
 
-    /// Access policy of the ports.
+    /// Returns the access policy of the ports.
     pub fn access(&self) -> &access::Arguments {
         &self.access
     }
 }
 
-/// The page, as far as the pipeline knows it.
+/// Interface of the page to the pipeline.
 pub struct Page {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Page {
-    /// Starts serving if the page is wanted. Labels of a source that is no recording itself are those of `recording`, which is being
-    /// made.
+    /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
+    /// which is being written.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -129,7 +131,7 @@ impl Page {
             })?,
             thread("page-labels", move || labels.labels.keep())?,
         ];
-        // Ends with the program: a browser that is slow to leave does not hold it up.
+        // Detached thread, which ends with the program: a slow browser does not delay the end.
         thread("page-server", move || {
             yield_to_others();
             runtime.block_on(server::serve(listener, served));
@@ -138,7 +140,7 @@ impl Page {
     }
 }
 
-/// One thread for all connections.
+/// Creates a runtime with one thread for all connections.
 fn runtime() -> std::io::Result<Runtime> {
     let mut builder = tokio::runtime::Builder::new_multi_thread();
     builder.worker_threads(1).thread_name("page").on_thread_start(yield_to_others).enable_all().build()
@@ -148,14 +150,15 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<J
     std::thread::Builder::new().name(name.into()).spawn(work)
 }
 
-/// Says on stderr where the page is, and how it is opened.
+/// Prints the address of the page on stderr, and how to open it.
 fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
     let Some(token) = token else {
         eprintln!("live page: http://{address}");
         return;
     };
     let is_terminal = std::io::stderr().is_terminal();
-    // What is no terminal may be a journal that others read. A token in a file is known without it, one of this run is not.
+    // If stderr is not a terminal, it may be a journal that others read. A token in a file is available without it; one
+    // of this run is not.
     if let Some(file) = token.file().filter(|_| !is_terminal) {
         eprintln!("live page: http://{}/?token=TOKEN with the token in {}", reachable(address), file.display());
     } else {
@@ -171,13 +174,14 @@ fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
     }
 }
 
-/// Address under which other machines reach a port. Where it is served at every address of this machine: the one of the route to
-/// the network, else the machine's name.
+/// Address under which other machines reach a port. If it is served at every address of this machine, this is the
+/// address of the network route, else the machine's name.
 fn reachable(address: SocketAddr) -> String {
     if !address.ip().is_unspecified() {
         return address.to_string();
     }
-    // Nothing is sent: connecting a datagram socket looks the route up. The addresses are set aside for documentation.
+    // No packet is sent: connecting a datagram socket only looks up the route. The addresses are reserved for
+    // documentation.
     let of_route = |from: IpAddr, to: IpAddr| {
         let socket = UdpSocket::bind((from, 0)).ok()?;
         socket.connect((to, 9)).ok()?;
@@ -190,7 +194,7 @@ fn reachable(address: SocketAddr) -> String {
     v4().or_else(|| v6().filter(|_| address.is_ipv6())).or_else(by_name).unwrap_or_else(|| address.to_string())
 }
 
-/// Prints a link as a QR code, white on black whatever the terminal's own colours are.
+/// Prints a link as a QR code, white on black regardless of the terminal's colours.
 fn print_code(link: &str) {
     match QrCode::with_error_correction_level(link, EcLevel::L) {
         Ok(code) => {
@@ -203,9 +207,10 @@ fn print_code(link: &str) {
     }
 }
 
-/// Behind the threads of the pipeline, wherever they want the same core: what pages do, and what is done to them, costs no frame.
+/// Lowers the priority of this thread below the pipeline's threads, so that pages and their requests cause no frame
+/// loss.
 fn yield_to_others() {
-    // Linux keeps this for each thread. Where it does not, or may not, all are equal.
+    // Linux stores the priority per thread. Where it does not apply or is not permitted, all threads are equal.
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(10) {
         tracing::debug!("the page's threads keep their priority: {error}");
@@ -214,7 +219,7 @@ fn yield_to_others() {
 
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        // Frames before one that was sought only tell the network what came before.
+        // Frames before the seek position only fill the network's window and filter.
         if let Some(playback) = &self.shared.about.playback
             && playback.transport.is_preroll(moment.answer.sequence)
         {
@@ -242,7 +247,7 @@ impl Sink for Page {
                 tracing::error!("a thread of the live page has failed");
             }
         }
-        // Pages hear that it is over.
+        // Waits until pages have received the end of the run.
         server::wait_for_farewells(&self.shared);
         self.shared.labels.last_word()
     }

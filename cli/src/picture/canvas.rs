@@ -1,4 +1,4 @@
-//! Something to draw on, kept as marks until it is written.
+//! Canvas that stores its drawing as marks until it is written.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ pub use super::mark::{Ink, Letters, Line, Pixel};
 use super::{raster, svg};
 use crate::files;
 
-/// A picture in the making.
+/// Picture under construction.
 pub struct Canvas {
     /// Width and height, pixels.
     size: [f64; 2],
@@ -18,41 +18,41 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// Creates one of a width and a height, pixels, of one colour.
+    /// Creates a canvas with a width and a height, pixels, of one colour.
     pub fn new(width: f64, height: f64, paper: Ink) -> Self {
         Canvas { size: [width, height], paper, marks: Vec::new() }
     }
 
-    /// Fills areas that together are one: where they overlap the colour is as where they do not.
+    /// Fills the union of areas; overlaps have the same colour as the rest.
     pub fn fill(&mut self, areas: &[Vec<Pixel>], ink: Ink) {
-        // All the same way round, so that none is taken for a hole in another.
+        // All areas get the same orientation, so that none counts as a hole in another.
         let turned = |area: &Vec<Pixel>| {
             if signed_area(area) < 0.0 { area.iter().rev().copied().collect() } else { area.clone() }
         };
         self.marks.push(Mark::Fill { areas: areas.iter().map(turned).collect(), ink });
     }
 
-    /// Fills a rectangle with its upper left corner there.
+    /// Fills a rectangle with its upper left corner at `corner`.
     pub fn rectangle(&mut self, corner: Pixel, size: [f64; 2], ink: Ink) {
         self.marks.push(Mark::Rectangle { corner, size, ink });
     }
 
-    /// Draws a line through places.
+    /// Draws a line through points.
     pub fn line(&mut self, places: &[Pixel], style: &Line) {
         self.marks.push(Mark::Stroke { lines: vec![places.to_vec()], is_closed: false, style: *style });
     }
 
-    /// Draws lines around areas.
+    /// Draws the outlines of areas.
     pub fn around(&mut self, areas: &[Vec<Pixel>], style: &Line) {
         self.marks.push(Mark::Stroke { lines: areas.to_vec(), is_closed: true, style: *style });
     }
 
-    /// Writes a line of text with its upper left corner there.
+    /// Writes a line of text with its upper left corner at `corner`.
     pub fn text(&mut self, corner: Pixel, text: &str, letters: Letters, ink: Ink) {
         self.marks.push(Mark::Text { corner, text: text.to_owned(), letters, ink });
     }
 
-    /// Writes the picture, whole or not at all: as SVG if the file's name says so, else as PNG.
+    /// Writes the picture atomically, as SVG if the file's name says so, else as PNG.
     ///
     /// # Errors
     /// The width or the height is zero, both are too large, or the file cannot be written.
@@ -73,20 +73,21 @@ fn signed_area(area: &[Pixel]) -> f64 {
     area.iter().zip(next).map(|(a, b)| 0.5 * (a[0] * b[1] - a[1] * b[0])).sum()
 }
 
-/// Words that do not lie on each other.
+/// Places text labels without overlap.
 #[derive(Debug, Default)]
 pub struct Labels {
-    /// Low and high corners, pixels.
+    /// Low and high corners of the occupied boxes, pixels.
     taken: Vec<[Pixel; 2]>,
 }
 
 impl Labels {
-    /// Keeps words off a box.
+    /// Reserves a box, so that no text is placed there.
     pub fn take(&mut self, low: Pixel, high: Pixel) {
         self.taken.push([low, high]);
     }
 
-    /// Finds room for a line of text of this size: the first of the places at which its upper left corner may be, within a box.
+    /// Finds a place for a line of text of this size: the first of the given upper left corners at which it is free and
+    /// within a box.
     pub fn find(&mut self, size: [f64; 2], places: &[Pixel], within: [Pixel; 2]) -> Option<Pixel> {
         let free = |&&[x, y]: &&Pixel| {
             let (low, high) = ([x - 1.0, y - 1.0], [x + size[0] + 1.0, y + size[1] + 1.0]);

@@ -1,11 +1,11 @@
-//! Legend of the picture of a scene: signs and their names.
+//! Legend of the picture of a scene: symbols and their names.
 
 use radome_sim::Scene;
 
 use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
 use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
 
-/// Sign in the legend.
+/// Symbol in the legend.
 pub(super) enum Sign {
     Area(Ink),
     Open,
@@ -15,7 +15,7 @@ pub(super) enum Sign {
     Rest,
 }
 
-/// Signs of a picture with their names. `people` has the colour and the height, m, of each person.
+/// Symbols of a picture with their names. `people` has the colour and the height, m, of each person.
 pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)> {
     let file = scene.file();
     let room = &file.room;
@@ -42,7 +42,7 @@ pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)
     all
 }
 
-/// The same in rows of a width, pixels.
+/// Splits the legend into rows of a width, pixels.
 pub(super) fn legend_rows(legend: &[(Sign, String)], width: f64) -> Vec<Vec<(&Sign, &str)>> {
     let mut rows: Vec<Vec<(&Sign, &str)>> = vec![Vec::new()];
     let mut x = LEFT;
@@ -60,7 +60,7 @@ pub(super) fn legend_rows(legend: &[(Sign, String)], width: f64) -> Vec<Vec<(&Si
     rows
 }
 
-/// Draws a sign with its upper left corner there.
+/// Draws a symbol with its upper left corner at `[x, y]`.
 pub(super) fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
     let area = vec![[x, y + 2.0], [x + 22.0, y + 2.0], [x + 22.0, y + 14.0], [x, y + 14.0]];
     let line = |ink: Ink, width: f64, is_dashed: bool| Line { ink, width, is_dashed };

@@ -1,11 +1,11 @@
-//! Marks that a picture consists of: lines, areas and words in pixels.
+//! Marks that a picture consists of: lines, areas and text, in pixels.
 
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster_width};
 
-/// Lengths of a dash and of the gap behind it, pixels.
+/// Lengths of a dash and of the gap after it, pixels.
 pub(super) const DASH: [f64; 2] = [6.0, 5.0];
 
-/// A place in pixels, to the right and down.
+/// Position in pixels, to the right and down.
 pub type Pixel = [f64; 2];
 
 /// A colour.
@@ -13,22 +13,22 @@ pub type Pixel = [f64; 2];
 pub struct Ink {
     /// Red, green, blue.
     pub rgb: [u8; 3],
-    /// 0 is nothing, 1 hides what is behind.
+    /// Opacity: 0 is invisible, 1 hides the background.
     pub opacity: f64,
 }
 
 impl Ink {
-    /// One that hides what is behind.
+    /// Creates an opaque colour.
     pub const fn solid(rgb: [u8; 3]) -> Self {
         Ink { rgb, opacity: 1.0 }
     }
 
-    /// The same, fainter.
+    /// Returns the colour with another opacity.
     pub fn faint(self, opacity: f64) -> Self {
         Ink { opacity, ..self }
     }
 
-    /// The same, nearer to black.
+    /// Returns a darker colour.
     pub fn darker(self, by: f64) -> Self {
         Ink { rgb: self.rgb.map(|c| (f64::from(c) * (1.0 - by)) as u8), ..self }
     }
@@ -41,11 +41,11 @@ pub struct Line {
     pub ink: Ink,
     /// Width, pixels.
     pub width: f64,
-    /// In dashes.
+    /// Whether it is dashed.
     pub is_dashed: bool,
 }
 
-/// A size of letters.
+/// Size of letters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Letters {
     /// 16 pixels high.
@@ -55,7 +55,7 @@ pub enum Letters {
 }
 
 impl Letters {
-    /// Weight and height of its glyphs.
+    /// Returns weight and height of the glyphs.
     pub(super) fn font(self) -> (FontWeight, RasterHeight) {
         match self {
             Letters::Small => (FontWeight::Regular, RasterHeight::Size16),
@@ -63,13 +63,13 @@ impl Letters {
         }
     }
 
-    /// Width and height of a line of text, pixels.
+    /// Returns width and height of a line of text, pixels.
     pub fn size(self, line: &str) -> [f64; 2] {
         let (weight, height) = self.font();
         [(get_raster_width(weight, height) * line.chars().count()) as f64, height.val() as f64]
     }
 
-    /// A line of text, shortened with dots at its end where it is wider than this many pixels.
+    /// Shortens a line of text that is wider than this many pixels, with dots at its end.
     pub fn shortened(self, line: &str, width: f64) -> String {
         if self.size(line)[0] <= width {
             return line.to_owned();
@@ -80,9 +80,9 @@ impl Letters {
     }
 }
 
-/// One thing that is drawn; later ones lie on earlier ones.
+/// Drawn element. Later marks cover earlier ones.
 pub enum Mark {
-    /// Areas that together are one, all the same way round.
+    /// Union of areas, all with the same orientation.
     Fill {
         /// Corners of each area.
         areas: Vec<Vec<Pixel>>,
@@ -100,9 +100,9 @@ pub enum Mark {
     },
     /// Lines.
     Stroke {
-        /// Places that each line leads through.
+        /// Points that each line passes through.
         lines: Vec<Vec<Pixel>>,
-        /// Whether each line leads back to its first place.
+        /// Whether each line returns to its first point.
         is_closed: bool,
         /// Style.
         style: Line,
@@ -136,7 +136,7 @@ mod tests {
         }
     }
 
-    /// A line that has room stays as it is; a longer one takes no more room than there is.
+    /// A line that fits stays as it is; a longer one is shortened to fit.
     #[test]
     fn long_lines_are_shortened() {
         let letters = Letters::Title;

@@ -10,10 +10,10 @@ pub(super) const INK: Ink = Ink::solid([40, 44, 52]);
 pub(super) const GREY: Ink = Ink::solid([120, 126, 136]);
 /// Colour of the radar and its beam.
 pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
-/// A colour for each person in turn.
+/// Colours of people, in turn.
 pub(super) const PEOPLE: [Ink; 4] =
     [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
-/// Colours of paths that people change, and of others.
+/// Colours of paths that people affect, and of other paths.
 pub(super) const MOVING: Ink = Ink::solid([200, 30, 90]);
 pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
 /// Colour of furniture that has no material.
@@ -36,10 +36,10 @@ const MATERIALS: &[(&str, [u8; 3])] = &[
 /// Colours of materials that a scene defines.
 const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
 
-/// Room to the left of each view, for numbers, pixels.
+/// Margin to the left of each view, for numbers, pixels.
 pub(super) const LEFT: f64 = 66.0;
 
-/// Colour of a material of a scene.
+/// Returns the colour of a material of a scene.
 pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
     if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
         return Ink::solid(*rgb);
@@ -48,7 +48,7 @@ pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
     Ink::solid(OWN[own % OWN.len()])
 }
 
-/// Circle as a polygon, pixels.
+/// Approximates a circle by a polygon, pixels.
 pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
     (0..24)
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
@@ -62,7 +62,7 @@ mod tests {
 
     use super::*;
 
-    /// `open` is no surface.
+    /// `open` is not a surface.
     #[test]
     fn every_material_with_a_surface_has_a_colour() {
         let coloured: Vec<&str> = MATERIALS.iter().map(|(name, _)| *name).chain(["open"]).collect();

@@ -10,7 +10,7 @@ use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
 use super::raster::write_png;
 use super::theme::Theme;
 
-/// Room around a plot, pixels: for numbers to the left and below, and for the names of axes.
+/// Margins of a plot, pixels: for numbers to the left and below, and for the names of axes.
 const MARGIN_LEFT: f64 = 72.0;
 const MARGIN_RIGHT: f64 = 92.0;
 const MARGIN_TOP: f64 = 32.0;
@@ -22,11 +22,11 @@ const HEIGHT: f64 = 400.0;
 const NOT_A_NUMBER: Ink = Ink::solid([255, 0, 255]);
 /// Length of a tick, pixels.
 const TICK: f64 = 5.0;
-/// Between lines of a legend, pixels.
+/// Distance between lines of a legend, pixels.
 const LEGEND_STEP: f64 = 20.0;
 
-/// Writes one channel of a map: range to the right in metres, velocity upwards in m/s (receding above), colour in dB from
-/// 10 dB under the median to the peak.
+/// Writes one channel of a map as a picture. Range is to the right in metres, velocity upwards in m/s (receding above),
+/// colour in dB from 10 dB below the median to the peak.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -73,8 +73,8 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     plot.canvas.save(path)
 }
 
-/// PNG of one channel of a map without axes: a pixel a cell, range to the right, velocity upwards (receding above), colour
-/// between two levels, dB.
+/// Encodes one channel of a map as a PNG without axes, with one pixel per cell. Range is to the right, velocity upwards
+/// (receding above), colour between two levels, dB.
 ///
 /// # Errors
 /// The picture cannot be encoded.
@@ -94,7 +94,8 @@ pub fn cells(map: &Rdm, rx: usize, (low, high): (f32, f32)) -> anyhow::Result<Ve
     Ok(png)
 }
 
-/// Levels of the first and the last colour, dB: 10 dB under the median, and the peak or 20 dB over the median.
+/// Returns the levels of the first and the last colour, dB: 10 dB below the median, and the peak or 20 dB above the
+/// median.
 pub fn levels(map: &Rdm) -> (f32, f32) {
     let mut finite: Vec<f32> = map.db.iter().copied().filter(|v| v.is_finite()).collect();
     finite.sort_by(f32::total_cmp);
@@ -105,11 +106,11 @@ pub fn levels(map: &Rdm) -> (f32, f32) {
 /// Series of a plot: name and points.
 type Series<'a> = (&'a str, Vec<(f64, f64)>);
 
-/// Draws points of several series on logarithmic axes, a colour a series.
+/// Draws points of several series on logarithmic axes, with one colour per series.
 pub fn scatter(theme: &Theme, names: (&str, &str), series: &[Series]) -> Canvas {
     let mut plot = Plot::of_series(theme, series);
     let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
-    // Whole decades around all points.
+    // Full decades around all points.
     let decades = |values: Vec<f64>| {
         let low = values.iter().copied().fold(f64::INFINITY, f64::min);
         let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -138,7 +139,7 @@ pub fn scatter(theme: &Theme, names: (&str, &str), series: &[Series]) -> Canvas 
     plot.canvas
 }
 
-/// Text of a power of ten.
+/// Formats a power of ten.
 fn power(decade: i32) -> String {
     match decade {
         -3..=4 => format!("{}", 10f64.powi(decade)),
@@ -146,8 +147,9 @@ fn power(decade: i32) -> String {
     }
 }
 
-/// Draws lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn from the tenth below
-/// the lowest point to the tenth above the highest. `dashed` has further points of each series, through which a dashed line leads; it may be empty.
+/// Draws lines through points of several series on linear axes, with one colour per series. The vertical axis shows a
+/// fraction, from the tenth below the lowest point to the tenth above the highest. `dashed` has further points of each
+/// series, drawn with a dashed line; it may be empty.
 pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Series]) -> Canvas {
     let mut plot = Plot::of_series(theme, series);
     let points = || series.iter().chain(dashed).flat_map(|s| &s.1);
@@ -173,7 +175,7 @@ pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Se
     }
     plot.axes();
     plot.axis_names([WIDTH, HEIGHT], names);
-    // A point without a value has no place.
+    // Points without a value are skipped.
     let places = |points: &[(f64, f64)]| -> Vec<Pixel> {
         points.iter().map(|(x, y)| at(*x, *y)).filter(|place| place.iter().all(|v| v.is_finite())).collect()
     };
@@ -189,14 +191,14 @@ pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Se
     plot.canvas
 }
 
-/// Plot in the making.
+/// Plot under construction.
 struct Plot<'a> {
     canvas: Canvas,
     theme: &'a Theme,
 }
 
 impl<'a> Plot<'a> {
-    /// Creates one for series, with room for their names.
+    /// Creates a plot for series, with a margin for their names.
     fn of_series(theme: &'a Theme, series: &[Series]) -> Self {
         let longest = series.iter().map(|(name, _)| Letters::Small.size(name)[0]).fold(0.0, f64::max);
         let height = (MARGIN_TOP + HEIGHT + MARGIN_BOTTOM).max(MARGIN_TOP + LEGEND_STEP * series.len() as f64 + TICK);
@@ -215,34 +217,34 @@ impl<'a> Plot<'a> {
         self.canvas.text(corner, text, Letters::Small, self.theme.ink);
     }
 
-    /// Tick under an axis, a grid line of `length` above it, and its number.
+    /// Draws a tick below an axis, a grid line of `length` above it, and its number.
     fn tick_below(&mut self, [x, y]: Pixel, length: f64, number: &str) {
         self.canvas.line(&[[x, y - length], [x, y]], &self.grid());
         self.canvas.line(&[[x, y], [x, y + TICK]], &self.axis());
         self.text([x - 0.5 * Letters::Small.size(number)[0], y + 8.0], number);
     }
 
-    /// Tick to the left of an axis, a grid line of `length` to its right, and its number.
+    /// Draws a tick to the left of an axis, a grid line of `length` to its right, and its number.
     fn tick_beside(&mut self, [x, y]: Pixel, length: f64, number: &str) {
         self.canvas.line(&[[x, y], [x + length, y]], &self.grid());
         self.canvas.line(&[[x - TICK, y], [x, y]], &self.axis());
         self.text([x - 8.0 - Letters::Small.size(number)[0], y - 8.0], number);
     }
 
-    /// Axes to the left of and below series, over the grid.
+    /// Draws the axes to the left of and below the series, over the grid.
     fn axes(&mut self) {
         let (left, bottom) = (MARGIN_LEFT, MARGIN_TOP + HEIGHT);
         self.canvas.line(&[[left, MARGIN_TOP], [left, bottom], [left + WIDTH, bottom]], &self.axis());
     }
 
-    /// Names of the axes of a plot of this size: below its middle, and above its upper left corner.
+    /// Draws the names of the axes of a plot of this size: below its middle, and above its upper left corner.
     fn axis_names(&mut self, [width, height]: [f64; 2], (across, up): (&str, &str)) {
         let middle = MARGIN_LEFT + 0.5 * (width - Letters::Small.size(across)[0]);
         self.text([middle, MARGIN_TOP + height + 28.0], across);
         self.text([4.0, 8.0], up);
     }
 
-    /// Name of a series with its colour.
+    /// Draws the name of a series in its colour.
     fn legend(&mut self, index: usize, name: &str) {
         let y = MARGIN_TOP + 10.0 + LEGEND_STEP * index as f64;
         self.dot([MARGIN_LEFT + WIDTH + 16.0, y], index);
@@ -253,7 +255,7 @@ impl<'a> Plot<'a> {
         self.theme.series[index % self.theme.series.len()]
     }
 
-    /// Dot of a series. The second dozen of series has the colours of the first and hollow dots.
+    /// Draws a dot of a series. The second dozen of series has the colours of the first and hollow dots.
     fn dot(&mut self, [x, y]: Pixel, index: usize) {
         let (corner, ink) = ([x.round() - 3.0, y.round() - 3.0], self.series_ink(index));
         self.canvas.rectangle(corner, [7.0, 7.0], ink);
@@ -263,7 +265,7 @@ impl<'a> Plot<'a> {
     }
 }
 
-/// Round values between two ends, about seven of them.
+/// Computes about seven round values between two ends.
 fn ticks(from: f64, to: f64) -> Vec<f64> {
     let raw = (to - from) / 7.0;
     let magnitude = 10f64.powf(raw.log10().floor());
@@ -272,17 +274,17 @@ fn ticks(from: f64, to: f64) -> Vec<f64> {
     (first..).map(|i| i as f64 * step).take_while(|t| *t <= to).collect()
 }
 
-/// Text of a tick on an axis of this length: digits as its steps need them.
+/// Formats a tick on an axis of this length, with the digits that its steps need.
 fn label(value: f64, scale: f64) -> String {
     let digits = (2.0 - scale.abs().max(1e-9).log10()).clamp(0.0, 4.0) as usize;
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// Colours of the viridis map in equal steps: of recordings, a picture is made of each frame.
+/// Colours of the viridis map in equal steps. The table is fast enough for a picture of each frame of a recording.
 static VIRIDIS: LazyLock<[[u8; 3]; 256]> = LazyLock::new(|| std::array::from_fn(|i| viridis(i as f32 / 255.0).rgb));
 
-/// The viridis map by interpolation of nine of its colours.
+/// Computes the viridis map by interpolation of nine of its colours.
 fn viridis(t: f32) -> Ink {
     const COLOURS: [[f32; 3]; 9] = [
         [68.0, 1.0, 84.0],

@@ -1,4 +1,4 @@
-//! Marks as a PNG.
+//! Conversion of marks to PNG.
 
 use std::io::Write;
 
@@ -11,7 +11,7 @@ use tiny_skia::{
 
 use super::mark::{DASH, Ink, Letters, Line, Mark, Pixel};
 
-/// Writes marks on paper of a size, pixels, as a PNG.
+/// Writes marks on a background of a size, pixels, as a PNG.
 ///
 /// # Errors
 /// The width or the height is zero, both are too large, or the writer fails.
@@ -37,7 +37,7 @@ pub(super) fn write_png(writer: impl Write, [width, height]: [u32; 2], rgb: &[u8
     image.finish()
 }
 
-/// Pixels that marks are drawn on.
+/// Pixels on which marks are drawn.
 struct Raster {
     pixels: Pixmap,
 }
@@ -78,7 +78,7 @@ impl Raster {
         let (weight, height) = letters.font();
         let step = get_raster_width(weight, height);
         for (i, character) in line.chars().enumerate() {
-            // A question mark for what the font lacks.
+            // Characters that the font lacks become question marks.
             let glyph = get_raster(character, weight, height).or_else(|| get_raster('?', weight, height));
             let Some(glyph) = glyph else { continue };
             for (row, values) in glyph.rows().enumerate() {

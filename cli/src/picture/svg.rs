@@ -1,16 +1,16 @@
-//! Marks as SVG.
+//! Conversion of marks to SVG.
 
 use std::fmt::Write as _;
 use std::io::Write;
 
 use super::mark::{DASH, Ink, Letters, Mark, Pixel};
 
-/// Height of the letters' baseline below the upper edge of a line of text, and size of the font, as shares of the line's height:
-/// those of the font of PNG pictures.
+/// Baseline of the letters below the upper edge of a line of text, and font size, as fractions of the line's height.
+/// They match the font of PNG pictures.
 const BASELINE: f64 = 0.785;
 const FONT_SIZE: f64 = 0.734;
 
-/// Writes marks on paper of a size, pixels, as SVG. Text stays text.
+/// Writes marks on a background of a size, pixels, as SVG. Text stays text.
 ///
 /// # Errors
 /// The writer fails.
@@ -53,7 +53,7 @@ fn draw(out: &mut String, mark: &Mark) -> std::fmt::Result {
         Mark::Text { corner: [x, y], text, letters, ink } => {
             let [width, height] = letters.size(text);
             let weight = if *letters == Letters::Title { " font-weight=\"bold\"" } else { "" };
-            // Other fonts have other widths; what was laid out is kept.
+            // Other fonts have other widths; the text length keeps the layout.
             writeln!(
                 out,
                 "<text x=\"{}\" y=\"{}\" font-size=\"{}\"{weight} textLength=\"{}\" xml:space=\"preserve\" {}>{}</text>",
@@ -81,19 +81,19 @@ fn path(lines: &[Vec<Pixel>], is_closed: bool) -> String {
     path
 }
 
-/// Attributes of a colour.
+/// Formats the attributes of a colour.
 fn colour(name: &str, Ink { rgb: [r, g, b], opacity }: Ink) -> String {
     let solid = format!("{name}=\"#{r:02x}{g:02x}{b:02x}\"");
     if opacity < 1.0 { format!("{solid} {name}-opacity=\"{}\"", number(opacity.max(0.0))) } else { solid }
 }
 
-/// A number to two digits, without zeros at its end.
+/// Formats a number with two digits, without trailing zeros.
 fn number(value: f64) -> String {
     let text = format!("{value:.2}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// Text as XML has it; what XML cannot hold becomes a question mark.
+/// Escapes text for XML. Characters that XML cannot hold become question marks.
 fn escaped(text: &str) -> String {
     let mut escaped = String::new();
     for character in text.chars() {
@@ -115,7 +115,7 @@ mod tests {
     use super::super::mark::Line;
     use super::*;
 
-    /// A reader of XML finds each mark with its text, colours and dashes.
+    /// An XML parser finds each mark with its text, colours and dashes.
     #[test]
     fn marks_are_elements_that_a_reader_of_xml_takes() {
         let ink = Ink::solid([1, 171, 255]);
@@ -137,7 +137,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}: {text}");
         }
-        // The same marks as PNG.
+        // Also saves the same marks as PNG.
         canvas.save(&path.with_extension("png")).expect("is written");
         let png = std::fs::read(path.with_extension("png")).expect("a file");
         assert!(png.starts_with(b"\x89PNG"));

@@ -9,15 +9,15 @@ pub struct Theme {
     pub paper: Ink,
     /// Text and axes.
     pub ink: Ink,
-    /// Lines of the grid, behind what is drawn.
+    /// Grid lines behind the data.
     pub grid: Ink,
-    /// A colour for each series in turn.
+    /// Colours of the series, in turn.
     pub series: [Ink; 12],
 }
 
 impl Theme {
-    /// Theme of light pages. Each series is as far as can be from those before it in CIE Lab, to eyes that see all colours, no red or
-    /// no green; the first two are Okabe and Ito's.
+    /// Theme of light pages. The colour of each series has the largest possible CIE Lab distance from those before it,
+    /// for normal, red-blind and green-blind vision. The first two are Okabe and Ito's.
     pub const LIGHT: Theme = Theme {
         paper: Ink::solid([255, 255, 255]),
         ink: INK,
@@ -38,7 +38,7 @@ impl Theme {
         ],
     };
 
-    /// Theme of dark pages, its series by the same rule.
+    /// Theme of dark pages, with series colours chosen by the same rule.
     pub const DARK: Theme = Theme {
         paper: Ink::solid([13, 17, 23]),
         ink: Ink::solid([230, 237, 243]),
@@ -64,7 +64,7 @@ impl Theme {
 mod tests {
     use super::*;
 
-    /// Linear red, green and blue of an sRGB colour (IEC 61966-2-1).
+    /// Converts an sRGB colour to linear red, green and blue (IEC 61966-2-1).
     fn linear(ink: Ink) -> [f64; 3] {
         ink.rgb.map(|value| match f64::from(value) / 255.0 {
             low if low <= 0.04045 => low / 12.92,
@@ -72,7 +72,7 @@ mod tests {
         })
     }
 
-    /// Contrast by the Web Content Accessibility Guidelines.
+    /// Contrast ratio by the Web Content Accessibility Guidelines.
     fn contrast(a: Ink, b: Ink) -> f64 {
         let luminance =
             |ink: Ink| linear(ink).iter().zip([0.2126, 0.7152, 0.0722]).map(|(c, weight)| c * weight).sum::<f64>();
@@ -84,7 +84,7 @@ mod tests {
         rows.map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum())
     }
 
-    /// CIE Lab under D65.
+    /// Converts linear red, green and blue to CIE Lab under D65.
     fn lab(linear: [f64; 3]) -> [f64; 3] {
         let xyz = product(
             [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.072175], [0.0193339, 0.119192, 0.9503041]],
@@ -95,7 +95,7 @@ mod tests {
         [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
     }
 
-    /// Text at 4.5 to 1 and lines at 3 to 1, levels AA of the guidelines for text and for graphics.
+    /// Contrast of 4.5 to 1 for text and 3 to 1 for lines: levels AA of the guidelines for text and for graphics.
     #[test]
     fn plots_have_the_contrast_that_readers_need() {
         for Theme { paper, ink, series, .. } in [Theme::LIGHT, Theme::DARK] {
@@ -106,8 +106,8 @@ mod tests {
         }
     }
 
-    /// Eyes without cones for red and for green: Machado, Oliveira and Fernandes, "A Physiologically-based Model for Simulation of
-    /// Color Vision Deficiency", 2009, severity 1. A difference of 2 is just seen.
+    /// Red-blind and green-blind vision by Machado, Oliveira and Fernandes, "A Physiologically-based Model for
+    /// Simulation of Color Vision Deficiency", 2009, severity 1. A difference of 2 is barely visible.
     #[test]
     fn series_are_told_apart_by_the_colour_blind() {
         let eyes = [

@@ -1,8 +1,8 @@
-//! Time of the messages of an export.
+//! Timestamps of the messages of an export.
 
 use radome_dsp::Frame;
 
-/// Clock of an export: the frames' own clock, set to the host's time of the first frame. It never goes backwards.
+/// Clock of an export: the frames' own clock, offset to the host's time of the first frame. It never goes backwards.
 #[derive(Debug, Default)]
 pub struct Clock {
     /// Time at which the frames' own clock shows 0, ns since 1970.
@@ -12,7 +12,8 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Takes note of the next frame. Where the frames' own clock has gone backwards it has started again: it is set anew.
+    /// Updates the clock with the next frame. If the frames' own clock went backwards, it has restarted, and the offset
+    /// is computed anew.
     pub fn follow(&mut self, frame: &Frame) {
         if self.newest_frame_ns.is_none_or(|newest_ns| frame.time_ns < newest_ns) {
             self.origin_ns = frame.host_time_ns.max(self.last_ns).saturating_sub(frame.time_ns);
@@ -20,13 +21,14 @@ impl Clock {
         self.newest_frame_ns = Some(frame.time_ns);
     }
 
-    /// Time of a message, ns since 1970, by the time of the frames' own clock, ns; no earlier than that of the message before.
+    /// Returns the time of a message, ns since 1970, from the frames' own clock, ns; no earlier than the message
+    /// before.
     pub fn at(&mut self, time_ns: u64) -> u64 {
         self.last_ns = self.last_ns.max(self.origin_ns.saturating_add(time_ns));
         self.last_ns
     }
 
-    /// Time of the message before, ns since 1970.
+    /// Returns the time of the previous message, ns since 1970.
     pub fn last_ns(&self) -> u64 {
         self.last_ns
     }
@@ -50,9 +52,9 @@ mod tests {
             clock.at(time_ns)
         };
         assert_eq!(at(500, 10_500), 10_500);
-        // The host's clock is set back, the frames' own clock is not.
+        // The host's clock is set back; the frames' own clock is not.
         assert_eq!(at(600, 3), 10_600);
-        // The board starts again.
+        // The board restarts.
         assert_eq!(at(0, 20_000), 20_000);
         assert_eq!(at(100, 20_100), 20_100);
         assert_eq!(at(0, 0), 20_100);

@@ -24,16 +24,17 @@ use super::messages::{
 use crate::labels;
 use crate::picture::plot;
 
-/// Name of the metadata with the waveform and the axes of the maps.
+/// Name of the metadata record with the waveform and the axes of the maps.
 const METADATA: &str = "radome.viewers";
-/// Frame of reference of images, as viewers name it.
+/// Coordinate frame of images, as named in viewers.
 const FRAME_ID: &str = "radar";
-/// Fast compression: most bytes are raw codes, which shrink little.
+/// Fast compression level, since most bytes are raw codes, which compress little.
 const COMPRESSION_LEVEL: u32 = 1;
 const CANNOT: &str = "cannot write the file for viewers";
 
-/// Writes a recording as an MCAP file for viewers: chirps and maps as images, answers and the board's state as numbers, gaps, labels
-/// and changes of the number of people as a log. `after_event` is called after every frame and gap, and can end the export by an error.
+/// Writes a recording as an MCAP file for viewers. Chirps and maps are images; answers and the board's state are
+/// numbers. Gaps, labels and changes of the number of people form a log. `after_event` is called after every frame and
+/// gap, and can end the export by an error.
 ///
 /// # Errors
 /// The recording cannot be read, no map can be made of its waveform, or `out` cannot be written.
@@ -55,7 +56,7 @@ pub fn export<W: Write + Seek>(
     }
 }
 
-/// Numbers of the channels.
+/// Identifiers of the channels.
 struct Topics {
     chirps: u16,
     map: u16,
@@ -67,21 +68,21 @@ struct Topics {
 struct Export<W: Write + Seek> {
     mcap: mcap::Writer<W>,
     topics: Topics,
-    /// Messages so far.
+    /// Number of messages so far.
     messages: u32,
     clock: Clock,
     waveform: Waveform,
     processor: RdmProcessor,
     map: Rdm,
-    /// Levels of the first and the last colour of maps, dB: those of the first map.
+    /// Levels of the first and the last colour of maps, dB, from the first map.
     levels: Option<(f32, f32)>,
     spans: Vec<LabelSpan>,
-    /// Starts and ends of labels that are still to come: time of the frames' own clock, ns, and text.
+    /// Starts and ends of labels still to be written: time of the frames' own clock, ns, and text.
     label_events: VecDeque<(u64, String)>,
     results: Peekable<Flatten<std::option::IntoIter<Results>>>,
-    /// Number of people by the answer before.
+    /// Number of people in the previous answer.
     people: Option<u8>,
-    /// Sequence number and time of the frame before, ns.
+    /// Sequence number and time of the previous frame, ns.
     before: Option<(u64, u64)>,
     report: WriteReport,
 }
@@ -202,7 +203,7 @@ impl<W: Write + Seek> Export<W> {
 
     /// Writes the answers to frames up to this number.
     fn answers_up_to(&mut self, sequence: u64) -> anyhow::Result<()> {
-        // An error is not later than any frame.
+        // An error counts as due at any frame.
         while let Some(result) =
             self.results.next_if(|result| !result.as_ref().is_ok_and(|result| result.sequence > sequence))
         {
@@ -253,7 +254,7 @@ impl<W: Write + Seek> Export<W> {
     }
 }
 
-/// Image of the codes of a frame: a row a chirp, receiver by receiver, a column a sample.
+/// Image of the codes of a frame: one row per chirp, receiver by receiver, and one column per sample.
 fn chirps(frame: &Frame, time_ns: u64) -> RawImage {
     let mut data = Vec::with_capacity(2 * frame.codes.len());
     for code in &frame.codes {
@@ -270,13 +271,13 @@ fn chirps(frame: &Frame, time_ns: u64) -> RawImage {
     }
 }
 
-/// Starts and ends of labels in the order of time, ends first where both are at once.
+/// Starts and ends of labels in the order of time; at equal times, ends come first.
 fn label_events(spans: &[LabelSpan]) -> VecDeque<(u64, String)> {
     let ns = |time_s: f64| (time_s * 1e9).round() as u64;
     let ends = spans.iter().map(|span| (ns(span.end_s), format!("{} ends", span.label)));
     let starts = spans.iter().map(|span| (ns(span.start_s), format!("{} starts", span.label)));
     let mut events: Vec<_> = ends.chain(starts).collect();
-    // Stable: at one time ends stay before starts.
+    // The sort is stable: at equal times, ends stay before starts.
     events.sort_by_key(|(time_ns, _)| *time_ns);
     events.into()
 }

@@ -1,4 +1,4 @@
-//! Types of protobuf messages, described as protobuf describes them: MCAP carries the description as a channel's schema.
+//! Types of protobuf messages, described in protobuf's own format. MCAP stores the description as a channel's schema.
 
 use prost::Message;
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -31,12 +31,12 @@ pub struct MessageType {
 }
 
 impl MessageType {
-    /// Name with the package.
+    /// Returns the name with the package.
     pub fn full_name(&self) -> String {
         format!("{}.{}", self.package, self.name)
     }
 
-    /// Encoded `FileDescriptorSet` of the type and of all types that it uses.
+    /// Encodes the `FileDescriptorSet` of the type and of all types that it uses.
     pub fn descriptor_set(&self) -> Vec<u8> {
         let enumeration = self.enumeration.map(|(name, values)| EnumDescriptorProto {
             name: Some(name.to_owned()),
@@ -91,7 +91,7 @@ fn enum_value(name: &str, number: i32) -> EnumValueDescriptorProto {
     }
 }
 
-/// Description of `google.protobuf.Timestamp`.
+/// Describes `google.protobuf.Timestamp`.
 fn timestamp_file() -> FileDescriptorProto {
     let message = DescriptorProto {
         name: Some("Timestamp".to_owned()),

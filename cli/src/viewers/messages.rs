@@ -1,12 +1,12 @@
-//! Messages of an export. Those of the package `foxglove` have the fields of Foxglove's types of these names, those of the package
-//! `radome` hold numbers to plot.
+//! Messages of an export. The package `foxglove` has the fields of Foxglove's types of the same names. The package
+//! `radome` has numbers to plot.
 
 use prost_types::Timestamp;
 use prost_types::field_descriptor_proto::Type;
 
 use super::message_type::{Kind, MessageType};
 
-/// Time of a message, from ns since 1970.
+/// Converts a time in ns since 1970.
 pub fn timestamp(time_ns: u64) -> Option<Timestamp> {
     Some(Timestamp { seconds: (time_ns / 1_000_000_000) as i64, nanos: (time_ns % 1_000_000_000) as i32 })
 }
@@ -92,9 +92,9 @@ pub const LOG: MessageType = MessageType {
     enumeration: Some(("Level", &["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"])),
 };
 
-/// Level of a [`Log`] that tells what happened.
+/// Level of a [`Log`] line about an event.
 pub const INFO: i32 = 2;
-/// Level of a [`Log`] that tells of a loss.
+/// Level of a [`Log`] line about a loss.
 pub const WARNING: i32 = 3;
 
 /// Line of a log.
@@ -132,7 +132,7 @@ pub const STATE: MessageType = MessageType {
     enumeration: None,
 };
 
-/// Numbers of a frame. An unknown number is NaN, which plots leave out.
+/// Numbers of a frame. An unknown number is NaN, which plots skip.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct State {
     #[prost(message, optional, tag = "1")]
@@ -143,7 +143,7 @@ pub struct State {
     /// Temperature of the chip, degrees Celsius.
     #[prost(double, tag = "3")]
     pub temperature_celsius: f64,
-    /// Frame rate by the frames' own clock, since the frame before.
+    /// Frame rate by the frames' own clock, from the interval to the previous frame.
     #[prost(double, tag = "4")]
     pub frames_per_s: f64,
     /// Frames lost so far.
@@ -215,7 +215,7 @@ mod tests {
 
     use super::*;
 
-    /// Number of a type's encoding on the wire.
+    /// Returns the wire type of a field.
     fn wire_type(kind: Kind) -> u8 {
         match kind {
             Kind::Plain(Type::Uint32 | Type::Uint64 | Type::Bool) | Kind::Enumeration => 0,
@@ -226,8 +226,8 @@ mod tests {
         }
     }
 
-    /// Compares the fields of an encoded message, none of which has its default value, with those of its type. All numbers are below
-    /// 16, and all values short: keys and lengths are single bytes.
+    /// Compares the fields of an encoded message with those of its type. No field has its default value. All field
+    /// numbers are below 16 and all values short, so keys and lengths are single bytes.
     fn check(message_type: &MessageType, message: &impl Message) {
         let bytes = message.encode_to_vec();
         let mut found = Vec::new();

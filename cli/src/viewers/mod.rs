@@ -1,4 +1,5 @@
-//! Export of recordings for public viewers: an MCAP file with message types that Foxglove, Rerun and PlotJuggler know.
+//! Export of recordings for public viewers: an MCAP file with message types that Foxglove, Rerun and PlotJuggler
+//! support.
 
 mod clock;
 mod export;

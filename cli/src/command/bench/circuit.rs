@@ -61,7 +61,7 @@ enum GradientName {
     Exact,
 }
 
-/// A quantum circuit at one point.
+/// Evaluates a quantum circuit at one point.
 ///
 /// # Errors
 /// The circuit is not valid, or inputs and angles are not as many as it takes.
@@ -119,7 +119,7 @@ impl Arguments {
     }
 }
 
-/// Expectations and gradients by the names of observables: `ZI`, `IZ`.
+/// Expectations and gradients, keyed by the names of observables: `ZI`, `IZ`.
 struct Answer {
     names: Vec<String>,
     jacobian: Jacobian,

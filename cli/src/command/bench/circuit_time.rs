@@ -1,4 +1,4 @@
-//! The quantum layer: exact in f32 and f64, by state vector, and from shots.
+//! Benchmark of the quantum layer: exact in f32 and f64, by state vector, and from shots.
 
 use std::f64::consts::PI;
 
@@ -12,7 +12,7 @@ use super::point::{Point, least_ms};
 const STAGE: &str = "a sample by the circuit";
 const BATCH: usize = 256;
 
-/// A batch of the paper's circuit, forward and all gradients; the error is the rms of the expectations.
+/// Measures a batch of the paper's circuit, forward and all gradients. The error is the rms of the expectations.
 ///
 /// # Errors
 /// The circuit is not valid.

@@ -1,4 +1,4 @@
-//! Frames of dense physical optics: minutes each, so they can be kept on disk.
+//! Frames computed by dense physical optics. Each takes minutes, so they can be stored on disk.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -11,23 +11,23 @@ use sha2::{Digest, Sha256};
 
 use crate::{files, output};
 
-/// Relative difference up to which a chirp that is computed again is the same: other machines round differently.
+/// Relative difference up to which a recomputed chirp counts as the same, since machines round differently.
 const SAME: f64 = 1e-6;
-/// Relative difference up to which such a chirp is close enough to compare with; this is then reported: on a walker's map -54
-/// dB are about 0.05 dB.
+/// Relative difference up to which a stored frame is still used, with a message. On a walker's map, -54 dB are about
+/// 0.05 dB.
 const CLOSE: f64 = 2e-3;
 
-/// Inputs that a frame is computed from.
+/// Inputs of the computation of a frame.
 pub struct DenseFrame<'a> {
     pub simulator: &'a Simulator,
     pub index: u64,
-    /// All ways by walls that are louder than this far below noise, dB.
+    /// Margin below the noise, dB: all wall paths louder than this are included.
     pub margin_db: f64,
-    /// Everything else that it depends on, in any words.
+    /// All other settings that affect the frame, as free text.
     pub settings: &'a str,
 }
 
-/// Samples, and the time that they take one thread.
+/// Samples of a frame, and the time that one thread takes to compute them.
 pub struct DenseSamples {
     /// LSB, `[rx][chirp][sample]`.
     pub samples: Vec<f64>,
@@ -35,8 +35,8 @@ pub struct DenseSamples {
 }
 
 impl DenseFrame<'_> {
-    /// From the folder where it is kept and still what the program makes: one chirp is computed again. Otherwise computed, with
-    /// progress, and kept there.
+    /// Reads the samples from `folder` if they are there and one recomputed chirp agrees with them. Otherwise computes
+    /// them with a progress bar, and stores them there.
     ///
     /// # Errors
     /// The frame cannot be computed, or the file of kept samples cannot be read or written.
@@ -63,14 +63,14 @@ impl DenseFrame<'_> {
         Ok(computed)
     }
 
-    /// `[rx][chirp][sample]`.
+    /// Shape of the samples: `[rx][chirp][sample]`.
     fn shape(&self) -> [usize; 3] {
         let shape = self.simulator.scene().waveform().shape();
         [shape.rx, shape.chirps, shape.samples]
     }
 
-    /// Named by what is asked for. What is in the scene's file under that name is not in it: the chirp that is computed again
-    /// tells, and a scene that has learnt a new key is still the same.
+    /// Path of the stored frame, named by a hash of the settings. The content of the scene file is not part of the
+    /// name: the recomputed chirp detects changes, and a scene file that gains a new key stays valid.
     fn path(&self, folder: &Path) -> PathBuf {
         let asked = format!("{} {}", self.margin_db, self.settings);
         let digest: String = Sha256::digest(asked).iter().take(4).map(|byte| format!("{byte:02x}")).collect();
@@ -90,7 +90,7 @@ impl DenseFrame<'_> {
             Ok(samples)
         };
         let all: Vec<Vec<Vec<f64>>> = (0..chirps).into_par_iter().map(chirp).collect::<anyhow::Result<_>>()?;
-        // Of all threads, as if one.
+        // Time summed over all threads, as if one thread had done the work.
         let milliseconds = started.elapsed().as_secs_f64() * 1e3 * rayon::current_num_threads() as f64;
         bar.finish_and_clear();
         let of_receiver = |rx: usize| all.iter().filter_map(move |chirp| chirp.get(rx)).flatten().copied();

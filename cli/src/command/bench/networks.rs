@@ -1,4 +1,4 @@
-//! `radome bench train` and `radome bench infer`: networks beside PyTorch and onnxruntime in the same run.
+//! `radome bench train` and `radome bench infer`: networks compared with PyTorch and onnxruntime in the same run.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -14,9 +14,9 @@ use super::peer::Peer;
 use super::point::{Point, least_ms};
 use crate::output;
 
-/// Networks that are timed if none is named, as the script of the peers knows them.
+/// Networks that are timed by default, by the names that the script of the peers uses.
 const NETWORKS: [&str; 5] = ["hqnn", "estimator_matched", "doppler_net", "resnet18", "efficientnet_b0"];
-/// The same as stages of the table.
+/// The same networks as stages of the table.
 const STAGES: [&str; NETWORKS.len()] = [
     "a map by the HQNN",
     "a map by its linear control",
@@ -51,7 +51,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// One network by one program: the least and the median of all runs of all turns.
+/// Time of one network in one program: minimum and median of all runs of all turns.
 #[derive(Serialize)]
 struct Row {
     model: String,
@@ -62,27 +62,27 @@ struct Row {
     median_milliseconds: f64,
 }
 
-/// One after the other as often as `turns` says, so that whatever else the machine does meets all of them. What one program's
-/// threads do when there is nothing to do, they do in the pause behind its turn and not in the next one's.
+/// Pause after each turn. Programs take turns, so that other load on the machine affects all of them. Threads that
+/// still spin after a turn do so in this pause and not in the next program's turn.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A training step: forward, backward, Adam.
+/// Times a training step: forward, backward, Adam.
 ///
 /// # Errors
 /// There is no such network, or the peer fails.
 pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(32), arguments.repeats.unwrap_or(5));
     compare(arguments, "train", batch, repeats, &|spec, _| {
-        // At rate zero a step is whole, but the network stays as random as it was: units that die while made-up maps are
-        // learnt by heart would make later steps cheaper.
+        // At learning rate zero a step does all its work, but the network stays random. Learning the random maps by
+        // heart would kill units, which would make later steps cheaper.
         let mut trainer = Trainer::new(spec, 1, 0.0, KernelLevel::detect())?;
         let (maps, labels) = Trainer::made_up_maps(batch, SIZE, SIZE)?;
         Ok(Box::new(move || Ok(trainer.step(&maps, &labels).map(|_| ())?)))
     })
 }
 
-/// One map to logits, for the table of all stages; errors are those of logits against the portable
-/// kernels, over the largest.
+/// Measures one map to logits, for the table of all stages. The error is that of the logits against the portable
+/// kernels, relative to the largest.
 ///
 /// # Errors
 /// A network cannot be prepared, or the peer fails.
@@ -141,7 +141,7 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     Ok(points)
 }
 
-/// Maps to logits.
+/// Times the inference from maps to logits.
 ///
 /// # Errors
 /// There is no such network, or the peer fails.
@@ -163,10 +163,10 @@ fn named(spec: &NetworkSpec) -> anyhow::Result<String> {
     found.context("a network without a name")
 }
 
-/// Runs one network of ours once.
+/// One run of a network of this program.
 type Run = Box<dyn FnMut() -> anyhow::Result<()>>;
 
-/// Milliseconds of each of `repeats` runs, behind one that does not count: what `networks.py` does.
+/// Measures `repeats` runs after one warm-up run, ms, as `networks.py` does.
 fn times(repeats: usize, run: &mut Run) -> anyhow::Result<Vec<f64>> {
     run()?;
     let timed = |_| -> anyhow::Result<f64> {
@@ -197,7 +197,7 @@ fn compare(
         let Some(spec) = NetworkSpec::named(name) else {
             bail!("there is no network '{name}'\n\nhint: `radome model list` lists them");
         };
-        // What the circuit costs shows beside the same network with a linear head, which takes its turns too.
+        // The cost of the circuit shows in comparison with the same network with a linear head, which takes turns too.
         let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };
         let mut own = vec![("radome".to_owned(), ours(&spec, &folder)?)];
         if let Some(spec) = &linear {
@@ -224,7 +224,7 @@ fn compare(
     if arguments.json { output::json_line(&rows) } else { Ok(()) }
 }
 
-/// Has ours and the peers run one after the other, turn by turn. Gives the milliseconds of all runs of each by its name.
+/// Runs this program's networks and the peers in turns. Returns the names with the times of all their runs, ms.
 fn take_turns(
     mut own: Vec<(String, Run)>,
     mut peers: Vec<Peer>,
@@ -242,12 +242,12 @@ fn take_turns(
             std::thread::sleep(PAUSE);
         }
     }
-    // A peer has its name since its first turn.
+    // A peer reports its name in its first turn.
     let names = own.into_iter().map(|(name, _)| name).chain(peers.iter().map(|peer| peer.name.clone()));
     Ok(names.zip(of_own.into_iter().chain(of_peers)).collect())
 }
 
-/// Rows of one network, the first of them ours.
+/// Prints the rows of one network, this program's first.
 fn print(rows: &[Row]) -> anyhow::Result<()> {
     let own = rows.first().map_or([f64::NAN; 2], |row| [row.milliseconds, row.median_milliseconds]);
     for row in rows {

@@ -1,4 +1,4 @@
-//! Another program that runs the same network, through `cli/bench/networks.py`.
+//! Peer program that runs the same network, through `cli/bench/networks.py`.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -8,12 +8,12 @@ use serde::Deserialize;
 
 const SCRIPT: &str = include_str!("../../../bench/networks.py");
 
-/// A network in another program, prepared and waiting for its turns.
+/// Network in a peer program, prepared and waiting for its turns.
 pub struct Peer {
     /// Name; empty before its first turn.
     pub name: String,
     child: Child,
-    /// A line is a turn.
+    /// Input of the peer; each line starts a turn.
     input: Option<ChildStdin>,
     output: BufReader<ChildStdout>,
 }
@@ -25,8 +25,8 @@ struct Turn {
 }
 
 impl Peer {
-    /// Prepares a network in PyTorch, or in onnxruntime if there is a folder with its file. `None` where that cannot be done, which
-    /// is said unless there is no Python at all.
+    /// Prepares a network in PyTorch, or in onnxruntime if a folder with its file is given. Returns `None` where that
+    /// fails. The reason is printed unless there is no Python at all.
     pub fn start(
         python: Option<&Path>,
         what: &str,
@@ -37,7 +37,7 @@ impl Peer {
         onnx: Option<&Path>,
     ) -> Option<Self> {
         let mut command = Command::new(python.map_or_else(|| PathBuf::from("python3"), Path::to_owned));
-        // The script is in the program, so that it is found wherever that runs.
+        // The script is embedded in the program, so it is found from any working directory.
         command.args(["-c", SCRIPT, what, network, "--turns", "--threads", &threads.to_string()]);
         command.args(["--batch", &batch.to_string(), "--repeats", &repeats.to_string()]);
         if let Some(folder) = onnx {
@@ -56,7 +56,7 @@ impl Peer {
         None
     }
 
-    /// Milliseconds of each run of a turn; none if it failed.
+    /// Runs a turn and returns the time of each run, ms; empty if it failed.
     pub fn turn(&mut self) -> Vec<f64> {
         let mut line = String::new();
         let asked =
@@ -72,7 +72,7 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // At the end of its input it leaves.
+        // The peer exits at the end of its input.
         drop(self.input.take());
         let _ = self.child.wait();
     }

@@ -1,4 +1,5 @@
-//! Simulated people as ellipsoids: frames at several tolerances and key times, beside a trace for every chirp.
+//! Benchmark of people as ellipsoids: frames at several tolerances and sampling intervals, compared with tracing every
+//! chirp.
 
 use radome_dsp::Frame;
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -7,12 +8,13 @@ use super::point::{Point, least_ms};
 use crate::files;
 
 const STAGE: &str = "a frame of two walkers";
-/// Frames that tell.
+/// Frames that are compared.
 const FRAMES: [u64; 3] = [40, 60, 80];
-/// Stretches of a frame are halved so often for the reference: 128 of them.
+/// Number of times that segments of a frame are halved for the reference, which gives 128 segments.
 const HALVINGS: u32 = 7;
 
-/// The corridor with two walkers on all threads; the error is the rms of the samples' difference, over the samples' rms.
+/// Measures the corridor with two walkers on all threads. The error is the rms of the samples' difference, relative to
+/// the samples' rms.
 ///
 /// # Errors
 /// The scene cannot be read or simulated.

@@ -1,27 +1,27 @@
-//! Measurement of one way to do the job of a stage: its time and its error.
+//! Measurement of one implementation of a stage: its time and its error.
 
 use std::time::Instant;
 
 use serde::Serialize;
 
-/// One way to do a stage's job.
+/// Time and error of one implementation of a stage.
 #[derive(Debug, Clone, Serialize)]
 pub struct Point {
     /// Name of the stage.
     pub stage: &'static str,
     /// Name of the method.
     pub way: String,
-    /// The least of several runs.
+    /// Minimum time of several runs, ms.
     pub milliseconds: f64,
-    /// Error in `error_unit`; `None` of a reference, and where nothing is approximated.
+    /// Error in `error_unit`; `None` for a reference, and where nothing is approximated.
     pub error: Option<f64>,
     /// Unit of the error.
     pub error_unit: &'static str,
-    /// Whether somebody else's program or library did it.
+    /// Whether a third-party program or library was measured.
     pub is_peer: bool,
 }
 
-/// Milliseconds of the fastest of several runs.
+/// Measures the fastest of several runs, ms.
 ///
 /// # Errors
 /// The job fails.

@@ -125,7 +125,7 @@ struct Answer {
     /// The method's own estimate of its numerical error.
     estimate_db: Option<f64>,
     tolerance_db: f64,
-    /// Meshing and finding normals, once per target.
+    /// Time of meshing and computing normals, once per target, ms.
     prepare_milliseconds: f64,
     triangles: usize,
     azimuth_deg: f64,
@@ -134,7 +134,7 @@ struct Answer {
     frequency_hz: f64,
 }
 
-/// One target through the solver.
+/// Computes one target with the solver.
 ///
 /// # Errors
 /// The target, its sizes or its material are not valid, or the solver refuses the setup.
@@ -206,7 +206,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         let outline = if outline == Faces::Square { Outline::Square } else { Outline::Triangular };
         Target::Trihedral { edge_m: a.edge_m.unwrap_or(0.1), outline }
     };
-    // What each kind is measured by: a size that it does not have is a mistake, not to be passed over.
+    // Sizes that each kind of target takes. A size that the target does not have is an error.
     let (target, sizes): (Target, &[&str]) = match a.target.as_str() {
         "plate" => (Target::Plate { width_m, height_m }, &["width-m", "height-m", "angle-deg"]),
         "dihedral" => (Target::Dihedral { width_m, height_m }, &["width-m", "height-m"]),
@@ -244,10 +244,11 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     Ok(target)
 }
 
-/// Smooth across everything that bends less than this: a ball of triangles is a ball, a box has edges.
+/// Angle below which edges between triangles are smoothed, so that a triangulated ball is round and a box keeps its
+/// edges.
 const CREASE_DEG: f64 = 35.0;
 
-/// Vertices nearer than this are one, m.
+/// Distance below which vertices are merged, m.
 const WELD_TOLERANCE_M: f64 = 1e-6;
 
 fn mesh_file(path: &str) -> anyhow::Result<Target> {
@@ -264,7 +265,7 @@ fn mesh_file(path: &str) -> anyhow::Result<Target> {
         mesh.vertices.extend(part.mesh.vertices);
         mesh.triangles.extend(part.mesh.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
     }
-    // Files without indices come apart at their edges.
+    // Meshes in files without indices do not share vertices at their edges.
     let mesh = weld(&mesh, WELD_TOLERANCE_M)?.mesh;
     Ok(Target::Surface { surface: Surface::from_mesh(&mesh, CREASE_DEG.to_radians()) })
 }

@@ -1,4 +1,5 @@
-//! `radome bench rdm`: the maps of a frame of 3 receivers, 128 chirps and 256 samples on one thread, and the same job by others.
+//! `radome bench rdm`: time of the maps of a frame of 3 receivers, 128 chirps and 256 samples on one thread, compared
+//! with other libraries.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -24,7 +25,7 @@ pub struct Arguments {
     python: Option<PathBuf>,
 }
 
-/// Measures maps by our kernels and by others.
+/// Measures maps by this program's kernels and by other libraries.
 ///
 /// # Errors
 /// A map cannot be computed, or standard output cannot be written.
@@ -46,7 +47,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Our kernels, the fastest first, then libraries.
+/// Measures this program's kernels, the fastest first, and then other libraries.
 ///
 /// # Errors
 /// A map cannot be computed.
@@ -93,17 +94,17 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
     Ok(points)
 }
 
-/// Milliseconds in which scipy makes the maps of a frame of a shape in f32 on one thread; `None` where it cannot run.
+/// Time in which scipy computes the maps of a frame of a shape in f32 on one thread, ms; `None` where it cannot run.
 pub fn scipy_ms(python: Option<&Path>, shape: FrameShape) -> Option<f64> {
     let FrameShape { rx, chirps, samples } = shape;
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));
-    // The script is in the program, so that it is found wherever that runs.
+    // The script is embedded in the program, so it is found from any working directory.
     command.args(["-c", include_str!("../../../bench/rdm.py"), "--peer", &format!("{rx}x{chirps}x{samples}")]);
     let said: serde_json::Value = serde_json::from_slice(&command.output().ok()?.stdout).ok()?;
     Some(said.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
 }
 
-/// Leakage, offset, three targets and a pseudo-random last bit: what a map has to cope with.
+/// Test frame with leakage, offset, three targets and a pseudo-random last bit.
 fn test_frame(waveform: &Waveform) -> Frame {
     let shape = waveform.shape();
     let mut frame = Frame::zeroed(shape);

@@ -1,4 +1,4 @@
-//! `radome bench scene`: times of frames, or in one scene error against time of people with skins, over tolerances.
+//! `radome bench scene`: times of frames, or, for one scene with skinned people, error against time over tolerances.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -50,23 +50,23 @@ pub struct Arguments {
     json: bool,
 }
 
-/// A frame at a tolerance.
+/// Time and error of a frame at a tolerance.
 #[derive(Serialize)]
 struct Row {
     frame: u64,
     tolerance_db: f64,
-    /// One thread.
+    /// Time on one thread, ms.
     milliseconds: f64,
     dense_over_this: f64,
-    /// Rms over the cells of the map in which the slow way's echoes are above the receiver's noise.
+    /// Rms error over the cells of the map in which the echoes of the dense reference exceed the receiver's noise.
     error_db: f64,
     estimate_db: Option<f64>,
-    /// Those cells, and the part of them that is more than 1 dB off.
+    /// Number of those cells, and the fraction of them that is more than 1 dB off.
     cells: usize,
     beyond_1_db: f64,
 }
 
-/// Measures one scene's error against time, or without one the times of several scenes.
+/// Measures error against time of one scene, or, if none is named, the times of several scenes.
 ///
 /// # Errors
 /// A scene cannot be read or simulated, or the dense frames cannot be kept.
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
+/// Compares the maps of frames at every tolerance, on one thread, with those of the dense reference.
 fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
     let scene = Scene::load(path)?;
     if scene.file().people.body != BodyFile::Mesh {
@@ -147,7 +147,7 @@ fn print(rows: &[Row]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Hann windows over both axes and Fourier sums, `[rx][doppler][range]` over half of the ranges.
+/// Map of a frame: Hann windows over both axes and Fourier sums, `[rx][doppler][range]` over half of the ranges.
 fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
     let (chirps, length) = (shape.chirps, shape.samples);
     let (fast, slow) = (Window::Hann.weights(length), Window::Hann.weights(chirps));
@@ -169,7 +169,7 @@ fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
     cells
 }
 
-/// Mean power of noise in the cells of each range.
+/// Mean noise power in the cells of each range.
 fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
     let energy = |length: usize| -> f64 {
         (0..length).map(|i| (0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).powi(2)).sum()
@@ -178,7 +178,8 @@ fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
     density_lsb2.iter().take(shape.samples / 2).map(|d| d * gain).collect()
 }
 
-/// Rms over the cells above noise, dB; how many they are; and the part that is more than 1 dB off.
+/// Rms error over the cells above noise, dB; number of these cells; and the fraction of them that is more than 1 dB
+/// off.
 fn error(exact: &[Complex64], found: &[Complex64], floor: &[f64], shape: FrameShape) -> (f64, usize, f64) {
     let (mut squares, mut cells, mut beyond) = (0.0, 0, 0);
     for (i, (exact, found)) in exact.iter().zip(found).enumerate() {

@@ -1,4 +1,5 @@
-//! Frames of scenes one after another, beside scipy's maps of frames of the same shape and sionna-rt's paths of the room alone.
+//! Times of the frames of scenes, compared with scipy's maps of frames of the same shape and sionna-rt's paths of the
+//! empty room.
 
 use std::io::Write;
 use std::path::Path;
@@ -12,13 +13,13 @@ use serde::Serialize;
 use super::rdm::scipy_ms;
 use crate::{files, output, source};
 
-/// Scenes, and the most people in each where that is not the scene's own number.
+/// Scenes, each with the maximum number of people where that differs from the scene's own.
 const SCENES: [(&str, Option<usize>); 5] =
     [("corridor", None), ("room", None), ("hall", Some(2)), ("corridor-mesh", None), ("open-plan", None)];
 const FRAMES: u64 = 150;
 const SEED: u64 = 5;
 const TOLERANCE_DB: f64 = 0.5;
-/// Rays that sionna-rt launches.
+/// Number of rays that sionna-rt launches.
 const SIONNA_RAYS: u32 = 100_000;
 
 /// Times of a scene.
@@ -31,18 +32,18 @@ struct Row {
     threads: usize,
     /// Receivers, chirps and samples of a frame.
     shape: [usize; 3],
-    /// From the file to a simulator.
+    /// Time from the scene file to a simulator.
     prepare_milliseconds: f64,
-    /// A frame, on all threads.
+    /// Time of a frame on all threads.
     milliseconds: f64,
-    /// A map of such a frame by scipy in f32 on one thread.
+    /// Time of a map of such a frame by scipy in f32 on one thread.
     scipy_milliseconds: Option<f64>,
     over_scipy: Option<f64>,
-    /// One search for the static paths of the room without people by sionna-rt.
+    /// Time of one search by sionna-rt for the static paths of the room without people.
     sionna_milliseconds: Option<f64>,
 }
 
-/// Measures the scenes of the fixtures in turn.
+/// Measures the scenes of the fixtures one after another.
 ///
 /// # Errors
 /// A scene is not here or cannot be simulated, or standard output cannot be written.
@@ -87,7 +88,7 @@ fn measure(name: &'static str, people: Option<usize>, python: Option<&Path>) -> 
     let mut simulator = Simulator::new(&scene, options)?;
     let prepare_milliseconds = started.elapsed().as_secs_f64() * 1e3;
     let shape = scene.waveform().shape();
-    // Before and after, so that both are measured on the machine as it is now.
+    // Measured before and after the simulation, so that both run under the same load of the machine.
     let before = scipy_ms(python, shape);
     let mut frame = Frame::zeroed(shape);
     let started = Instant::now();
@@ -121,10 +122,10 @@ fn sionna_ms(python: Option<&Path>, scene: &Scene) -> Option<f64> {
         "rays": SIONNA_RAYS,
     });
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));
-    // The script is in the program, so that it is found wherever that runs.
+    // The script is embedded in the program, so it is found from any working directory.
     command.args(["-c", include_str!("../../../bench/sionna_paths.py")]);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().ok()?;
-    // Without sionna-rt the script ends before it reads.
+    // Without sionna-rt the script exits before it reads its input.
     let written = child.stdin.take()?.write_all(request.to_string().as_bytes());
     let output = child.wait_with_output().ok()?;
     written.ok()?;

@@ -12,9 +12,9 @@ use crate::output;
 use crate::picture::plot;
 use crate::picture::theme::Theme;
 
-/// Tolerances that every method is asked for, dB.
+/// Tolerances that every method is run with, dB.
 const TOLERANCES_DB: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
-/// Meshes of skins, triangles.
+/// Numbers of triangles of the skin meshes.
 const TRIANGLES: [f64; 3] = [1280.0, 5120.0, 20480.0];
 
 #[derive(clap::Args)]
@@ -30,7 +30,7 @@ pub struct Arguments {
     rounds: usize,
 }
 
-/// One method on one target at one setting.
+/// Result of one method on one target at one setting.
 #[derive(Serialize)]
 struct Row {
     target: &'static str,
@@ -41,11 +41,12 @@ struct Row {
     milliseconds: f64,
     error_db: f64,
     estimate_db: Option<f64>,
-    /// Time of the plain sum over patches that has an error no greater, over this one's; null where it never gets there.
+    /// Time of the plain sum over patches with no greater error, divided by this time; null if that sum never reaches
+    /// the error.
     dense_over_this: Option<f64>,
 }
 
-/// Every method on every target at every tolerance, on one thread.
+/// Runs every method on every target at every tolerance, on one thread.
 ///
 /// # Errors
 /// A target cannot be solved, or the picture cannot be written.
@@ -83,7 +84,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             .iter()
             .map(|method| {
                 let of_method = rows.iter().filter(|r| r.method == method.name());
-                // A ten-thousandth of a decibel is as good as none.
+                // An error of a ten-thousandth of a decibel counts as none.
                 (method.name(), of_method.map(|r| (r.milliseconds, r.error_db.abs().max(1e-4))).collect())
             })
             .collect();
@@ -135,7 +136,7 @@ fn row(
     })
 }
 
-/// Radius of a sphere with a round body's area; `None` for what is not round.
+/// Radius of a sphere with the area of a round body; `None` for other bodies.
 fn size_m(target: &Target) -> Option<f64> {
     match target {
         Target::Sphere { radius_m } => Some(*radius_m),

@@ -1,4 +1,4 @@
-//! `radome bench synthesis`: from paths to samples.
+//! `radome bench synthesis`: conversion of paths to samples.
 
 use std::time::Instant;
 
@@ -30,19 +30,19 @@ pub struct Arguments {
 #[derive(Serialize)]
 struct Row {
     paths: usize,
-    /// All 128 chirps of a receiver, transforms included.
+    /// Time of all 128 chirps of a receiver, transforms included, us.
     microseconds: f64,
-    /// Time without the transforms, by path.
+    /// Time per path without the transforms, us.
     microseconds_a_path: f64,
-    /// Rms of the difference to the exact sum over its rms.
+    /// Rms difference from the exact sum, relative to the rms of that sum.
     relative_error: f64,
-    /// Time of the sum of exponentials in double precision over this one's.
+    /// Time of the sum of exponentials in double precision, divided by this time.
     exact_over_this: f64,
 }
 
 const FRAME_CHIRPS: usize = 128;
 
-/// Paths of walkers through the paper's chirps, between two keys.
+/// Measures paths of walkers over the paper's chirps, within one segment.
 ///
 /// # Errors
 /// The samples cannot be computed, or standard output cannot be written.
@@ -64,7 +64,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The same for the table of all stages.
+/// Measures the same for the table of all stages.
 ///
 /// # Errors
 /// The samples cannot be computed.
@@ -117,7 +117,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             all_us = all_us.min(started.elapsed().as_secs_f64() * 1e6);
             spread_us = spread_us.min(spreading);
         }
-        // Some of the chirps tell.
+        // A subset of the chirps is compared.
         let (mut apart, mut power, mut exact_us, mut told) = (0.0, 0.0, 0.0, 0.0);
         for i in (0..FRAME_CHIRPS).step_by(16) {
             let tones: Vec<Tone> = paths.iter().map(|path| tone(path, &chirp, place(i))).collect();
@@ -150,7 +150,8 @@ fn tone(path: &PathSegment, chirp: &Chirp, place: f64) -> Tone {
     }
 }
 
-/// From half a metre to fifteen, at up to three metres a second either way, over 64 ms.
+/// Paths of walkers: ranges from half a metre to fifteen, radial speeds up to three metres per second either way, over
+/// 64 ms.
 fn walkers(count: usize) -> Vec<PathSegment> {
     const STRETCH_S: f64 = 0.064;
     let mut rng = generator(1, Purpose::Noise, [0, 0]);

@@ -1,4 +1,4 @@
-//! `radome bench`: every stage, speed against error, in one table and one picture.
+//! `radome bench`: speed against error of every stage, in one table and one picture.
 
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub struct Arguments {
     python: Option<PathBuf>,
 }
 
-/// All stages from chirps to labels.
+/// Measures all stages from chirps to labels.
 ///
 /// # Errors
 /// A stage cannot be measured, or the picture cannot be written.
@@ -49,7 +49,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     print(&points)
 }
 
-/// One table; a stage's first way is the program's own, and times are also over its.
+/// Prints one table. The first row of a stage is this program's own; times are also given relative to it.
 fn print(points: &[Point]) -> anyhow::Result<()> {
     let (mut stage, mut own_ms) = ("", f64::NAN);
     for point in points {
@@ -87,7 +87,7 @@ fn significant(value: f64) -> String {
     }
 }
 
-/// Errors in decibels of amplitude, whatever they were told in, so that one axis holds all.
+/// Draws errors as decibels of amplitude, whatever their own unit, so that one axis fits all.
 fn draw(path: &std::path::Path, points: &[Point]) -> anyhow::Result<()> {
     let relative = |point: &Point| match (point.error, point.error_unit) {
         (Some(error), "dBc" | "dB of echoes") => Some(10f64.powf(error / 20.0)),

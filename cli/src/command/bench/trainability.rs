@@ -29,20 +29,22 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Gradients of one circuit's first expectation over random points: angles over a full turn, inputs over half of one.
+/// Gradients of a circuit's first expectation at random points: angles over a full turn, inputs over half a turn.
 #[derive(Serialize)]
 struct Row {
     qubits: usize,
     depth: usize,
     points: u64,
-    /// Mean square of the gradient's length by the trained angles. Their gradients have no mean, so this is the sum of their variances.
+    /// Mean squared norm of the gradient by the trained angles. The gradients have zero mean, so this is the sum of
+    /// their variances.
     angle_gradient_square: f64,
-    /// The same by the inputs, through which the layers before are trained.
+    /// Mean squared norm of the gradient by the inputs, through which the preceding layers are trained.
     input_gradient_square: f64,
 }
 
-/// Gradients of circuits by their number of qubits: how well they can be trained from a random start (McClean, Boixo, Smelyanskiy,
-/// Babbush and Neven, "Barren plateaus in quantum neural network training landscapes", 2018).
+/// Measures gradients of circuits by their number of qubits. They tell how well circuits can be trained from a random
+/// start (McClean, Boixo, Smelyanskiy, Babbush and Neven, "Barren plateaus in quantum neural network training
+/// landscapes", 2018).
 ///
 /// # Errors
 /// A circuit is not valid, there are no points, or standard output cannot be written.

@@ -19,7 +19,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// A register with its name and the fields that are not zero.
+/// Register with its name and its non-zero fields.
 #[derive(Serialize)]
 struct NamedRegister {
     address: u8,
@@ -29,7 +29,7 @@ struct NamedRegister {
     fields: Vec<(&'static str, u32)>,
 }
 
-/// Pairs as an object, in the order of the register.
+/// Serialises pairs as an object, in the order of the register.
 fn as_map<S: serde::Serializer>(fields: &[(&'static str, u32)], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_map(fields.iter().copied())
 }
@@ -47,7 +47,7 @@ impl NamedRegister {
     }
 }
 
-/// A quantity that the registers hold on a grid of their own.
+/// Quantity that the registers quantise.
 #[derive(Serialize)]
 struct Nearest {
     name: &'static str,
@@ -56,7 +56,7 @@ struct Nearest {
     realised: f64,
 }
 
-/// Slices in which the board sends frames.
+/// Slices in which the board sends a frame.
 #[derive(Serialize)]
 struct SlicePlan {
     samples: usize,
@@ -115,7 +115,7 @@ impl<'a> Derived<'a> {
         })
     }
 
-    /// Names and values as text.
+    /// Names and values of the plan, as text.
     fn rows(&self) -> Vec<(&'static str, String)> {
         let w = self.waveform;
         let band = |start: f64, width: f64| {
@@ -146,8 +146,8 @@ impl<'a> Derived<'a> {
     }
 }
 
-/// Quantities whose nearest realisable value is not the requested one, by more than a millionth. The end of the band
-/// follows from slope and time.
+/// Quantities whose nearest realisable value differs from the requested one by more than a millionth. The end of the
+/// band follows from slope and time.
 fn nearest(requested: &WaveformRequest, realised: &WaveformRequest) -> Vec<Nearest> {
     let pairs = [
         ("start frequency", "GHz", 1e-9, requested.start_frequency_hz, realised.start_frequency_hz),
@@ -171,7 +171,7 @@ fn nearest(requested: &WaveformRequest, realised: &WaveformRequest) -> Vec<Neare
         .collect()
 }
 
-/// Checks a waveform and says what follows from it.
+/// Checks a waveform and prints what follows from it.
 ///
 /// # Errors
 /// The waveform cannot be read, or the chip cannot produce it.

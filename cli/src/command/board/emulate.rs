@@ -67,7 +67,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Prints the path of a pty that behaves as a board, and serves until stopped.
+/// Prints the path of a pty that behaves like a board, and serves it until stopped.
 ///
 /// # Errors
 /// The source cannot be opened, or the pty or the endpoints cannot be made.
@@ -116,7 +116,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     eprintln!("an emulated board with {description}; Ctrl-C stops it");
     let cause = wait_for_end(&board, &description);
     let counts = board.counts();
-    // Dropping it stops it.
+    // Dropping the board stops it.
     drop(board);
     eprintln!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
     match cause {
@@ -125,7 +125,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Waits until the user interrupts, or the board fails: the reason then. Says when the source has ended.
+/// Waits until the user interrupts or the board fails; returns the reason of a failure. Reports when the source has
+/// ended.
 fn wait_for_end(board: &EmulatedBoard, description: &str) -> Option<String> {
     let mut has_ended = false;
     while !output::interrupted() {
@@ -145,13 +146,13 @@ fn wait_for_end(board: &EmulatedBoard, description: &str) -> Option<String> {
     None
 }
 
-/// Milliseconds, to a second at most.
+/// Parses milliseconds, at most one second.
 fn milliseconds(text: &str) -> Result<Duration, String> {
     let number = text.parse::<f64>().ok().filter(|ms| (0.0..=1000.0).contains(ms));
     number.map(|ms| Duration::from_secs_f64(ms / 1e3)).ok_or_else(|| "expected milliseconds from 0 to 1000".to_owned())
 }
 
-/// Says each reset of the probe's target, until the probe fails or the program is stopped.
+/// Reports each reset of the probe's target, until the probe fails or the program is stopped.
 fn serve_probe(node: &Path) -> anyhow::Result<()> {
     let mut probe = EmulatedProbe::default();
     let resets = probe.resets.clone();
@@ -174,7 +175,7 @@ fn serve_probe(node: &Path) -> anyhow::Result<()> {
     served.with_context(|| format!("{}: cannot serve this gadget", node.display()))
 }
 
-/// The device's side of a USB gadget.
+/// Device side of a USB gadget.
 enum Gadget<'a> {
     Terminal(&'a Path),
     FunctionFs(&'a Path),

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::reset;
 use crate::output;
 
-/// Between two looks of `--watch`.
+/// Polling interval of `--watch`.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 
 /// `radome board list`
@@ -31,7 +31,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// A candidate and what it answered.
+/// Candidate and its answer.
 #[derive(Serialize)]
 struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,7 +42,7 @@ struct Report {
     state: Option<State>,
 }
 
-/// Lists what might be a board or its debug probe, and what to do about those that cannot be used.
+/// Lists possible boards and debug probes, with remedies for those that cannot be used.
 ///
 /// # Errors
 /// A probe cannot be reset, or standard output cannot be written.

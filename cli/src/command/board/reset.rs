@@ -28,7 +28,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     reset(&arguments.probe, arguments.json)
 }
 
-/// Debug probe by its own name, or by the port of its kit.
+/// Finds a debug probe by its own name, or by the port of its kit.
 fn find_probe(name: &str) -> anyhow::Result<Candidate> {
     let candidates = discover::candidates();
     let is_named = |c: &&Candidate| {
@@ -44,7 +44,7 @@ fn find_probe(name: &str) -> anyhow::Result<Candidate> {
     }
 }
 
-/// Resets the chip behind a debug probe and prints how.
+/// Resets the chip behind a debug probe and prints the method.
 ///
 /// # Errors
 /// There is no such probe, it cannot be opened, or it does not reset the chip.

@@ -1,4 +1,4 @@
-//! Number of maps of a dataset, as commands print it.
+//! Output of the number of maps of a dataset.
 
 use radome_dsp::Occupancy;
 use serde_json::json;
@@ -7,7 +7,7 @@ use crate::dataset::build::Built;
 use crate::output;
 use crate::shard::Shard;
 
-/// Prints the number of maps of what was built or merged.
+/// Prints the number of maps of a built or merged dataset.
 ///
 /// # Errors
 /// Standard output cannot be written.

@@ -23,7 +23,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { spec, array } = arguments;
     array.check()?;
-    // What is wrong with the spec is said here rather than by every task.
+    // Errors in the spec are reported here once rather than by every task.
     let plan = Plan::new(spec, Shard { index: 0, count: array.tasks })?;
     if plan.units.len() < array.tasks {
         eprintln!("there are {} units for {} tasks: some will have nothing to do", plan.units.len(), array.tasks);

@@ -39,7 +39,7 @@ enum SplitName {
     Test,
 }
 
-/// Prints the table. A zero sigma is an error, after the table that shows it.
+/// Prints the table. A zero sigma is an error, reported after the table.
 ///
 /// # Errors
 /// The dataset or the measured features cannot be read, or a class has a sigma of zero.

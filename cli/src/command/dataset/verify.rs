@@ -28,10 +28,10 @@ enum By {
     Seed,
 }
 
-/// Faults of a kind that are printed before the rest is counted.
+/// Number of errors of a kind that are printed; the rest is only counted.
 const SHOWN: usize = 5;
 
-/// Reads everything, says what is wrong; fails if anything is.
+/// Reads all files and prints all errors found; fails if there are any.
 ///
 /// # Errors
 /// The dataset cannot be read, or something is wrong with it.

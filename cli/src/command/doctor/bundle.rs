@@ -24,7 +24,7 @@ const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove tha
 /// The file exists, or its folder does not.
 pub fn check_absent(path: &Path) -> anyhow::Result<()> {
     files::check_parent(path)?;
-    // Also a link that leads nowhere.
+    // This also rejects a link whose target is missing.
     if path.symlink_metadata().is_ok() {
         bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display());
     }
@@ -46,7 +46,7 @@ pub fn parts(
     let serials = candidates.iter().filter_map(|candidate| candidate.usb.as_ref()?.serial_number.clone());
     let board = examined.and_then(|seen| seen.header.board.as_ref());
     for serial in serials.chain(wire.identities()).chain(board.map(|board| board.uuid.clone())) {
-        // A board without an identity has zeros.
+        // A board without an identity reports zeros.
         if serial.contains(|c| c != '0') {
             redactor.hide(&serial, Kind::Serial);
         }
@@ -80,7 +80,7 @@ pub fn parts(
     Ok(parts)
 }
 
-/// Writes the archive, whole or not at all, and never over another file. Only its owner may read it.
+/// Writes the archive atomically, and never over another file. Only its owner may read it.
 ///
 /// # Errors
 /// The file exists or cannot be written.
@@ -122,14 +122,14 @@ fn pretty(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
     serde_json::to_vec_pretty(value).context("cannot write JSON")
 }
 
-/// JSON with tokens for names.
+/// Formats a value as JSON in which tokens replace names.
 fn redacted(value: &impl Serialize, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
     let mut value = serde_json::to_value(value).context("cannot write JSON")?;
     redactor.json(&mut value);
     pretty(&value)
 }
 
-/// The frames as a recording, in which the board's identity is a token.
+/// Formats the frames as a recording in which a token replaces the board's identity.
 fn recording(seen: &Examined, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
     let mut header = seen.header.clone();
     if let Some(board) = &mut header.board {

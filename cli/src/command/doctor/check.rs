@@ -8,7 +8,7 @@ use crate::output;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// All is well.
+    /// No problem.
     Ok,
     /// Something will be missing or slow.
     Warn,
@@ -31,22 +31,22 @@ pub struct Check {
 }
 
 impl Check {
-    /// Check that found all well.
+    /// Creates a check that found no problem.
     pub fn ok(check: &'static str, found: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Ok, found: found.into(), hint: None }
     }
 
-    /// Check that found something missing or slow.
+    /// Creates a check that found something missing or slow.
     pub fn warn(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Warn, found: found.into(), hint: Some(hint.into()) }
     }
 
-    /// Check that found something that will not work.
+    /// Creates a check that found something that will not work.
     pub fn fail(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Fail, found: found.into(), hint: Some(hint.into()) }
     }
 
-    /// Check that failed with an error, whose hint becomes the remedy.
+    /// Creates a check that failed with an error. The error's hint becomes the remedy.
     pub fn error(check: &'static str, error: &anyhow::Error) -> Self {
         let text = output::chain(error);
         let (found, hint) = match text.split_once("\n\nhint: ") {

@@ -1,4 +1,4 @@
-//! The checks, each a function of what there is.
+//! Individual checks of the doctor.
 
 use std::io::Write;
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
@@ -15,7 +15,7 @@ use crate::judge::{Judge, Model, Prediction};
 use crate::live::integrations::broker::BrokerArguments;
 use crate::source::{self, SourceOptions};
 
-/// The program itself.
+/// Reports the program itself.
 pub fn program() -> Check {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let found = format!(
@@ -27,7 +27,7 @@ pub fn program() -> Check {
     Check::ok("program", found)
 }
 
-/// Recordings carry the wall clock's time; hubs refuse certificates from the future.
+/// Checks the wall clock. Recordings store its time, and hubs refuse certificates from the future.
 pub fn clock() -> Check {
     /// 1 November 2026.
     const RELEASE_S: u64 = 1_793_491_200;
@@ -54,7 +54,7 @@ pub fn udev_rules() -> Check {
     }
 }
 
-/// Checks whether the live page could be served where it is by default.
+/// Checks whether the live page could be served at its default port.
 pub fn page_port() -> Check {
     let address = SocketAddr::from(([127, 0, 0, 1], 8060));
     match TcpListener::bind(address) {
@@ -67,7 +67,7 @@ pub fn page_port() -> Check {
     }
 }
 
-/// The model's file.
+/// Checks and opens the model file.
 pub fn model(path: &Path) -> (Check, Option<Model>) {
     match Model::open(path) {
         Ok(model) => {
@@ -78,7 +78,7 @@ pub fn model(path: &Path) -> (Check, Option<Model>) {
     }
 }
 
-/// Needed for ONNX files only, and then the model's own check has said so.
+/// Checks for ONNX Runtime. Only ONNX files need it, and for those the model's own check has reported it.
 pub fn onnxruntime(model: Option<&Path>) -> Check {
     let is_needed = model.and_then(Path::extension).is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
     let found = match (is_needed, std::env::var_os("ORT_DYLIB_PATH")) {
@@ -89,7 +89,7 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
     Check::ok("onnxruntime", found)
 }
 
-/// Checks whether the broker takes connections at its address, without a login; `None` where no broker is named.
+/// Checks whether the broker accepts connections at its address, without logging in; `None` where no broker is named.
 pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
     let broker = match arguments.broker() {
         Ok(broker) => broker?,
@@ -113,7 +113,7 @@ pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
     })
 }
 
-/// Boards and probes that are attached. Asking stops a board that measures.
+/// Lists the attached boards and probes. The query stops a board that is measuring.
 pub fn devices() -> Vec<Check> {
     let candidates = discover::candidates();
     if candidates.is_empty() {
@@ -145,18 +145,18 @@ pub fn devices() -> Vec<Check> {
 
 /// Frames and header of a source.
 pub struct Examined {
-    /// The source in words.
+    /// One-line description of the source.
     pub description: String,
-    /// Waveform, board, registers.
+    /// Waveform, board and registers.
     pub header: RecordingHeader,
     pub frames: Vec<Frame>,
 }
 
-/// Frames that are judged, and how long they may take.
+/// Number of frames that are classified, and the time limit for them.
 const FRAMES: usize = 20;
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Checks whether a source opens, gives frames, and can be judged.
+/// Checks whether a source opens, delivers frames, and can be classified.
 pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
     let options = SourceOptions {
         model_waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
@@ -188,7 +188,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     (checks, Some(examined))
 }
 
-/// The first frames: how many come, what is lost, how long each takes to judge.
+/// Reads the first frames and reports how many arrive, how many are lost, and how long each takes to classify.
 fn frames(
     mut source: Box<dyn radome_dsp::FrameSource>,
     is_live: bool,
@@ -207,7 +207,7 @@ fn frames(
                 let asked = Instant::now();
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
-                    // The first one sets things up.
+                    // The first frame is not timed: it includes the setup.
                     Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
                         slowest = slowest.max(asked.elapsed())
                     }
@@ -242,13 +242,13 @@ fn frames(
     Check::ok("frames", found)
 }
 
-/// Room and speed for recordings.
+/// Checks free space and write speed for recordings.
 pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
     const PROBE_BYTES: usize = 32 << 20;
     let named = folder.display();
     let paper = FrameShape { rx: 3, chirps: 128, samples: 256 };
     let (codes, interval_s) = waveform.map_or((paper.codes(), 0.1), |w| (w.shape().codes(), w.frame_interval_s()));
-    // Two bytes a code, before compression.
+    // Two bytes per code, before compression.
     let needed_bytes_per_s = 2.0 * codes as f64 / interval_s;
     let mut checks = Vec::new();
     match rustix::fs::statvfs(folder) {
@@ -270,14 +270,14 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
         }
     }
     let probe = || -> std::io::Result<f64> {
-        // Nothing that compresses, in case the disk does.
+        // Incompressible data, in case the file system compresses.
         let mut word = 1u64;
         let mut block = vec![0u8; 1 << 20];
         block.chunks_mut(8).for_each(|bytes| {
             word = word.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             bytes.copy_from_slice(&word.to_le_bytes());
         });
-        // A file without a name, or with one that nobody can foresee; it goes with this function.
+        // The file has no name, or an unpredictable one, and is deleted when this function returns.
         let mut file = tempfile::tempfile_in(folder)?;
         let start = Instant::now();
         for _ in 0..PROBE_BYTES / block.len() {

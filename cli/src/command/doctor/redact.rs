@@ -1,5 +1,5 @@
-//! Replaces what names a person, a machine or a network by tokens such as `<path-1>`. The same text becomes the same token
-//! throughout, so that relations stay readable.
+//! Replaces texts that identify a person, a machine or a network by tokens such as `<path-1>`. The same text becomes
+//! the same token throughout, so that relations stay readable.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 use regex_lite::Regex;
 use serde_json::Value;
 
-/// Kind of a replaced text: the word in its token.
+/// Kind of a replaced text; it gives the word in the token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// File or folder.
@@ -28,7 +28,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The word in its tokens.
+    /// Returns the word in the tokens of this kind.
     pub fn word(self) -> &'static str {
         match self {
             Kind::Path => "path",
@@ -41,25 +41,25 @@ impl Kind {
     }
 }
 
-/// Replaces known texts and whatever has the form of a path, a URL, an address or a host's name.
+/// Replaces known texts and all text in the form of a path, a URL, an address or a host name.
 #[derive(Default)]
 pub struct Redactor {
     known: Vec<(String, Kind)>,
     tokens: HashMap<(Kind, String), usize>,
 }
 
-/// A path. One of its names may hold up to two spaces, as `Program Files` does, if a slash follows.
+/// Pattern of a path. One of its components may hold up to two spaces, as `Program Files` does, if a slash follows.
 const PATH: &str = r#"/(?:[^\s/"'`<>|:]*[^\s/"'`<>|:,;)](?: [^\s/"'`<>|:]*[^\s/"'`<>|:,;)]){0,2}/+)*[^\s/"'`<>|:]*"#;
 
 static ABSOLUTE_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(&format!(r"(?:~\w*)?{PATH}")));
 static REST_OF_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(PATH));
-/// Device nodes by the kernel's names, and the file of rules: the same on every machine.
+/// Paths that are the same on every machine: device nodes by the kernel's names, and the file of udev rules.
 static PUBLIC_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| {
     anchored(
         r"(?:/dev/(?:tty[A-Za-z]{1,4}\d{1,3}|pts/\d+|hidraw\d+|bus/usb/\d+/\d+)|/(?:etc|run|lib|usr/lib)/udev/rules\.d/70-radome\.rules)",
     )
 });
-/// Scheme, login, host and port.
+/// Pattern of a URL: scheme, login, host and port.
 static URL: LazyLock<Option<Regex>> =
     LazyLock::new(|| anchored(r#"([A-Za-z][A-Za-z0-9+.-]*://)([^\s"'`<>]*@)?(\[[^\]\s]*\]|[^\s/:"'`<>@]*)(:\d+)?"#));
 static LOGIN: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(r#"[^\s"'`<>(),;:/@\[\]]+@[\w.-]*\w"#));
@@ -74,12 +74,13 @@ static MAC: LazyLock<Option<Regex>> = LazyLock::new(|| {
     anchored(r"(?:[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5,7}|[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4})")
 });
 
-/// A pattern that matches only where a text begins. The patterns are constants, which the tests compile.
+/// Compiles a pattern that matches only at the beginning of a text. The patterns are constants; the tests compile them
+/// all.
 fn anchored(pattern: &str) -> Option<Regex> {
     Regex::new(&format!(r"\A(?:{pattern})")).ok()
 }
 
-/// Length of what a pattern matches at the beginning of a text.
+/// Returns the length of a pattern's match at the beginning of a text.
 fn matched(pattern: &Option<Regex>, text: &str) -> Option<usize> {
     pattern.as_ref()?.find(text).map(|found| found.end()).filter(|&length| length > 0)
 }
@@ -104,7 +105,8 @@ impl Found {
 }
 
 impl Redactor {
-    /// One that knows this machine and its user: names, home, working folder, folder for temporary files.
+    /// Creates a redactor that knows this machine and its user: names, home, working folder, folder for temporary
+    /// files.
     pub fn of_this_machine() -> Self {
         let mut redactor = Redactor::default();
         let home = std::env::var_os("HOME").map(PathBuf::from);
@@ -113,7 +115,7 @@ impl Redactor {
         }
         for variable in ["USER", "LOGNAME", "SUDO_USER"] {
             let user = std::env::var(variable).unwrap_or_default();
-            // Names that many machines have say nothing.
+            // Names that many machines share identify nobody.
             if !["root", "radome"].contains(&user.as_str()) {
                 redactor.hide(&user, Kind::User);
             }
@@ -125,7 +127,8 @@ impl Redactor {
         redactor
     }
 
-    /// Replaces this text from now on, where it is a word of its own; a password of four characters or more also within words.
+    /// Replaces this text from now on where it is a separate word. A password of four characters or more is also
+    /// replaced within words.
     pub fn hide(&mut self, text: &str, kind: Kind) {
         let is_public = text.len() < 2 || text == ".." || kind == Kind::Host && is_public_host(text);
         if !is_public && !self.known.iter().any(|(known, _)| known == text) {
@@ -133,12 +136,12 @@ impl Redactor {
         }
     }
 
-    /// Replaces a path, as it is written, and what lies below it.
+    /// Replaces a path as written, and all paths below it.
     pub fn hide_path(&mut self, path: &Path) {
         self.hide(&path.display().to_string(), Kind::Path);
     }
 
-    /// Replaces the parts of a broker's address that is malformed: any of them may be a password.
+    /// Replaces the parts of a malformed broker address, since any of them may be a password.
     pub fn hide_url(&mut self, url: &str) {
         let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
         self.hide(rest, Kind::Secret);
@@ -149,7 +152,7 @@ impl Redactor {
             }
         }
         for part in rest.split([':', '@', '/', '?', '#']) {
-            // Digits may be a port, which says nothing.
+            // A number may be a port, which identifies nothing.
             if part.parse::<u16>().is_err() && !["mqtt", "mqtts", "tcp", "ssl"].contains(&part) {
                 self.hide(part, Kind::Secret);
             }
@@ -165,9 +168,9 @@ impl Redactor {
         counts.into_iter().collect()
     }
 
-    /// The text with tokens.
+    /// Returns the text with tokens.
     pub fn text(&mut self, text: &str) -> String {
-        // Passwords before all else: they may hold any character, and stand within words.
+        // Passwords are replaced first: they may hold any character and occur within words.
         let is_secret = |known: &&(String, Kind)| known.1 == Kind::Secret && known.0.len() >= 4;
         let secrets = self.known.iter().filter(is_secret).map(|(secret, _)| secret);
         let Some(secret) = secrets.filter(|secret| text.contains(secret.as_str())).max_by_key(|s| s.len()).cloned()
@@ -179,7 +182,7 @@ impl Redactor {
         parts.join(token.as_str())
     }
 
-    /// The text with tokens, where it holds no password.
+    /// Replaces names in a text that holds no password.
     fn words(&mut self, text: &str) -> String {
         let mut result = String::with_capacity(text.len());
         let mut before: Option<char> = None;
@@ -204,7 +207,7 @@ impl Redactor {
                         false => result.push_str(&self.token(Kind::Host, host)),
                     }
                     result.push_str(port);
-                    // The URL's own path is a path like another.
+                    // The path of the URL is handled like any other path.
                     before = None;
                 }
             }
@@ -213,7 +216,7 @@ impl Redactor {
         result
     }
 
-    /// JSON with tokens in its strings; names of members stay.
+    /// Replaces names in the strings of a JSON value. Member names stay.
     pub fn json(&mut self, value: &mut Value) {
         match value {
             Value::String(text) => *text = self.text(text),
@@ -223,12 +226,12 @@ impl Redactor {
         }
     }
 
-    /// Lines of bytes in hexadecimal with tokens, and `xx` for the bytes of known identities.
+    /// Replaces names in lines of hexadecimal bytes. The bytes of known identities become `xx`.
     pub fn wire(&mut self, text: &str) -> String {
         let mut text = Cow::Borrowed(text);
         for (serial, _) in self.known.iter().filter(|(_, kind)| *kind == Kind::Serial) {
             for bytes in [hexadecimal(serial), spelt(serial)] {
-                // Also where a message is cut behind some of the bytes.
+                // A message may be cut within an identity, so a prefix of four bytes or more is replaced too.
                 for count in (4..=bytes.len()).rev() {
                     let end = if count == bytes.len() { "" } else { " and " };
                     let shown = bytes[..count].join(" ") + end;
@@ -241,14 +244,14 @@ impl Redactor {
         self.text(&text)
     }
 
-    /// A text's token.
+    /// Returns the token of a text.
     fn token(&mut self, kind: Kind, text: &str) -> String {
         let count = self.tokens.keys().filter(|(other, _)| *other == kind).count();
         let number = *self.tokens.entry((kind, text.to_lowercase())).or_insert(count + 1);
         format!("<{}-{number}>", kind.word())
     }
 
-    /// The longest text at the beginning that is to be replaced or left whole.
+    /// Finds the longest text at the beginning that is to be replaced or kept whole.
     fn longest(&self, rest: &str, before: Option<char>) -> Option<Found> {
         let is_within = before.is_some_and(is_word);
         let known = self.known.iter().filter_map(|(text, kind)| known_at(rest, is_within, text, *kind));
@@ -256,12 +259,12 @@ impl Redactor {
         if !is_within {
             found.extend(formed_at(rest));
         }
-        // Of equally long ones the known text, which comes first.
+        // Of equally long matches the known text wins; it comes first.
         found.into_iter().reduce(|best, other| if other.length() > best.length() { other } else { best })
     }
 }
 
-/// A known text at the beginning, where it is a word of its own; of a path also what lies below it.
+/// Matches a known text at the beginning, where it is a separate word. A known path also covers all paths below it.
 fn known_at(rest: &str, is_within: bool, text: &str, kind: Kind) -> Option<Found> {
     let here = rest.get(..text.len()).filter(|here| here.eq_ignore_ascii_case(text))?;
     let behind = &rest[here.len()..];
@@ -274,12 +277,12 @@ fn known_at(rest: &str, is_within: bool, text: &str, kind: Kind) -> Option<Found
     Some(Found::Hidden(text.len() + below, kind))
 }
 
-/// Whether a character belongs to a word or number.
+/// Returns whether a character belongs to a word or number.
 fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// Names at the beginning of a text, recognised by their form. Callers ask only at the beginning of a word.
+/// Finds names at the beginning of a text by their form. Callers ask only at the beginning of a word.
 fn formed_at(rest: &str) -> Vec<Found> {
     let mut found = Vec::new();
     let Some(first) = rest.chars().next() else { return found };
@@ -290,7 +293,7 @@ fn formed_at(rest: &str) -> Vec<Found> {
         {
             found.push(Found::Public(length));
         } else if let Some(length) = matched(&ABSOLUTE_PATH, rest) {
-            // The end of a sentence is no part of the path, and a slash alone is none.
+            // Punctuation at the end of a sentence does not belong to the path, and a single slash is not a path.
             let length = rest[..length].trim_end_matches(['.', ',', ';', ')', ']', '}']).len();
             found.extend((length > 1).then_some(Found::Hidden(length, Kind::Path)));
         }
@@ -309,7 +312,7 @@ fn formed_at(rest: &str) -> Vec<Found> {
     };
     found.extend(matched(&IPV4, rest).filter(|&length| ends(length)).map(address));
     if let Some(length) = matched(&IPV6, rest).filter(|&length| ends(length)) {
-        // A colon behind an address belongs to the sentence or announces a port.
+        // A colon after an address belongs to the sentence or precedes a port.
         let whole = (0..=length).rev().take(3).filter(|&end| rest.is_char_boundary(end));
         let parsed = whole.into_iter().find(|&end| rest[..end].parse::<Ipv6Addr>().is_ok());
         found.extend(parsed.map(address));
@@ -317,14 +320,14 @@ fn formed_at(rest: &str) -> Vec<Found> {
     found
 }
 
-/// Whether a host is this machine as seen by itself, or none in particular.
+/// Returns whether a host is a loopback or unspecified address.
 fn is_public_host(host: &str) -> bool {
     let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
     let is_local = |address: IpAddr| address.is_loopback() || address.is_unspecified();
     host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok_and(is_local)
 }
 
-/// The bytes that a text writes in hexadecimal, without zeros at its end; nothing if it is no such text.
+/// Decodes the bytes that a text writes in hexadecimal, without trailing zeros; empty if the text is not hexadecimal.
 fn hexadecimal(text: &str) -> Vec<String> {
     if !text.len().is_multiple_of(2) || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Vec::new();
@@ -337,7 +340,7 @@ fn hexadecimal(text: &str) -> Vec<String> {
     bytes
 }
 
-/// The bytes of a text itself.
+/// Encodes the bytes of the text itself in hexadecimal.
 fn spelt(text: &str) -> Vec<String> {
     text.bytes().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -428,10 +431,10 @@ mod tests {
 
         use super::*;
 
-        /// A text that names somebody, what is known of it beforehand, and the part that must not be seen.
+        /// Text with an identifying name, its kind if known beforehand, and the part that must be hidden.
         type Named = (String, Option<Kind>, String);
 
-        /// Recognised by its form.
+        /// Creates a text that is recognised by its form only.
         fn formed(shown: String, hidden: String) -> Named {
             (shown, None, hidden)
         }
@@ -464,7 +467,7 @@ mod tests {
         }
 
         proptest! {
-            /// A name does not survive at any place of a text.
+            /// No name survives at any position in a text.
             #[test]
             fn no_name_survives(
                 names in prop::collection::vec(named(), 1..4),
@@ -482,13 +485,13 @@ mod tests {
                 text += " here";
                 let result = redactor.text(&text);
                 for (_, _, hidden) in &names {
-                    // What a token or the sentence itself says is no secret.
+                    // Text that occurs in a token or in the sentence itself is not secret.
                     let is_said = ["cannot open", " here", "<secret-", "@<host-", "/home/"].iter().any(|said| said.contains(hidden.as_str()));
                     prop_assert!(is_said || !result.contains(hidden.as_str()), "{text}\n{result}");
                 }
             }
 
-            /// Any text at all is taken.
+            /// Any text is accepted.
             #[test]
             fn nothing_is_refused(text in any::<String>(), known in any::<String>()) {
                 let mut redactor = Redactor::of_this_machine();

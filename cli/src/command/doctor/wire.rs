@@ -1,4 +1,4 @@
-//! Trace of requests to boards and their answers, for the bundle.
+//! Trace of requests to boards and their responses, for the bundle.
 
 use std::fmt::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,11 +12,12 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Lines kept from the beginning, where boards say who they are and are programmed, and of the end, where something may have failed.
+/// Number of lines kept at the beginning, with identification and programming, and at the end, where a failure may
+/// show.
 const FIRST: usize = 400;
 const LAST: usize = 200;
 
-/// Keeps the driver's trace of requests and answers, where it is given to the log, and the identities of the boards in it.
+/// Collects the driver's log events of requests and responses, and the identities of the boards in them.
 #[derive(Debug, Clone)]
 pub struct WireLog {
     began: Instant,
@@ -38,12 +39,12 @@ impl Default for WireLog {
 }
 
 impl WireLog {
-    /// To be added to the log.
+    /// Returns the layer to add to the log.
     pub fn layer<S: Subscriber + for<'a> LookupSpan<'a>>(&self) -> impl Layer<S> + use<S> {
         self.clone().with_filter(Targets::new().with_target(TARGET, LevelFilter::TRACE))
     }
 
-    /// Lines of seconds, direction and bytes.
+    /// Returns lines of seconds, direction and bytes.
     pub fn text(&self) -> String {
         let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
         let mut text = lines.first.concat();
@@ -54,7 +55,7 @@ impl WireLog {
         text
     }
 
-    /// Identities of the boards that were asked, in hexadecimal: their bytes stand in the lines.
+    /// Identities of the boards that were queried, in hexadecimal: their bytes occur in the lines.
     pub fn identities(&self) -> Vec<String> {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner).identities.clone()
     }
@@ -89,7 +90,7 @@ impl<S: Subscriber> Layer<S> for WireLog {
     }
 }
 
-/// The one field of an event: a board's identity, or text behind a mark of its direction.
+/// Collects the single field of an event: a board's identity, or text after a mark of its direction.
 struct Words<'a> {
     line: &'a mut String,
     identity: Option<String>,

@@ -48,7 +48,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Adapts a model to a room and tells what that changes on recordings that were held out.
+/// Adapts a model to a room and reports the change of its scores on held-out recordings.
 ///
 /// # Errors
 /// The model or a recording cannot be read, nothing is labelled, or the adapted model is worse and not forced.
@@ -99,12 +99,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Recordings with what is true of their frames.
+/// Opens the recordings with their labels.
 fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
     let inputs = arguments.recordings.iter().cloned().chain(empty);
     let inputs = inputs.map(|input| LabelledRecording::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
-    // The same frames to learn from and to judge by would say that all is well.
+    // Testing on training frames would hide errors, so each recording may be named once.
     let mut seen = BTreeSet::new();
     for LabelledRecording { path, .. } in &inputs {
         if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
@@ -114,7 +114,7 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     Ok(inputs)
 }
 
-/// The frames of a recording.
+/// Reads the frames of a recording.
 fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
     let named = || recording.path.display().to_string();
     let mut source = radome_driver::recording::open(&recording.path)?;
@@ -178,7 +178,7 @@ fn tell(
     }
 }
 
-/// Scores as people read them.
+/// Formats the scores for the terminal.
 fn said(scores: &BeforeAfter) -> String {
     let BeforeAfter { before, after } = scores;
     format!(

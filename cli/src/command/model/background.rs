@@ -31,7 +31,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Captures what an empty room shows.
+/// Captures the background level of an empty room.
 ///
 /// # Errors
 /// The model or the source cannot be opened, too few frames come, or the file cannot be written.

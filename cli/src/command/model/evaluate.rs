@@ -82,7 +82,7 @@ enum Split {
     All,
 }
 
-/// Metrics of a model on one split of a dataset or on labelled recordings; of several models on a ladder.
+/// Computes metrics of a model on one split of a dataset or on labelled recordings, or of several models on a ladder.
 ///
 /// # Errors
 /// A model or an input cannot be read, or the model refuses a recording.
@@ -127,40 +127,40 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Whether a path is a folder in which there is no recording: a dataset, or what was meant as one.
+/// Returns whether a path is a folder that holds no recording, and is therefore taken for a dataset.
 fn is_dataset(path: &Path) -> bool {
     path.is_dir() && matches!(Recording::open(path), Err(RecordingError::Unknown { .. }))
 }
 
-/// Answers to one recording.
+/// Predictions for one recording.
 #[derive(Serialize)]
 struct Judged {
     path: PathBuf,
     /// Its label, or "mixed" where it has several.
     label: &'static str,
-    /// Class that most of its labelled frames were called, and their share.
+    /// Most frequent predicted class of its labelled frames, and the share of these frames.
     majority: Occupancy,
     share: f64,
-    /// Labelled frames.
+    /// Number of labelled frames.
     frames: u64,
-    /// Share of them that were called what their label says.
+    /// Fraction of them that were predicted correctly.
     right: f64,
-    /// The same label by label.
+    /// Predictions for each label.
     by_label: Vec<OfLabel>,
-    /// Stretches of one label, and the seconds until the first frame of each that was called right.
+    /// Intervals of one label, each with the time in seconds until its first correct frame.
     stretches: Vec<Stretch>,
     #[serde(skip)]
     is_right: bool,
 }
 
-/// Frames of one label.
+/// Predictions for the frames of one label.
 #[derive(Serialize)]
 struct OfLabel {
     label: Occupancy,
     frames: u64,
-    /// Number of frames that were called empty, one and two.
+    /// Number of frames that were predicted empty, one and two.
     called: [u64; Occupancy::ALL.len()],
-    /// Share of the frames that were called right.
+    /// Fraction of the frames that were predicted correctly.
     right: f64,
 }
 
@@ -216,10 +216,10 @@ impl Judged {
     }
 }
 
-/// Answers to all recordings, and what they add up to.
+/// Predictions for all recordings, and their totals.
 #[derive(Default)]
 struct Answers<'a> {
-    /// The recordings that were judged.
+    /// Recordings that the model accepted.
     taken: Vec<&'a LabelledRecording>,
     judged: Vec<Judged>,
     scores: Vec<RecordingScores>,
@@ -268,7 +268,7 @@ impl<'a> Answers<'a> {
         Ok(())
     }
 
-    /// Prints the scores, with those of changed recordings where they are asked for.
+    /// Prints the scores, and those of modified recordings where requested.
     fn tell(&self, candidate: &mut Candidate, arguments: &Arguments) -> anyhow::Result<()> {
         let metrics = Metrics::from_confusion(self.confusion);
         let alone = Metrics::from_confusion(self.confusion_alone).balanced_accuracy;
@@ -334,7 +334,7 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
     }
 }
 
-/// Prints how often an empty room was taken for a populated one, and for what share of their time people were missed.
+/// Prints the false alarm rate of empty rooms, and the share of occupied time in which people were missed.
 fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
     if let (Some(per_hour), Some(share)) = (of.false_alarms_per_hour, of.false_alarm_share) {
         output::text_line(&format!(
@@ -385,7 +385,7 @@ fn under_thermal_noise(
     Ok(all)
 }
 
-/// Predictions of the model for the frames of a recording. The inner error is the model's refusal of its waveform.
+/// Predicts the frames of a recording. The inner error is the model's refusal of its waveform.
 fn judge(
     candidate: &mut Candidate,
     recording: &LabelledRecording,
@@ -434,7 +434,7 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     ablation::print(&ablated.unwrap_or_default())
 }
 
-/// Scores on a dataset's maps.
+/// Scores on the maps of a dataset.
 #[derive(Serialize)]
 struct OfDataset<'a> {
     #[serde(flatten)]

@@ -32,7 +32,8 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Writes a model as ONNX (opset 17), which every runtime of ONNX can read, and `live`, `evaluate` and all that takes a model too.
+/// Writes a model as ONNX (opset 17). Every ONNX runtime can read it, and so can `live`, `evaluate` and all other
+/// commands that take a model.
 ///
 /// # Errors
 /// The model cannot be read or has no ONNX form, or the file cannot be written.

@@ -22,7 +22,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// The networks that can be trained.
+/// Lists the networks that can be trained.
 ///
 /// # Errors
 /// Standard output cannot be written.

@@ -24,12 +24,12 @@ pub struct Arguments {
 /// Prints the script of an array job that runs a study; `sbatch` takes it.
 ///
 /// # Errors
-/// The study or the spec of a dataset cannot be read, a condition is given twice, a number is zero, or a path has no full form or cannot
-/// stand in a script.
+/// The study or the spec of a dataset cannot be read, a condition is given twice, a number is zero, or a path has no
+/// full form or cannot stand in a script.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { spec: path, array, dataset, condition: given } = arguments;
     array.check()?;
-    // What is wrong with the study is said here rather than by every task.
+    // Errors in the study are reported here once rather than by every task.
     let (spec, source, conditions) = study::read(path)?;
     study::check_sources(path, &conditions, given)?;
     let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();

@@ -67,7 +67,7 @@ pub struct StudyFile {
     study: toml::Table,
 }
 
-/// Reads a study's file: the study, the name of its dataset's spec, and its conditions.
+/// Reads a study file. Returns the study, the name of its dataset's spec, and its conditions.
 ///
 /// # Errors
 /// The file or one that it names cannot be read, or it is no study.
@@ -81,7 +81,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<Condi
     Ok((spec, file.dataset, file.conditions))
 }
 
-/// Path of a file that a study names.
+/// Returns the path of a file that a study names.
 ///
 /// # Errors
 /// There is no such file, or it lies where a study's files may not be.
@@ -90,11 +90,11 @@ pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
     named_by_spec(base, name).with_context(|| format!("cannot read {}", base.join(name).display()))
 }
 
-/// Trains and judges many networks, and writes one report.
+/// Trains and evaluates many networks, and writes one report.
 ///
 /// # Errors
-/// The spec or the dataset cannot be read, another process is at work in the folder, a training fails, or the report cannot be
-/// written.
+/// The spec or the dataset cannot be read, another process is at work in the folder, a training fails, or the report
+/// cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (spec, source, conditions) = read(&arguments.spec)?;
     output::catch_interrupts()?;
@@ -118,10 +118,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
     if worked.as_ref().is_err_and(is_busy) {
-        // The report is the other process's.
+        // The other process writes the report.
         return worked;
     }
-    // What is done is reported, whatever else ended the work.
+    // Finished trainings are reported, even if the work ended with an error.
     let is_shard = count > 1 && !arguments.report_only;
     let reported = report(&study, folder, is_shard);
     if let Ok((report, _)) = &reported {
@@ -142,8 +142,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::text_line(&format!("{}\n{}", report.markdown(), times.markdown()))
 }
 
-/// Makes a dataset by the plan of the spec `source`, unless it is there. Where another process makes it, such as another shard, waits
-/// for that. Returns whether this process made it.
+/// Builds a dataset by the plan of the spec `source`, unless it exists. If another process, such as another shard, is
+/// building it, waits for that process. Returns whether this process built it.
 fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<bool> {
     const WAIT: Duration = Duration::from_millis(500);
     let mut is_told = false;
@@ -154,7 +154,7 @@ fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Pl
         }
         match build_plan(&plan, maps, None) {
             Ok(_) => return Ok(true),
-            // Another process has made it since.
+            // Another process has built it meanwhile.
             Err(_) if is_dataset(maps) => break,
             Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
             Err(error) => return Err(error),
@@ -167,7 +167,7 @@ fn is_dataset(folder: &Path) -> bool {
     folder.join("dataset.json").exists()
 }
 
-/// Whether an error says that another process is at work in a folder.
+/// Returns whether an error says that another process is working in a folder.
 fn is_busy(error: &anyhow::Error) -> bool {
     let is_busy = |error: &DatasetError| matches!(error, DatasetError::Busy { .. });
     let of_study = match error.downcast_ref::<StudyError>() {
@@ -177,7 +177,8 @@ fn is_busy(error: &anyhow::Error) -> bool {
     of_study || error.downcast_ref::<DatasetError>().is_some_and(is_busy)
 }
 
-/// Report and times of what is there. Those of a shard are not written: it may be behind another that has ended.
+/// Reads the report and times of the finished trainings. A shard does not write them: its report may be older than that
+/// of a shard that has ended.
 fn report(study: &Study, folder: &Path, is_shard: bool) -> anyhow::Result<(Report, Times)> {
     let (report, times) = (study.report()?, study.times()?);
     if !is_shard {
@@ -188,7 +189,7 @@ fn report(study: &Study, folder: &Path, is_shard: bool) -> anyhow::Result<(Repor
 
 fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     let bar = output::progress(0, "study");
-    // Who reads no more of it wants no more of it.
+    // If the reader of the output has gone, the work stops.
     let trouble = RefCell::new(None);
     let goes_on = || !output::interrupted() && trouble.borrow().is_none();
     let worked = study.run(&goes_on, &mut |progress| {

@@ -55,7 +55,7 @@ impl Arguments {
         })
     }
 
-    /// Settings of the file with what the options change of them.
+    /// Returns the settings of the file, with those that the options override.
     fn spec(&self) -> anyhow::Result<TrainSpec> {
         let mut spec = read_spec(self.spec.as_deref())?;
         if let Some(name) = &self.network {
@@ -67,7 +67,7 @@ impl Arguments {
         }
         if let Some(epochs) = self.epochs {
             spec.epochs = epochs;
-            // A spec's settings are for its own number of epochs.
+            // The spec's `linear_epochs` fits its own number of epochs, so it is limited to the given one.
             spec.linear_epochs = spec.linear_epochs.map(|linear| linear.min(epochs));
         }
         spec.weights = self.weights.clone().or(spec.weights);
@@ -83,7 +83,7 @@ impl Arguments {
 /// The dataset or the spec cannot be read, or the training fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let checkpoint = arguments.checkpoint();
-    // A training that is carried on was allowed to begin.
+    // A resumed training passed this check when it began.
     match checkpoint.exists() {
         true => files::check_parent(&arguments.output)?,
         false => arguments.overwrite.check(&arguments.output)?,
@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for warning in &outcome.warnings {
         eprintln!("warning: {warning}");
     }
-    // What could not be told costs no model.
+    // The model is saved even if progress could not be printed.
     outcome.model.save(&arguments.output)?;
     if let Some(error) = trouble {
         return Err(error);
@@ -135,7 +135,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::text_line(&format!("{file} written"))
 }
 
-/// Settings of a training from a TOML file, or the defaults.
+/// Reads the settings of a training from a TOML file; defaults without one.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;

@@ -52,7 +52,8 @@ impl To {
     }
 }
 
-/// Writes a recording in another format. The output is whole or absent; what its format cannot hold is said on stderr.
+/// Writes a recording in another format. The output is written atomically. Content that its format cannot hold is
+/// reported on stderr.
 ///
 /// # Errors
 /// The input cannot be read, or the output cannot be written.
@@ -99,7 +100,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ))
 }
 
-/// Opens the input and tells what is known to be missing.
+/// Opens the input and reports known losses.
 fn open(input: &Path) -> anyhow::Result<Recording> {
     let source = match Recording::open(input) {
         Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {

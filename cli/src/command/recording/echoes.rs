@@ -12,16 +12,16 @@ use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs, SourceOptions};
 use crate::{files, output};
 
-/// Time over which frames are compared to find what sits or stands, s.
+/// Time over which frames are compared to find people who sit or stand, s.
 const STILL_S: f64 = 2.0;
-/// A still echo nearer than this to one that moves is the same body, m.
+/// Distance below which a still echo and a moving one belong to the same body, m.
 const SAME_M: f64 = 0.5;
-/// Half the stretch of ranges in which a reflector is looked for, m.
+/// Half the range interval in which a reflector is searched for, m.
 const REFLECTOR_M: f64 = 0.3;
-/// Frames over which a reflector is averaged.
+/// Number of frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
-/// Frames to look at where no number is named.
+/// Default number of frames.
 const FRAMES: u64 = 100;
 
 /// `radome recording echoes`
@@ -62,7 +62,7 @@ struct AngleFile {
     calibration: AngleCalibration,
 }
 
-/// An echo as it is said.
+/// Echo in the output format.
 #[derive(Serialize)]
 struct Said {
     range_m: f64,
@@ -73,7 +73,7 @@ struct Said {
     is_still: bool,
 }
 
-/// Ranges, speeds and directions of what moves, frame by frame; or angle offsets of the receivers.
+/// Prints ranges, speeds and directions of moving echoes, frame by frame; or angle offsets of the receivers.
 ///
 /// # Errors
 /// The source or the angles cannot be read, or no reflector is found.
@@ -129,7 +129,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
 }
 
-/// Angle offsets between the receivers from a reflector at a known place; `find` finds the strongest echo in a stretch of ranges.
+/// Computes angle offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
+/// in a range interval.
 fn calibrate(
     arguments: &Arguments,
     truth: &[f64],

@@ -56,7 +56,7 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
     Ok(LabelSpan::new(time(start)?, time(end)?, label.trim()))
 }
 
-/// Adds labels to a recording, or shows those that it has.
+/// Adds labels to a recording, or shows its labels.
 ///
 /// # Errors
 /// The recording or a file of labels cannot be read or written, or the labels contradict each other or the recording.

@@ -12,7 +12,7 @@ use crate::picture::plot;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
 
-/// Frames of a simulation where no number is named.
+/// Default number of frames of a simulation.
 const SIMULATED_FRAMES: u64 = 100;
 
 /// `radome recording maps`
@@ -76,7 +76,7 @@ impl Arguments {
         }
     }
 
-    /// The preset with what the options change of it.
+    /// Returns the preset with the changes that the options make.
     fn spec(&self, waveform: &Waveform) -> anyhow::Result<RdmSpec> {
         let mut spec = self.preset.spec(waveform);
         if let Some(rx) = self.rx {
@@ -96,7 +96,7 @@ impl Arguments {
     }
 }
 
-/// Numbers of maps, and of what was amiss in them.
+/// Numbers of maps and of their defects.
 #[derive(Default)]
 struct Counts {
     maps: u64,
@@ -104,7 +104,7 @@ struct Counts {
     non_finite_cells: u64,
 }
 
-/// Range-Doppler maps of a source.
+/// Computes the range-Doppler maps of a source.
 ///
 /// # Errors
 /// The source cannot be opened, the map is not valid for its waveform, or an output cannot be written.
@@ -122,7 +122,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut counts, mut pictured, mut frames) = (Counts::default(), false, 0u64);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
-    // The array grows as maps come: a night of them fits no memory.
+    // The array is written map by map, since the maps of a night do not fit in memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
         while frames_left > 0 && !output::interrupted() {
             match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
@@ -146,7 +146,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 }
             }
         }
-        // Before the array takes its name.
+        // Checked before the array gets its final name.
         if !output::interrupted() {
             check_maps(arguments, counts.maps, frames, pictured)?;
         }
@@ -165,7 +165,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     tell(arguments, &counts, &map)
 }
 
-/// Fails if no frame gave a map, or the frame of the picture none.
+/// Fails if no frame gave a map, or if the frame of the picture gave none.
 fn check_maps(arguments: &Arguments, maps: u64, frames: u64, is_pictured: bool) -> anyhow::Result<()> {
     let source = &arguments.source.source;
     if maps == 0 {
@@ -183,7 +183,7 @@ fn check_maps(arguments: &Arguments, maps: u64, frames: u64, is_pictured: bool) 
     }
 }
 
-/// Says how many maps there are, and what their cells are; on stderr where the array goes to stdout.
+/// Prints the number of maps and the meaning of their cells; on stderr where the array goes to stdout.
 fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()> {
     let Counts { maps, saturated_samples, non_finite_cells } = *counts;
     if arguments.json {
@@ -215,10 +215,11 @@ fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()>
     output::text_line(&said)
 }
 
-/// Calls a function with every map; returns how many there were.
+/// Function that passes every map to a callback and returns the number of maps.
 type EachMap<'a> = dyn FnMut(&mut dyn FnMut(&Rdm) -> anyhow::Result<()>) -> anyhow::Result<u64> + 'a;
 
-/// Writes the array to a file or to stdout. Its header holds the number of maps: what goes to stdout waits in a file without a name.
+/// Writes the array to a file or to stdout. Its header holds the number of maps, so output for stdout is first
+/// collected in an unnamed file.
 fn write_array(path: &Path, overwrite: Overwrite, row_shape: &[u64], each_map: &mut EachMap) -> anyhow::Result<()> {
     if !is_stdout(path) {
         return files::write_output(path, overwrite.existing(), |file| write_maps(file, row_shape, each_map));

@@ -25,10 +25,10 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Writes what can be read of a recording to a new one and says what is lost.
+/// Writes the readable part of a recording to a new one and reports the losses.
 ///
-/// A recording that was never finished counts as lost only where bytes of it cannot be read: what its recorder had in its hands
-/// when it was killed was never in the file.
+/// An unfinished recording counts as lost only where some of its bytes cannot be read. Data that its recorder held in
+/// memory when it was killed were never in the file.
 ///
 /// # Errors
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.

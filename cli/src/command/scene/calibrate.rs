@@ -1,4 +1,5 @@
-//! `calibrate`: fits a receiver to recordings, and says how far simulations with it, and without, are from what it has not seen.
+//! `calibrate`: fits a receiver to recordings, and compares simulations with and without it with unseen parts of the
+//! recordings.
 
 mod arguments;
 mod copies;
@@ -19,7 +20,7 @@ use self::measured::measure;
 use self::recordings::Recordings;
 use crate::files;
 
-/// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
+/// Fits a receiver to the first part of recordings, and compares simulations with and without it with the rest.
 ///
 /// # Errors
 /// A recording, the scene or the base receiver cannot be read, too few frames can be fitted, or the output cannot be written.

@@ -13,7 +13,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Mirrors a recording and prints how near the mirror is.
+/// Mirrors a recording and prints the remaining differences.
 ///
 /// # Errors
 /// Those of [`pair`].

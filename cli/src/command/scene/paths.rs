@@ -99,7 +99,7 @@ fn print(list: &PathList) -> anyhow::Result<()> {
             path.rx,
             path.length_m,
             path.delay_s * 1e9,
-            // What rounds to nothing has no sign.
+            // Adding 0 turns a negative zero after rounding into a positive one.
             (path.doppler_hz * 100.0).round() / 100.0 + 0.0,
             path.gain_db,
             path.phase_rad,
@@ -109,9 +109,9 @@ fn print(list: &PathList) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Draws the paths of the first receiver, the stronger the darker.
+/// Draws the paths of the first receiver; stronger paths are darker.
 fn draw_preview(arguments: &Arguments, scene: &Scene, list: &PathList, path: &Path) -> anyhow::Result<()> {
-    /// Paths weaker than the strongest of their kind by this are as faint as lines get, dB.
+    /// Level below the strongest path of the same kind at which lines are faintest, dB.
     const RANGE_DB: f64 = 40.0;
     files::check_parent(path)?;
     let scene = scene.drawn(arguments.seed)?;

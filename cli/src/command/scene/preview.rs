@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     report(&arguments.scene, arguments.seed, &arguments.output, arguments.json)
 }
 
-/// Draws a scene as its seed makes it, with the people of its first `frames` frames.
+/// Draws a scene with the random draws of its seed, and with the people of its first `frames` frames.
 ///
 /// # Errors
 /// The scene has no room for the people, the seed gives no valid scene, or the picture cannot be written.
@@ -58,7 +58,7 @@ pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: 
     scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)
 }
 
-/// Prints the name of a picture that was drawn.
+/// Prints the name of the drawn picture.
 ///
 /// # Errors
 /// Standard output cannot be written.

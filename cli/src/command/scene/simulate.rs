@@ -50,14 +50,14 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// First frame, and the one behind the last.
+    /// Returns the first frame, and the frame after the last.
     fn range(&self) -> (u64, u64) {
         let Shard { index, count } = self.shard.unwrap_or(Shard::WHOLE);
         let cut = |i: usize| (u128::from(self.frames) * i as u128 / count as u128) as u64;
         (cut(index), cut(index + 1))
     }
 
-    /// The file to write.
+    /// Returns the file to write.
     fn file(&self) -> Option<PathBuf> {
         let output = self.output.clone()?;
         let Some(shard) = self.shard else { return Some(output) };
@@ -82,7 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             arguments.overwrite.check(output)?;
         }
     }
-    // A shard takes its name when it is whole, so that it can be asked for again after anything.
+    // A shard gets its final name when it is complete, so that an interrupted run can be repeated.
     let written = file.as_ref().map(|path| match arguments.shard {
         Some(_) => path.with_extension("partial"),
         None => path.clone(),
@@ -109,7 +109,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     foretell(&simulator, end - first);
     simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
-    // What an interrupted run has left of a shard is made anew.
+    // An unfinished shard of an interrupted run is made again.
     let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
     let options_of_file = RecorderOptions { existing, ..RecorderOptions::default() };
     let recorder = written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
@@ -129,10 +129,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Numbers of a simulation.
+/// Results of a simulation.
 struct Simulated {
     frames: u64,
-    /// The largest estimate of any frame.
+    /// Largest error estimate of any frame.
     estimate_db: Option<f64>,
     clamped: usize,
     clipped: usize,
@@ -140,7 +140,7 @@ struct Simulated {
 }
 
 impl Simulated {
-    /// Simulates to the end, or until the user interrupts, and finishes the recording.
+    /// Simulates until the end or until the user interrupts, and finishes the recording.
     fn record(simulator: &mut Simulator, mut recorder: Option<Recorder>, frames: u64) -> anyhow::Result<Self> {
         let started = Instant::now();
         let bar = output::progress(frames, "simulating");
@@ -192,12 +192,13 @@ impl Simulated {
     }
 }
 
-/// Whether a shard is there already. It took its name when it was whole; the same arguments would make the same bytes.
+/// Returns whether a shard already exists. A shard gets its name when it is complete, and the same arguments give the
+/// same bytes.
 ///
 /// # Errors
 /// A file of its name holds something else, and is not to be replaced.
 fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: Range<u64>) -> anyhow::Result<bool> {
-    /// Frames that are made again to compare, evenly over the shard.
+    /// Number of frames that are simulated again for comparison, evenly spaced over the shard.
     const COMPARED: u64 = 5;
     let last = (frames.end - frames.start).saturating_sub(1);
     let mut compared: Vec<u64> = (0..COMPARED).map(|i| frames.start + last * i / (COMPARED - 1)).collect();
@@ -219,7 +220,7 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
     Ok(false)
 }
 
-/// Says that a shard was there.
+/// Reports that a shard already existed.
 fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
     if arguments.json {
         let file = file.display().to_string();
@@ -228,9 +229,9 @@ fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result
     output::text_line(&format!("{}: {frames} frames", file.display()))
 }
 
-/// Says how long a long run will take and what it will need, by its first frame.
+/// Estimates the time and size of a long run from its first frame, and prints them.
 fn foretell(simulator: &Simulator, frames: u64) {
-    /// Shorter runs need no warning, s.
+    /// Duration below which a run needs no estimate, s.
     const LONG_S: f64 = 15.0;
     let started = Instant::now();
     let frame = simulator.frame(0);
@@ -247,7 +248,7 @@ fn foretell(simulator: &Simulator, frames: u64) {
     );
 }
 
-/// The most memory that this process has had, MB; `None` where the system does not say.
+/// Peak memory of this process, MB; `None` where the system does not report it.
 fn resident_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

@@ -1,29 +1,30 @@
-//! Bias of followed trajectories, measured by following the people of the mirror.
+//! Bias of estimated trajectories, measured by tracking the people of the mirrored simulation.
 //!
-//! An echo's range is not that of the chest alone: hips and thighs lie lower, floor and walls add their own ways, and near
-//! walls the direction is pulled towards repeats. All of that is in the simulation too. Where a mirror's people are is known,
-//! so that following them says by how much following misses at that place, and the recording's trajectory is shifted back.
+//! The range of an echo is not that of the chest alone. Hips and thighs lie lower, floor and walls add their own paths,
+//! and near walls ghosts bias the direction. The simulation shows the same effects. The positions of its people are
+//! known, so tracking them gives the tracking error at each place. The recording's trajectory is corrected by that
+//! error.
 
 use glam::DVec2;
 
 use super::follow::Tracklet;
 use super::script::Role;
 
-/// The miss is averaged over this either way, s: it is a matter of the place, what is not is noise.
+/// Half the averaging time of the error, s. The bias depends on the place; other differences are noise.
 const HALF_S: f64 = 1.5;
-/// Slower people stand, m/s.
+/// Speed below which a person counts as standing, m/s.
 const MOVING_M_PER_S: f64 = 0.3;
-/// Distance from a person of the mirror beyond which a followed one is somebody else, m.
+/// Distance beyond which a tracklet belongs to another person than the mirror's, m.
 const NEAR_M: f64 = 0.8;
 
-/// Shifts the trajectories of `roles`, along which the mirror's people went, by what `seen` says that following misses.
+/// Corrects the trajectories of `roles`, which the mirror's people followed, by the tracking error that `seen` shows.
 pub fn correct(roles: &mut [Role], seen: &[Tracklet]) {
     for state in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
         let misses: Vec<(f64, DVec2)> = state
             .track
             .iter()
             .filter_map(|at| {
-                // Who stands is told by small motions of parts that differ from person to person.
+                // A standing person is detected by small motions of body parts, which differ between people.
                 let place = (at.vx.hypot(at.vy) > MOVING_M_PER_S).then_some(DVec2::new(at.x, at.y))?;
                 let same = seen.iter().flat_map(|s| &s.track).filter(|s| s.frame == at.frame);
                 let miss =
@@ -32,7 +33,7 @@ pub fn correct(roles: &mut [Role], seen: &[Tracklet]) {
             })
             .collect();
         for at in &mut state.track {
-            // About the time itself, or the time nearest to it at which they moved.
+            // Errors around the time itself, or around the nearest time at which the person moved.
             let about = misses.iter().min_by(|a, b| (a.0 - at.time_s).abs().total_cmp(&(b.0 - at.time_s).abs()));
             let about_s = about.map_or(at.time_s, |(t, _)| *t);
             let near = misses.iter().filter(|(t, _)| (t - about_s).abs() <= HALF_S);

@@ -1,4 +1,4 @@
-//! Echoes by frame.
+//! Echoes of each frame.
 
 use radome_dsp::detect::Detection;
 

@@ -1,9 +1,9 @@
-//! Tracking of people: the best chains through the echoes of all frames.
+//! Tracking of people: the best sequences of echoes through all frames.
 //!
-//! A chain of echoes that follow from each other by range, speed and direction is a tracklet. The best set of tracklets that
-//! do not overlap in time is found for the whole recording at once, by dynamic programming: what makes a tracklet begin or
-//! end is not decided frame by frame. A second person is looked for among the echoes that the first does not explain, their
-//! repeats off the room's walls included.
+//! A tracklet is a sequence of echoes that are consistent in range, speed and direction. Dynamic programming finds the
+//! best set of tracklets that do not overlap in time, for the whole recording at once. The beginning and the end of a
+//! tracklet are thus not decided frame by frame. A second person is searched for among the echoes that the first does
+//! not explain, whose ghosts off the room's walls count as explained.
 
 use glam::DVec3;
 use radome_dsp::detect::Detection;
@@ -11,7 +11,7 @@ use radome_dsp::detect::Detection;
 use super::detections::{Detections, Place};
 use super::smooth::{Sensor, Smoothed, smooth};
 
-/// A stretch of time in which somebody was followed.
+/// Time interval in which a person was tracked.
 #[derive(Debug, Clone)]
 pub struct Tracklet {
     pub places: Vec<Place>,
@@ -19,56 +19,57 @@ pub struct Tracklet {
 }
 
 impl Tracklet {
-    /// First and last frame.
+    /// Returns the first and the last frame.
     pub fn frames(&self) -> (usize, usize) {
         (self.places.first().map_or(0, |p| p.0), self.places.last().map_or(0, |p| p.0))
     }
 }
 
-/// Frames without an echo within a tracklet last no longer than this, s.
+/// Longest time without an echo within a tracklet, s.
 pub const BRIDGE_S: f64 = 1.0;
-/// A tracklet has to be worth as much: an echo 20 dB above noise is worth 1.
+/// Least score of a tracklet; an echo 20 dB above noise scores 1.
 const LEAST_WORTH: f64 = 6.0;
-/// Worth of a decibel beyond that: repeats are weaker than what they repeat.
+/// Additional score per decibel: ghosts are weaker than the direct echo.
 const STRONGER: f64 = 0.01;
-/// Echoes so near to a stronger one, m, lose so much for each decibel, up to so many.
+/// Distance to a stronger echo, m, within which an echo loses score; loss per decibel; and the largest counted
+/// difference, dB.
 const LIMBS_M: f64 = 0.4;
 const LIMB: f64 = 0.06;
 const MOST_LIMB_DB: f64 = 25.0;
-/// Nobody goes faster along the radar's sight, m/s.
+/// Largest radial speed of a person, m/s.
 const FASTEST_M_PER_S: f64 = 2.6;
-/// Worth of a frame without an echo, within a tracklet.
+/// Score of a frame without an echo, within a tracklet.
 const MISS: f64 = -0.3;
-/// Weight of still people against those who move: their echoes last.
+/// Weight of still echoes relative to moving ones, since still echoes persist.
 const STILL: f64 = 0.5;
-/// Standard differences between two echoes of a chain: range by their speeds (m), speed (m/s and for each second),
-/// direction (cosine and for each second).
+/// Standard deviations of the difference between two successive echoes: range predicted by their speeds (m), speed
+/// (m/s, and for each second), direction (cosine, and for each second).
 const RANGE_M: f64 = 0.12;
 const SPEED_M_PER_S: [f64; 2] = [0.25, 1.0];
 const COSINE: [f64; 2] = [0.15, 0.5];
-/// Echoes within this of somebody are theirs, m.
+/// Distance within which echoes belong to a person, m.
 const BODY_M: f64 = 0.55;
-/// Echoes so near to where a wall would repeat somebody are that repeat, m and m/s.
+/// Tolerances within which an echo is the ghost of a person off a wall, m and m/s.
 const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
-/// Tolerance of the range of a ghost by a piece of wall, m, about the way by its middle.
+/// Tolerance of the range of a ghost off a piece of wall, m, relative to the path via the middle of the piece.
 const MULTIPATH_M: f64 = 0.25;
-/// Level above the average that a fading echo reaches for a while, dB: 2 % of a Rayleigh-fading echo lies above.
+/// Level above the average that a fading echo reaches temporarily, dB: 2 % of a Rayleigh-fading echo lies above.
 const FADING_DB: f64 = 6.0;
-/// From one point of the walls that is tried to the next, m.
+/// Spacing of the points of the walls that are tried, m.
 const WALL_STEP_M: f64 = 0.25;
 
-/// Follows up to `people` through the detections.
+/// Tracks up to `people` people through the detections.
 pub fn follow(detections: &[Detections], people: usize, sensor: &Sensor) -> Vec<Tracklet> {
     let mut free: Vec<Vec<bool>> =
         detections.iter().map(|detected| vec![detected.people > 0; detected.echoes.len()]).collect();
     let mut all: Vec<Tracklet> = Vec::new();
     for person in 0..people {
         let mut chains = best_chains(detections, &free, sensor);
-        // The longest first: what walls throw of somebody is told by who that is.
+        // The longest tracklets come first: a ghost off a wall can only be recognised once its person is known.
         chains.sort_by_key(|places| std::cmp::Reverse(places.len()));
         for places in chains {
-            // A second person is where labels say so, for the better part.
+            // A second person is accepted only where labels count one for at least half of the echoes.
             let counted =
                 places.iter().filter(|p| detections.get(p.0).is_some_and(|detected| detected.people > person)).count();
             if 2 * counted < places.len() {
@@ -93,16 +94,16 @@ pub fn follow(detections: &[Detections], people: usize, sensor: &Sensor) -> Vec<
     all
 }
 
-/// Whether a track is no person but what a wall throws of somebody: for most of it one and the same piece of wall explains its
-/// ranges by where that body was, and its levels too. Who walks behind another, in their shadow, is as weak, but not where
-/// a wall is that could throw as much; who stands keeps to the range of a piece of wall, but is louder.
+/// Returns whether a track is the multipath ghost of a person. For most of the track, one piece of wall must explain
+/// its ranges from the person's positions, and its levels. A person in another's shadow is as weak as a ghost, but is
+/// not near a wall that could reflect as much. A standing person stays at the range of a piece of wall, but is louder.
 fn is_multipath(track: &[Smoothed], others: &[Tracklet], sensor: &Sensor) -> bool {
-    // Of each frame somebody, and by how much what is followed is farther (m) and louder (dB) than they are.
+    // For each frame a person, with the additional range (m) and the relative level (dB) of the track.
     let mut beside: Vec<(Smoothed, f64, f64)> = Vec::new();
     for state in track {
         for (other, is_followed) in others.iter().filter_map(|other| at(other, state)) {
             let farther_m = sensor.expected(state).range_m - sensor.expected(&other).range_m;
-            // Nothing so near is told from the echo of a body itself, where there is one.
+            // A ghost closer than this cannot be told from the echo of the body itself, where there is one.
             let least_m = if is_followed { BODY_M } else { MULTIPATH_M };
             if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > least_m) {
                 beside.push((other, farther_m, own_db - other_db));
@@ -121,8 +122,8 @@ fn is_multipath(track: &[Smoothed], others: &[Tracklet], sensor: &Sensor) -> boo
         })
 }
 
-/// Somebody at the time of a state, and whether they were followed then. Who goes nearer to the radar than echoes are told, or out
-/// of its beam, is not gone: for a while they go straight on, as loud on walls as they were, and walls throw of them still.
+/// Returns a person at the time of a state, and whether the person was tracked then. People who are too close to the
+/// radar or outside its beam are extrapolated on a straight line for a while: walls still reflect their echoes.
 fn at(tracklet: &Tracklet, state: &Smoothed) -> Option<(Smoothed, bool)> {
     let (first, last) = (tracklet.track.first()?, tracklet.track.last()?);
     if (first.frame..=last.frame).contains(&state.frame) {
@@ -134,14 +135,14 @@ fn at(tracklet: &Tracklet, state: &Smoothed) -> Option<(Smoothed, bool)> {
     (later_s.abs() <= BRIDGE_S).then_some((on, false))
 }
 
-/// Whether an echo is a part of somebody, or a repeat of them off a wall.
+/// Returns whether an echo is a part of a person, or the person's ghost off a wall.
 fn explains(state: &Smoothed, echo: &Detection, sensor: &Sensor) -> bool {
     let own = sensor.expected(state);
     let differs = |range_m: f64, velocity: f64, most_m: f64, most_m_per_s: f64| {
         (echo.range_m - range_m).abs() > most_m
             || sensor.wrapped(echo.velocity_m_per_s - velocity).abs() > most_m_per_s && !echo.is_still
     };
-    // Whose trunk has another speed within arm's reach may be somebody who passes by.
+    // An echo within arm's reach but with another speed than the trunk's may be a person passing by.
     if !differs(own.range_m, own.velocity_m_per_s, BODY_M, 0.6) {
         return true;
     }
@@ -150,7 +151,7 @@ fn explains(state: &Smoothed, echo: &Detection, sensor: &Sensor) -> bool {
     sensor.images().any(|(_, image)| {
         let way = place - image;
         let (image_m, image_speed) = (way.length(), velocity.dot(way.normalize_or_zero()));
-        // There by the wall and back directly, or both ways by it.
+        // Paths via the wall in one direction, or in both.
         [0.5, 1.0].iter().any(|share| {
             let range_m = own.range_m + share * (image_m - place.distance(sensor.position));
             let speed = own.velocity_m_per_s * (1.0 - share) + share * image_speed;
@@ -159,18 +160,18 @@ fn explains(state: &Smoothed, echo: &Detection, sensor: &Sensor) -> bool {
     })
 }
 
-/// Predecessor of a chain: an echo before, or nothing, after the best set of tracklets that ended by then.
+/// Predecessor of an echo: an earlier echo, or the best set of tracklets that ended before.
 #[derive(Clone, Copy)]
 enum Predecessor {
     Echo(Place),
     Ended(Option<Place>),
 }
 
-/// The best tracklets that do not overlap, in order of time.
+/// Finds the best tracklets that do not overlap, in order of time.
 fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
     let mut best: Vec<Vec<(f64, Predecessor)>> =
         detections.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
-    // By frame, the best set of tracklets that have ended before it.
+    // For each frame, the best set of tracklets that have ended before it.
     let mut ended: Vec<(f64, Option<Place>)> = vec![(0.0, None)];
     for (k, detected) in detections.iter().enumerate() {
         let before = ended.last().copied().unwrap_or((0.0, None));
@@ -210,7 +211,7 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
     unrolled(&best, ended.last().and_then(|e| e.1))
 }
 
-/// Chains from the last echo back, in order of time.
+/// Traces the tracklets back from the last echo; returns them in order of time.
 fn unrolled(best: &[Vec<(f64, Predecessor)>], last: Option<Place>) -> Vec<Vec<Place>> {
     let mut chains = Vec::new();
     let mut at = last;
@@ -231,9 +232,9 @@ fn unrolled(best: &[Vec<(f64, Predecessor)>], last: Option<Place>) -> Vec<Vec<Pl
     chains
 }
 
-/// Worth of an echo: one that clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over
-/// from whom is far to
-/// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
+/// Score of an echo. One that clearly stands out scores 1, and a stronger one hardly more. Otherwise a tracklet would
+/// change from the far to the near person where they pass each other. Near a stronger echo, within a body's reach, the
+/// score is lower, since that echo is the trunk's.
 fn worth(echo: &Detection, detected: &Detections) -> f64 {
     let near =
         detected.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
@@ -243,9 +244,10 @@ fn worth(echo: &Detection, detected: &Detections) -> f64 {
     if echo.is_still { STILL * worth } else { worth }
 }
 
-/// Improbability that one echo follows another, as half a sum of squares.
+/// Cost of one echo following another: half a sum of squares.
 fn step_cost(a: &Detection, b: &Detection, gap_s: f64, sensor: &Sensor) -> f64 {
-    // Speeds may be folded: the one that people can have and that carries the first echo nearest to the second counts.
+    // Speeds may be aliased. Of those that people can reach, the one that predicts the second echo best from the first
+    // counts.
     let span = sensor.span_m_per_s;
     let half = 0.5 * sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s);
     let moved = b.range_m - a.range_m;
@@ -271,7 +273,7 @@ mod tests {
 
     use super::*;
 
-    /// The room of the paper, its radar looking into it level.
+    /// Room of the paper, with a horizontal radar.
     fn sensor() -> Sensor {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room.toml");
         let text =
@@ -280,7 +282,8 @@ mod tests {
         Sensor::new(&Scene::parse(&text, &file).expect("a scene"), &waveform, 1.75).0
     }
 
-    /// Fifty frames of somebody by place at a time, 60 dB over noise 1 m away on the boresight and so much less.
+    /// Fifty frames of a person whose position is a function of time, 60 dB over noise at 1 m on the boresight, reduced
+    /// by `less_db`.
     fn track(sensor: &Sensor, less_db: impl Fn(usize) -> f64, at: impl Fn(f64) -> [f64; 2]) -> Vec<Smoothed> {
         let state = |frame: usize| {
             let time_s = 0.1 * frame as f64;
@@ -297,7 +300,7 @@ mod tests {
         [Tracklet { places: Vec::new(), track: track(sensor, |_| 0.0, at) }]
     }
 
-    /// Ghost of a walker by a piece of wall, as it is followed: on the boresight, fading by 5 dB to and fro.
+    /// The ghost of a walker off a piece of wall, as tracked: on the boresight, fading by 5 dB up and down.
     #[test]
     fn what_a_wall_throws_of_a_walker_is_nobody() {
         let sensor = sensor();
@@ -321,7 +324,8 @@ mod tests {
         }
     }
 
-    /// Past the radar, where nobody is followed, a wall beside it throws of them still. Who comes back from there is somebody.
+    /// Near the radar, where nobody is tracked, a wall beside it still reflects a person. A track that comes back from
+    /// there is a person.
     #[test]
     fn what_a_wall_throws_of_who_was_followed_just_before_is_nobody() {
         let sensor = sensor();
@@ -345,7 +349,8 @@ mod tests {
     fn whoever_is_as_loud_as_a_person_or_goes_their_own_way_is_somebody() {
         let sensor = sensor();
         let others = walker(&sensor, |t| [6.0 - 0.9 * t, 3.2]);
-        // A child, 8 dB weaker, who stands; someone in the walker's shadow who follows; someone else there who goes.
+        // Three people who are not ghosts: a standing child, 8 dB weaker; a follower in the walker's shadow; another
+        // person there who walks.
         for (name, less_db, speed, at) in
             [("child", 8.0, 0.0, [6.5, 3.1]), ("follows", 16.0, -0.9, [7.5, 3.2]), ("goes", 16.0, 0.8, [4.0, 2.0])]
         {

@@ -1,4 +1,4 @@
-//! The scene that mirrors a recording, as a file that `simulate` opens.
+//! Scene that mirrors a recording, as a scene file for `simulate`.
 
 use std::path::{Path, PathBuf};
 
@@ -9,21 +9,21 @@ use radome_sim::bounded_file::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec
 use radome_sim::scene_file::StepFile;
 use toml::{Table, Value};
 
-/// A scene file without its people and with a recording's waveform: what a mirror is made from.
+/// Scene without people and with a recording's waveform, from which a mirror is made.
 pub struct Stage {
     table: Table,
-    /// The same for the dataset's folder, where the meshes have the names of `meshes`.
+    /// Scene table for the dataset's folder, where the meshes have the names of `meshes`.
     pub stored: Table,
-    /// Meshes of the room: name in the dataset's folder, and where they are.
+    /// Meshes of the room: name in the dataset's folder, and source path.
     meshes: Vec<(String, PathBuf)>,
-    /// The scene, empty.
+    /// Scene without people.
     pub scene: Scene,
-    /// Whether the file had another waveform.
+    /// Whether the file's own waveform differed and was replaced.
     pub waveform_replaced: bool,
 }
 
 impl Stage {
-    /// Reads a scene file; its people, if it has any, are left out.
+    /// Reads a scene file without its people.
     ///
     /// # Errors
     /// The file cannot be read, is another scene for each seed, or does not take the recording's waveform.
@@ -72,12 +72,12 @@ impl Stage {
         Ok(Stage { table, stored, meshes, scene, waveform_replaced })
     }
 
-    /// The scene file's table: meshes have their names in its own folder.
+    /// Returns the scene file's table, in which meshes have their names in its own folder.
     pub fn table(&self) -> &Table {
         &self.table
     }
 
-    /// Files that belong beside the stored scene.
+    /// Returns the files that belong beside the stored scene.
     ///
     /// # Errors
     /// One cannot be read.
@@ -90,7 +90,7 @@ impl Stage {
         Ok(files)
     }
 
-    /// A scene file with these people: when each begins, and what they do.
+    /// Formats a scene file with these people: the start time and the steps of each.
     pub fn with_scripts(table: &Table, name: &str, height_m: f64, scripts: &[(f64, Vec<StepFile>)]) -> String {
         let mut table = table.clone();
         table.insert("name".into(), Value::String(name.to_owned()));
@@ -118,12 +118,12 @@ fn step(step: &StepFile) -> Value {
     Value::Table(table)
 }
 
-/// A table with these actors, or with nobody.
+/// Returns a table with these actors, or without people.
 fn with_people(table: &Table, actors: Vec<Value>) -> Table {
     let mut table = table.clone();
     if let Some(Value::Table(people)) = table.get_mut("people") {
         if actors.is_empty() {
-            // The one program that can be told to have neither people nor doors.
+            // The only scenario that can have neither people nor doors.
             people.remove("body");
             let nobody = [("max_people", Value::Integer(0)), ("objects_probability", Value::Float(0.0))];
             people.insert("desk".into(), Value::Table(nobody.map(|(k, v)| (k.to_owned(), v)).into_iter().collect()));
@@ -134,8 +134,8 @@ fn with_people(table: &Table, actors: Vec<Value>) -> Table {
     table
 }
 
-/// Gives the meshes of a room names in another folder, for a scene names files of its own folder only. Returns each name and
-/// where the mesh is.
+/// Renames the meshes of a room for another folder, since a scene may name files of its own folder only. Returns each
+/// name and the path of its mesh.
 fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String, PathBuf)>> {
     let mut found = Vec::new();
     let meshes = table.get_mut("room").and_then(|room| room.get_mut("mesh")).and_then(Value::as_array_mut);
@@ -155,7 +155,7 @@ fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String
     Ok(found)
 }
 
-/// Whether a `.gltf` names files.
+/// Returns whether a `.gltf` refers to other files.
 fn has_files_beside(bytes: &[u8]) -> bool {
     let document: serde_json::Value = serde_json::from_slice(bytes).unwrap_or_default();
     let buffers = document.get("buffers").and_then(serde_json::Value::as_array);

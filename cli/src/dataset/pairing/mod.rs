@@ -1,9 +1,9 @@
-//! Pairs of a recording and the scene that mirrors it.
+//! Pairs of a recording and a scene that mirrors it.
 //!
-//! People in the recording are followed by range, speed and the angle between receivers ([`follow`], [`smooth`]); their ways
-//! become a script ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the recording's frames; errors of
-//! the trajectories, measured by following the people of the mirror, are taken off ([`bias`]).
-//! Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels.
+//! People in the recording are tracked by range, speed and the angle between receivers ([`follow`], [`smooth`]). Their
+//! trajectories become scripts ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the
+//! recording's frames. Tracking the people of the mirror gives the errors of the trajectories, which are subtracted
+//! ([`bias`]). Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels.
 
 mod bias;
 mod detections;
@@ -39,7 +39,7 @@ use crate::output::Interrupted;
 use crate::source::{self, DEFAULT_SEED, Source, SourceOptions};
 use crate::{files, labels, output};
 
-/// Frames that are rendered before maps are made of them.
+/// Number of frames that are simulated before maps are made of them.
 const CHUNK: usize = 32;
 
 /// Inputs and options of a pair.
@@ -88,7 +88,7 @@ pub struct Settings {
     seed: u64,
 }
 
-/// Pair that was stored.
+/// Stored pair.
 pub struct Paired {
     /// Name of the pair.
     pub name: String,
@@ -101,8 +101,8 @@ pub struct Paired {
 /// Mirrors a recording and stores the maps of both sides.
 ///
 /// # Errors
-/// The recording, the scene, labels or way-points cannot be read, they contradict each other, the dataset cannot be written, or the
-/// user interrupts.
+/// The recording, the scene, labels or way-points cannot be read, they contradict each other, the dataset cannot be
+/// written, or the user interrupts.
 pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     files::check_parent(&settings.output)?;
     if !(0.5..=2.5).contains(&settings.height_m) {
@@ -121,12 +121,12 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     };
     let recording = pairing.follow_recording(source, &spans, &mut store)?;
 
-    // Ways of the people.
+    // Trajectories of the people.
     let labelled = recording.taken.iter().filter_map(|of| of.truth).map(|truth| truth.occupancy.index()).max();
     let people = labelled.unwrap_or(0).max(points.person.len()).min(2);
     let tracklets = follow::follow(&recording.detections, people, &pairing.sensor);
     let mut roles = script::deal(tracklets, people);
-    // Way-points have the recording's clock, the mirror begins with its first frame.
+    // Way-points use the recording's clock; the mirror begins with its first frame.
     let points = points.shifted(-recording.start_s);
     let (mut text, mut simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
     for _ in 0..if roles.iter().all(|role| role.tracklets.is_empty()) { 0 } else { settings.corrections } {
@@ -150,7 +150,7 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     Ok(Paired { name: pairing.name, maps, report })
 }
 
-/// Names in the dataset's folder: of the mirror's scene, and of people's positions, a line a frame and person.
+/// Names in the dataset's folder: of the mirror's scene, and of people's positions with one line per frame and person.
 const MIRROR: &str = "mirror.toml";
 const TRACK: &str = "track.jsonl";
 
@@ -158,7 +158,7 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Opens what is to be mirrored, which must have an end.
+/// Opens the source to be mirrored, which must be finite.
 fn open(settings: &Settings) -> anyhow::Result<Source> {
     let options = SourceOptions { frames: settings.frames, seed: settings.seed, ..SourceOptions::default() };
     let source = source::open(&settings.recording, &options)?;
@@ -180,7 +180,7 @@ struct Pairing<'a> {
     baselines: Vec<Baseline>,
 }
 
-/// Frames of the recording, and their echoes.
+/// Frames of the recording, with their echoes.
 struct Followed {
     taken: Vec<Taken>,
     /// Time of the first frame, s.
@@ -195,7 +195,7 @@ impl<'a> Pairing<'a> {
         let stage = Stage::load(&settings.scene, &waveform)?;
         let mut height_m = settings.height_m;
         if settings.seated {
-            // The chest of who sits is as high as that of somebody this tall who stands.
+            // Height of a standing person whose chest is as high as that of the sitting person.
             height_m = (0.54 + 0.19 * settings.height_m) / smooth::CHEST_HEIGHT;
         }
         let (sensor, baselines) = Sensor::new(&stage.scene, &waveform, height_m);
@@ -208,14 +208,14 @@ impl<'a> Pairing<'a> {
         Watcher::new(&self.waveform, &self.baselines)
     }
 
-    /// Class of a frame of the recording, by its labels, by its own truth, or as the settings have it.
+    /// Returns the class of a frame of the recording: by its labels, by its own truth, or from the settings.
     fn truth(&self, spans: &[LabelSpan], frame: &Frame) -> Option<Truth> {
         let by_count = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
         let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
         labels::by_span(spans, frame, &self.waveform).or(frame.truth).or(by_count)
     }
 
-    /// Finds the echoes of the recording, and stores its maps.
+    /// Finds the echoes of the recording and stores its maps.
     fn follow_recording(&self, mut source: Source, spans: &[LabelSpan], store: &mut Store) -> anyhow::Result<Followed> {
         if !self.sensor.tells_direction() {
             eprintln!("no two receivers side by side: people are taken to move along the boresight");
@@ -268,8 +268,8 @@ impl<'a> Pairing<'a> {
         Ok(Followed { taken, start_s: first_ns as f64 * 1e-9, times_s, detections })
     }
 
-    /// Refuses a recording without frames or labels, times that do not rise, and labels beyond its end. Gives the time of the first
-    /// frame, ns.
+    /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end. Returns the
+    /// time of the first frame, ns.
     fn check(&self, taken: &[Taken], spans: &[LabelSpan]) -> anyhow::Result<u64> {
         let recording = &self.settings.recording;
         let (Some(first), Some(last)) = (taken.first(), taken.last()) else { bail!("{recording}: no frame") };
@@ -289,7 +289,7 @@ impl<'a> Pairing<'a> {
         Ok(first.time_ns)
     }
 
-    /// Fills in the ways of the people. Gives the text of the mirror's scene file, and its simulation.
+    /// Completes the trajectories of the people. Returns the text of the mirror's scene file, and its simulation.
     fn mirror(
         &self,
         roles: &mut [Role],
@@ -303,7 +303,7 @@ impl<'a> Pairing<'a> {
         Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
     }
 
-    /// Text of the mirror's scene file.
+    /// Formats the mirror's scene file.
     fn mirror_text(&self, table: &toml::Table, roles: &[Role]) -> anyhow::Result<String> {
         let radar = self.stage.scene.radar_position().truncate();
         let mut scripts = Vec::new();
@@ -320,8 +320,8 @@ impl<'a> Pairing<'a> {
         ))
     }
 
-    /// Stores the maps of the mirror. Gives its echoes, and the number of its frames in which as many people are there as in the
-    /// recording's.
+    /// Stores the maps of the mirror. Returns its echoes, and the number of its frames in which as many people are
+    /// present as in the recording's.
     fn store_mirror(
         &self,
         simulator: &Simulator,
@@ -348,7 +348,7 @@ impl<'a> Pairing<'a> {
 }
 
 impl Followed {
-    /// Simulates a frame at the time of each of the recording's, in order.
+    /// Simulates a frame at the time of each frame of the recording, in order.
     fn render(
         &self,
         simulator: &Simulator,
@@ -370,7 +370,7 @@ impl Followed {
     }
 }
 
-/// Labels of the recording, or of a file instead.
+/// Reads the labels from a file if one is named, else from the recording.
 fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
     let spans = match (&settings.labels, Path::new(&settings.recording)) {
         (Some(file), _) => labels::read(file)?,

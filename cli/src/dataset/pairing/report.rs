@@ -13,11 +13,11 @@ use super::script::Role;
 use super::smooth::{Sensor, Smoothed};
 use crate::output;
 
-/// An echo of the mirror so near to where somebody should be is theirs, m and m/s.
+/// Tolerances within which an echo of the mirror belongs to an expected person, m and m/s.
 const NEAR_M: f64 = 0.5;
 const NEAR_M_PER_S: f64 = 0.6;
 
-/// Size of some differences.
+/// Statistics of differences.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Spread {
     pub mean: f64,
@@ -40,28 +40,28 @@ impl Spread {
     }
 }
 
-/// One person's.
+/// Differences of one person.
 #[derive(Debug, Clone, Serialize)]
 struct Person {
-    /// Frames with an echo that no repeat off a wall is merged with.
+    /// Number of frames whose echo is not merged with a ghost off a wall.
     visible: usize,
-    /// Frames in which they were followed, those bridged within included.
+    /// Number of frames in which the person was tracked, including bridged ones.
     followed: usize,
-    /// Echoes of the mirror less those of the recording, in frames that have both.
+    /// Differences of the mirror's echoes from those of the recording, in frames that have both.
     compared: usize,
     range_m: Option<Spread>,
     velocity_m_per_s: Option<Spread>,
     angle_deg: Option<Spread>,
-    /// Greatest standard deviation of a place by the smoother's own account, m.
+    /// Largest standard deviation of a position, as estimated by the smoother, m.
     sigma_m: f64,
 }
 
-/// All of it.
+/// Complete report.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     frames: usize,
     people: Vec<Person>,
-    /// Frames of the mirror in which as many people are in the room as the recording's labels say.
+    /// Number of frames of the mirror in which as many people are in the room as the recording's labels say.
     labels_agree: usize,
     tells_direction: bool,
 }
@@ -152,7 +152,7 @@ fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sens
     }
 }
 
-/// The strongest echo of the mirror where somebody should be.
+/// Finds the strongest echo of the mirror near an expected person.
 fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Detection> {
     let expected = sensor.expected(state);
     let is_near = |echo: &&Detection| {
@@ -162,7 +162,7 @@ fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Opti
     detected.echoes.iter().filter(is_near).max_by(|a, b| a.snr_db.total_cmp(&b.snr_db))
 }
 
-/// A line of JSON for each frame in which somebody was followed.
+/// Formats a line of JSON for each frame in which a person was tracked.
 ///
 /// # Errors
 /// A line cannot be formatted.

@@ -1,7 +1,8 @@
-//! A person's script: tracklets, way-points and doors become legs that a scene file can state.
+//! Script of a person: converts tracklets, way-points and doors to steps of a scene file.
 //!
-//! The recording wins where somebody was followed. What lies between is bridged when it is short, goes by way-points where
-//! some are given, and through a door where labels say that the person came or went; anything else is refused by name.
+//! Where a person was tracked, the recording decides. Short gaps are bridged. Longer gaps follow way-points where some
+//! are given, or lead through a door where labels say that the person came or went. Any other gap is an error that
+//! names it.
 
 use glam::DVec2;
 use radome_sim::scene_file::{DoorFile, SceneFile, StepFile};
@@ -12,36 +13,37 @@ use super::detections::Detections;
 use super::follow::Tracklet;
 use super::smooth::Smoothed;
 
-/// Stretches without an echo that are bridged, s.
+/// Longest gap that is bridged, s.
 pub const BRIDGE_S: f64 = 1.5;
-/// Nobody is believed to walk faster, m/s.
+/// Largest walking speed that is assumed of a person, m/s.
 const FASTEST_M_PER_S: f64 = 2.5;
-/// Scripts go no faster and no slower, m/s (sim/src/scene/check.rs).
+/// Range of speeds in scripts, m/s (sim/src/scene/check.rs).
 const SPEEDS_M_PER_S: [f64; 2] = [0.05, 5.0];
-/// A body this far beyond a door is out of the room, and one this far from it is on its way in, m.
+/// Distance beyond a door at which a body is out of the room, and distance from it at which a body is on its way in, m.
 const OUTSIDE_M: f64 = 0.75;
 const DOORSTEP_M: f64 = 0.3;
-/// Legs follow the trajectory within this, m.
+/// Largest deviation of the steps from the trajectory, m.
 const LEG_M: f64 = 0.03;
-/// Before a script's first time somebody who stands is on the way, s: who has arrived faces the radar.
+/// Time by which a standing person starts to walk before the script's first time, s. A person who has arrived faces the
+/// radar.
 const ARRIVAL_S: f64 = 5.0;
 
-/// A time and a place.
+/// Time and position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Knot {
     pub time_s: f64,
     pub place: DVec2,
 }
 
-/// One person over the whole recording.
+/// One person during the whole recording.
 #[derive(Debug, Clone, Default)]
 pub struct Role {
     pub tracklets: Vec<Tracklet>,
     pub knots: Vec<Knot>,
 }
 
-/// File of way-points: for each person `[[person]]` with `point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]`, times by
-/// the recording's clock and in order.
+/// File of way-points. For each person it has `[[person]]` with `point = [{ time_s = 1.5, position_m = [2.0, 1.0] },
+/// ...]`. Times are by the recording's clock and in order.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WayPoints {
@@ -50,7 +52,7 @@ pub struct WayPoints {
 }
 
 impl WayPoints {
-    /// The same by another clock.
+    /// Returns the way-points by another clock.
     pub fn shifted(mut self, by_s: f64) -> Self {
         self.person.iter_mut().flat_map(|p| &mut p.point).for_each(|point| point.time_s += by_s);
         self
@@ -70,30 +72,31 @@ pub struct WayPoint {
     pub position_m: [f64; 2],
 }
 
-/// Stretch of time without a known position of a person.
+/// Error of a script: time without a known position, a speed that is too high, or unordered way-points.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ScriptError {
-    /// Not followed, and no way-points.
+    /// The person was not tracked, and there are no way-points.
     #[error(
         "person {person} is in the room from {from_s:.2} to {to_s:.2} s by the labels, but was not followed there, and no \
          door is within reach\n\nhint: give way-points for that time with --waypoints FILE.toml: [[person]] with \
          point = [{{ time_s = {from_s:.2}, position_m = [x, y] }}, ...]; the persons are numbered from 1 in the order of the file"
     )]
     Unknown {
-        /// From 1.
+        /// Number of the person, from 1.
         person: usize,
         from_s: f64,
         to_s: f64,
     },
-    /// Faster than scripts go.
+    /// The person would move faster than scripts allow.
     #[error("person {person} would have to go {speed_m_per_s:.1} m/s from {from_s:.2} to {to_s:.2} s, more than {most} m/s; correct the way-points", most = SPEEDS_M_PER_S[1])]
     TooFast { person: usize, speed_m_per_s: f64, from_s: f64, to_s: f64 },
-    /// Way-points out of order.
+    /// Way-points are out of order.
     #[error("way-points of person {person}: {time_s} s comes after {before_s} s, expected times that rise")]
     Order { person: usize, time_s: f64, before_s: f64 },
 }
 
-/// Deals tracklets out to so many people: each goes on with who was last seen nearest to where it begins.
+/// Assigns tracklets to this number of people. Each tracklet goes to the person who was last seen nearest to its
+/// beginning.
 pub fn deal(tracklets: Vec<Tracklet>, people: usize) -> Vec<Role> {
     let mut roles = vec![Role::default(); people];
     for tracklet in tracklets {
@@ -120,16 +123,17 @@ fn velocity(state: &Smoothed) -> DVec2 {
     DVec2::new(state.vx, state.vy)
 }
 
-/// Number of the other roles that are followed in a frame.
+/// Number of the other roles that are tracked in a frame.
 fn others(roles: &[Role], person: usize, frame: usize) -> usize {
     let holds = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
     roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
 }
 
-/// Fills in the knots of all roles.
+/// Computes the knots of all roles.
 ///
 /// # Errors
-/// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of order.
+/// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of
+/// order.
 pub fn fill(
     roles: &mut [Role],
     detections: &[Detections],
@@ -142,7 +146,7 @@ pub fn fill(
     Ok(())
 }
 
-/// Way-points of a person.
+/// Returns the way-points of a person.
 ///
 /// # Errors
 /// [`ScriptError::Order`] where they are out of order.
@@ -159,7 +163,7 @@ fn way_points(points: &WayPoints, person: usize) -> Result<Vec<Knot>, ScriptErro
     Ok(points.iter().map(knot).collect())
 }
 
-/// First and last time within a stretch at which labels leave no room for a person, s.
+/// First and last time within an interval at which the labels count no further person, s.
 fn absence(roles: &[Role], person: usize, detections: &[Detections], from_s: f64, to_s: f64) -> Option<(f64, f64)> {
     let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
     let mut away = within.filter(|(k, l)| l.people <= others(roles, person, *k)).map(|(_, l)| l.time_s);
@@ -186,7 +190,7 @@ fn knots(
     let (Some(first), Some(last)) = (role.tracklets.first(), role.tracklets.last()) else {
         let there = detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k));
         let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), (_, l)| (l.time_s.min(a), l.time_s.max(b)));
-        // Nobody was seen and nobody is missed.
+        // No detections and no missing time by the labels.
         return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
     };
     let absent = |from_s: f64, to_s: f64| absence(roles, person, detections, from_s, to_s);
@@ -223,12 +227,12 @@ fn knots(
         }
         knots.extend(after);
     }
-    // Who waits outside comes again by another door: on the way there nobody sees them.
+    // A person who waits outside may return by another door, invisible on the way.
     knots.dedup_by(|b, a| b.time_s <= a.time_s + 1e-6);
     Ok(knots)
 }
 
-/// The way in to where somebody was first seen: since labels let them be there, or from the first frame on.
+/// Path to where a person was first seen: from a door since the labels allow it, or straight from the first frame on.
 fn arrive(start: &Smoothed, since: Option<f64>, begin_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
     let Some(since_s) = since else {
         let lead_s = start.time_s - begin_s;
@@ -237,7 +241,8 @@ fn arrive(start: &Smoothed, since: Option<f64>, begin_s: f64, scene: &SceneFile)
     Some(by_door(start, start.time_s - since_s, -1.0, scene)?.into_iter().rev().collect())
 }
 
-/// The way out, likewise.
+/// Path from where a person was last seen: through a door by the time that the labels require, or straight until the
+/// last frame.
 fn leave(end: &Smoothed, until: Option<f64>, end_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
     let Some(until_s) = until else {
         let tail_s = end_s - end.time_s;
@@ -246,7 +251,7 @@ fn leave(end: &Smoothed, until: Option<f64>, end_s: f64, scene: &SceneFile) -> O
     by_door(end, until_s - end.time_s, 1.0, scene)
 }
 
-/// Straight on to a time, but not through walls.
+/// Extrapolates on a straight line to a time, but not through walls.
 fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
     if (time_s - state.time_s).abs() < 1e-6 {
         return Vec::new();
@@ -256,8 +261,8 @@ fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
     vec![Knot { time_s, place: place.clamp(DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5)) }]
 }
 
-/// Through the door that suits the time best, in order away from where somebody was seen; `sign` is -1 back in time. Straight
-/// on out of the room where there is no door.
+/// Path through the door whose distance fits the time best, starting from where the person was seen. `sign` is -1 for
+/// backwards in time. Without a door, the path leads straight out of the room.
 fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
     let (from, usual) = (place(state), velocity(state).length().clamp(0.5, 2.0));
     let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
@@ -277,17 +282,17 @@ fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Optio
             .fold(1e9, f64::min);
         ways.push((from + on * out_m.max(0.0), on));
     }
-    // The body shows before its middle is in the door.
+    // The body becomes visible before its middle is in the door.
     let timed = ways.into_iter().filter_map(|(door, out)| {
         let way_m = (door + out * DOORSTEP_M).distance(from);
         let speed = way_m / time_s.max(way_m / FASTEST_M_PER_S);
-        // Where somebody is first or last seen is known as well as the smoother says.
+        // The first or last position is only as certain as the smoother's estimate.
         let sure_m = (way_m - 3.0 * state.sigma_m).max(0.0);
         let is_likely = sure_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
         is_likely.then_some(((speed / usual).ln().abs(), speed.max(0.3), door, out))
     });
     let (_, speed, door, out) = timed.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    // Who was seen through the door does not come in first.
+    // A person who was seen beyond the door does not come in first.
     let beyond_m = (from - door).dot(out);
     let mut knots = Vec::new();
     let (mut time_s, mut at) = (state.time_s, from);
@@ -301,7 +306,7 @@ fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Optio
     Some(knots)
 }
 
-/// The place in a door that is nearest, and the way out.
+/// Returns the nearest point of a door, and the outward direction.
 fn doorway(door: &DoorFile, from: DVec2, size: DVec2) -> (DVec2, DVec2) {
     let [x, y] = door.position_m;
     let room = (0.5 * door.width_m - 0.3).max(0.0);
@@ -314,7 +319,7 @@ fn doorway(door: &DoorFile, from: DVec2, size: DVec2) -> (DVec2, DVec2) {
     }
 }
 
-/// A role's steps from a start, as a scene states them. Times are those of the scene.
+/// Converts the knots of a role to a start time and the steps of a scene file. Times are those of the scene.
 ///
 /// # Errors
 /// [`ScriptError::TooFast`] where a person would have to go faster than scripts go.
@@ -331,7 +336,7 @@ pub fn steps(
         speed_m_per_s,
         ..StepFile::default()
     };
-    // From a little farther off, so that who stands faces the radar.
+    // The person starts a little farther away and walks towards the radar, so that a standing person faces it.
     let away = (first.place - radar).normalize_or(DVec2::X);
     let moves = |a: &Knot, b: &Knot| a.place.distance(b.place) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
     let waits = match knots.as_slice() {
@@ -371,7 +376,7 @@ pub fn steps(
         }
     }
     if seated {
-        // Nobody gets up at the end.
+        // A person who sits at the end does not get up.
         if let Some(StepFile { sit_s: Some(s), .. }) = steps.last_mut() {
             *s += ARRIVAL_S;
         }
@@ -384,8 +389,8 @@ fn still(time_s: f64, seated: bool) -> StepFile {
     StepFile { sit_s, stand_s, ..StepFile::default() }
 }
 
-/// The fewest of the knots between which straight walks at even speed stay within [`LEG_M`] of all (Ramer, Douglas and
-/// Peucker, over time).
+/// Returns the fewest knots for which straight walks at constant speed stay within [`LEG_M`] of all knots (Ramer,
+/// Douglas and Peucker, over time).
 fn simplified(knots: &[Knot]) -> Vec<Knot> {
     let [first, .., last] = knots else { return knots.to_vec() };
     let at = |t: f64| first.place.lerp(last.place, (t - first.time_s) / (last.time_s - first.time_s));
@@ -410,7 +415,7 @@ mod tests {
         all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
     }
 
-    /// Trajectory of a script's steps, at even speeds and without rounding.
+    /// Position on the trajectory of a script's steps, at constant speeds and without rounding.
     fn walked(start_s: f64, steps: &[StepFile], time_s: f64) -> DVec2 {
         let mut at = DVec2::from_array(steps[0].walk_to_m.expect("a place"));
         let mut now_s = start_s;
@@ -455,12 +460,12 @@ mod tests {
             .expect("fine")
             .expect("one");
         assert_eq!(start_s, -ARRIVAL_S);
-        // From behind the place towards the radar.
+        // The start lies behind the place, seen from the radar.
         assert!(steps[0].walk_to_m.expect("a place")[0] > steps[1].walk_to_m.expect("a place")[0]);
         assert!(steps.last().and_then(|s| s.sit_s) > Some(10.0), "{steps:?}");
     }
 
-    /// A step before the door they go out by it; seen in it or beyond it they do not come back in first.
+    /// A step before the door, a person goes out by it. Seen in it or beyond it, a person does not come back in first.
     #[test]
     fn who_is_seen_through_a_door_goes_straight_on() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");

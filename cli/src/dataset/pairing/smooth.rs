@@ -1,9 +1,11 @@
-//! Trajectory of a person from the echoes of a tracklet: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
-//! again about their own answer until it stays (the Gauss-Newton step of the whole trajectory).
+//! Trajectory of a person from the echoes of a tracklet. A Kalman filter and a backward Rauch-Tung-Striebel smoother
+//! are repeated until the result converges. Each pass is linearised about the previous result (the Gauss-Newton step of
+//! the whole trajectory).
 //!
-//! The state is a place and a velocity on the ground plan. An echo tells the range of the trunk's near surface, its radial
-//! speed, and a cosine; the body's axis lies behind that surface ([`REACH_M`]). Limbs and repeats off walls pull single echoes
-//! away by far more than noise does: what an echo is worth falls with how far it lies off, as with Student's distribution.
+//! The state is a position and a velocity on the floor plan. An echo measures the range of the trunk's near surface,
+//! its radial speed, and a direction cosine. The body's axis lies behind that surface ([`REACH_M`]). Limbs and ghosts
+//! off walls deviate by far more than noise, so the weight of an echo falls with its deviation, as with Student's
+//! distribution.
 
 use std::f64::consts::PI;
 
@@ -17,53 +19,53 @@ use radome_sim::scene::ANTENNA_OFFSETS_M;
 
 use super::detections::{Detections, Place};
 
-/// From the middle of the chest to its surface before or behind it, and beside it, m: its semi-axes in a body of average girth
-/// (sim/src/people/body.rs).
+/// Distance from the middle of the chest to its front or back surface, and to its side, m: its semi-axes in a body of
+/// average girth (sim/src/people/body.rs).
 const REACH_M: [f64; 2] = [0.115, 0.165];
-/// Those who walk lean forward: their chest is so far before their hips, m.
+/// Distance of the chest before the hips of a walking person, who leans forward, m.
 const LEAN_M: f64 = 0.024;
-/// Height of the chest's middle over that of the body.
+/// Height of the chest's middle relative to that of the body.
 pub const CHEST_HEIGHT: f64 = 0.72;
-/// Errors of an echo's range (m) and speed (m/s): which part of the trunk it is.
+/// Standard errors of an echo's range (m) and speed (m/s), since the echo comes from any part of the trunk.
 const RANGE_M: f64 = 0.06;
 const SPEED_M_PER_S: f64 = 0.12;
-/// Errors of its direction: by repeats off walls, and across the body (m).
+/// Standard errors of its direction: from ghosts off walls, and across the body (m).
 const COSINE: f64 = 0.03;
 const ACROSS_M: f64 = 0.08;
-/// People change their velocity by so much, m/s, in the root of a second, as they walk on; where they turn or stop, by more.
+/// Change of velocity of a walking person, m/s per root second. It is larger where a person turns or stops.
 const RESTLESSNESS: f64 = 0.2;
-/// Time over which a turn is looked for, s.
+/// Time over which a turn is detected, s.
 const TURN_S: f64 = 0.5;
 const MOST_TURN: f64 = 300.0;
-/// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
+/// Relative field of the merged ghosts below which a person counts as visible: 6 dB down.
 const CLEAR: f64 = 0.5;
-/// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse/), and how
-/// much of a wall a range cell holds, m^2.
+/// Fraction of the incident power that a wall scatters by Lambert's law, and area of wall in a range cell, m^2. The
+/// fraction is the largest that was measured (sim/src/diffuse/).
 const MULTIPATH_SHARE: f64 = 0.16;
 const PIECE_M2: f64 = 3.0;
-/// No way by a wall counts as shorter, m.
+/// Least length of a path to a wall, m.
 const LEAST_LEG_M: f64 = 0.3;
-/// Degrees of freedom of the errors' distribution.
+/// Degrees of freedom of Student's distribution of the errors.
 const FREEDOM: f64 = 4.0;
 const ROUNDS: usize = 8;
 
-/// The radar as far as echoes tell of it.
+/// Geometry of the radar, as needed for detections.
 #[derive(Debug, Clone)]
 pub struct Sensor {
     pub position: DVec3,
     world_from_radar: DMat3,
-    /// Unit vector, in the room, along the pair of receivers that tells azimuth; `None` with one receiver.
+    /// Unit vector, in the room, along the pair of receivers that measures azimuth; `None` with one receiver.
     azimuth: Option<DVec3>,
     /// Height of the trunk's middle, m.
     pub trunk_height_m: f64,
-    /// Span of speeds without ambiguity, m/s.
+    /// Unambiguous span of speeds, m/s.
     pub span_m_per_s: f64,
     range_resolution_m: f64,
     pattern: Pattern,
     room: BoxRoom,
 }
 
-/// A person in a frame.
+/// State of a person in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothed {
     /// Index among the detections.
@@ -73,15 +75,15 @@ pub struct Smoothed {
     pub y: f64,
     pub vx: f64,
     pub vy: f64,
-    /// Standard deviation of the place, by the smoother's own account, m.
+    /// Standard deviation of the position, as estimated by the smoother, m.
     pub sigma_m: f64,
     /// Level of the echo over noise, dB; `None` where there was none.
     pub snr_db: Option<f64>,
-    /// Whether there was one that no repeat off a wall is merged with.
+    /// Whether there was an echo that is not merged with a ghost off a wall.
     pub is_visible: bool,
 }
 
-/// Echo that is expected of a person.
+/// Expected echo of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     pub range_m: f64,
@@ -89,18 +91,18 @@ pub struct Expected {
     pub cosine: f64,
 }
 
-/// Ghost of a person by a piece of wall, on average, beside their own echo.
+/// Average ghost of a person off a piece of wall, relative to the direct echo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Multipath {
     /// Additional range of the ghost, m.
     pub farther_m: f64,
-    /// Level over theirs, dB.
+    /// Level relative to the direct echo, dB.
     pub louder_db: f64,
 }
 
 impl Sensor {
-    /// The radar of a scene, and the receivers to compare: RX1 with RX3 side by side, else RX1 with RX2, which are beside and
-    /// above each other.
+    /// Returns the radar of a scene, and the receivers to compare: RX1 with RX3, which are side by side, else RX1 with
+    /// RX2, which are offset horizontally and vertically.
     pub fn new(scene: &Scene, waveform: &Waveform, height_m: f64) -> (Self, Vec<Baseline>) {
         let world_from_radar = scene.radar_from_world().transpose();
         let antennas = waveform.request.rx_antennas.antennas();
@@ -129,18 +131,18 @@ impl Sensor {
         (sensor, pair.map(|(_, baseline)| baseline).into_iter().collect())
     }
 
-    /// Whether receivers tell direction.
+    /// Returns whether the receivers measure direction.
     pub fn tells_direction(&self) -> bool {
         self.azimuth.is_some()
     }
 
-    /// A difference of speeds, folded into the span without ambiguity.
+    /// Wraps a difference of speeds into the unambiguous span.
     pub fn wrapped(&self, speed: f64) -> f64 {
         speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
     }
 
-    /// Ghost of a person by a piece of wall, which is given by its middle and its normal into the room: by the way from the radar
-    /// over the wall and the person back, and the other way round.
+    /// Computes the ghost of a person off a piece of wall, given by its middle and its normal into the room. The path
+    /// leads from the radar via the wall and the person back, and the other way round.
     pub fn multipath(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Multipath {
         let place = DVec3::new(state.x, state.y, self.trunk_height_m);
         let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
@@ -148,13 +150,14 @@ impl Sensor {
         let field = |way: DVec3| self.pattern.field(self.world_from_radar.transpose() * way.normalize_or_zero());
         let cosines = (-there.dot(*normal)).max(0.0) / there_m * on.dot(*normal).max(0.0) / on_m;
         let by_pattern = (field(there) / field(-back).max(1e-3)).powi(2);
-        // Two ways, in phase, of which a receiver takes one polarisation; the body throws as much to all sides.
+        // Two paths in phase, of which a receiver takes one polarisation. The body is assumed to scatter equally in all
+        // directions.
         let power =
             4.0 * 0.5 * MULTIPATH_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
         Multipath { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
     }
 
-    /// Middles of pieces of floor, ceiling and walls, that far apart, each with the normal into the room.
+    /// Middles of pieces of floor, ceiling and walls at this spacing, each with the normal into the room.
     pub fn wall_pieces(&self, step_m: f64) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
         let size = self.room.size_m;
         let counts = (size / step_m).ceil().max(DVec3::ONE);
@@ -172,8 +175,8 @@ impl Sensor {
         })
     }
 
-    /// Repeats off upright walls that fall into the range cell of somebody's own echo: their field over its, all together, and
-    /// by how much they can pull its cosine.
+    /// Ghosts off upright walls that fall into the range cell of a person's own echo: their total field relative to the
+    /// echo's, and the largest bias of its cosine.
     pub fn merged_repeats(&self, x: f64, y: f64) -> (f64, f64) {
         let place = DVec3::new(x, y, self.trunk_height_m);
         let field = |from: DVec3| {
@@ -187,7 +190,7 @@ impl Sensor {
             if later_m > self.range_resolution_m {
                 continue;
             }
-            // Seen from the antenna the repeat comes from the person's own image.
+            // Seen from the antenna, the ghost comes from the person's own mirror image.
             let (axis, at) = (wall / 2, if wall % 2 == 0 { 0.0 } else { self.room.size_m[wall / 2] });
             let mut mirrored = place;
             mirrored[axis] = 2.0 * at - place[axis];
@@ -201,7 +204,7 @@ impl Sensor {
         (all, pull)
     }
 
-    /// The radar in each wall's mirror, with the wall's index.
+    /// Images of the radar in each wall, with the wall's index.
     pub fn images(&self) -> impl Iterator<Item = (usize, DVec3)> {
         let (size, at) = (self.room.size_m, self.position);
         let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
@@ -213,18 +216,18 @@ impl Sensor {
         })
     }
 
-    /// Echo that is expected of a person.
+    /// Computes the expected echo of a person.
     pub fn expected(&self, state: &Smoothed) -> Expected {
         let [range, speed, cosine] = self.measures(DVec4::new(state.x, state.y, state.vx, state.vy));
         Expected { range_m: range.0, velocity_m_per_s: speed.0, cosine: cosine.0 }
     }
 
-    /// Along which cosines are measured: beside the boresight where no receivers tell.
+    /// Unit vector along which cosines are measured; perpendicular to the boresight if no receivers measure direction.
     fn beside(&self) -> DVec3 {
         self.azimuth.unwrap_or(self.world_from_radar.y_axis)
     }
 
-    /// Range, speed and cosine that a state makes, each with its gradient.
+    /// Range, speed and cosine of a state, each with its gradient.
     fn measures(&self, state: DVec4) -> [(f64, DVec4); 3] {
         let velocity = DVec2::new(state.z, state.w);
         let lean = velocity.normalize_or_zero() * LEAN_M * velocity.length().min(1.0);
@@ -233,7 +236,8 @@ impl Sensor {
         let unit = way / r;
         let ground = unit.truncate();
         let speed = velocity.dot(ground);
-        // The support function of the trunk's ellipse; people face where they go, and those who stand either way.
+        // Support function of the trunk's ellipse. People face their direction of motion; standing people may face
+        // either way.
         let [front, side] = REACH_M;
         let facing = if velocity.length() > 0.2 { velocity.normalize().dot(ground.normalize_or_zero()) } else { 0.7 };
         let level = front * front * facing * facing + side * side * (1.0 - facing * facing);
@@ -249,7 +253,7 @@ impl Sensor {
         ]
     }
 
-    /// Roughly where an echo comes from.
+    /// Approximate position of an echo.
     fn place(&self, range_m: f64, cosine: f64) -> DVec2 {
         let ground_m = (range_m.powi(2) - (self.trunk_height_m - self.position.z).powi(2)).max(0.01).sqrt();
         let sine = (cosine * range_m / ground_m).clamp(-0.95, 0.95);
@@ -258,22 +262,22 @@ impl Sensor {
     }
 }
 
-/// Value, what it should be by error, and which of the three measures.
+/// Measured value, its standard error, and which of the three quantities it measures.
 struct Measure {
     which: usize,
     value: f64,
     sigma: f64,
-    /// Factor on the variance, by how far it lies off.
+    /// Factor on the variance, which grows with the deviation.
     doubt: f64,
 }
 
-/// Measures from the echoes of a tracklet, by frame from its first to its last.
+/// Measurements from the echoes of a tracklet, by frame from its first to its last.
 struct Seen<'a> {
     frames: Vec<&'a Detections>,
     measures: Vec<Vec<Measure>>,
     /// Levels of the echoes over noise, dB.
     snr_db: Vec<Option<f64>>,
-    /// Times, s, and rough places.
+    /// Times, s, and approximate positions.
     places: Vec<(f64, DVec2)>,
 }
 
@@ -307,7 +311,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// The trajectory of a tracklet, a state for each frame from its first to its last.
+/// Computes the trajectory of a tracklet, a state for each frame from its first to its last.
 pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
     let Some(Seen { frames, mut measures, snr_db, places: seen }) = Seen::new(detections, places, sensor) else {
         return Vec::new();
@@ -343,8 +347,8 @@ pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> V
     .collect()
 }
 
-/// Factor on how restless somebody is at each time, by how much their velocity changes there: as with errors, what is unlikely
-/// is taken for something else that happened.
+/// Factor on the process noise at each time, from the change of velocity there. As with the measurement errors, an
+/// unlikely change is attributed to another cause, such as a turn.
 fn turns(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
     let at = |time_s: f64| {
         let later = frames.partition_point(|detected| detected.time_s < time_s).min(states.len().saturating_sub(1));
@@ -358,13 +362,13 @@ fn turns(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
     frames.iter().map(factor).collect()
 }
 
-/// A measure less what it should be.
+/// Deviation of a measurement from its expected value.
 fn off(measure: &Measure, value: f64, sensor: &Sensor) -> f64 {
     let off = measure.value - value;
     if measure.which == 1 { sensor.wrapped(off) } else { off }
 }
 
-/// Places between those seen, averaged over half a second either way, with the slope of that.
+/// Initial trajectory: average of the seen positions over half a second either way, with its slope as velocity.
 fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
     const HALF_S: f64 = 0.5;
     let about = |time_s: f64| {
@@ -384,8 +388,8 @@ fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
     frames.iter().map(guess).collect()
 }
 
-/// A frame's part of the filter: the step from the frame before, the state and covariance that this foretells, and those that the
-/// frame's measures make of them.
+/// Filter results of a frame: transition from the frame before, predicted state and covariance, and state and
+/// covariance updated by the frame's measurements.
 #[derive(Clone, Copy)]
 struct Filtered {
     step: DMat4,
@@ -393,7 +397,8 @@ struct Filtered {
     filtered: (DVec4, DMat4),
 }
 
-/// Forth and back once, with all measures linear about `about`. States, and standard deviations of the places.
+/// Runs the filter and the smoother once, with all measurements linearised about `about`. Returns states and standard
+/// deviations of the positions.
 fn once(
     frames: &[&Detections],
     measures: &[Vec<Measure>],
@@ -402,7 +407,7 @@ fn once(
     sensor: &Sensor,
 ) -> (Vec<DVec4>, Vec<f64>) {
     let mut state = about.first().copied().unwrap_or_default();
-    // Little is known before.
+    // Little is known about the initial state.
     let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
     let mut before_s = frames.first().map_or(0.0, |detected| detected.time_s);
     let mut passed: Vec<Filtered> = Vec::with_capacity(frames.len());
@@ -439,7 +444,7 @@ fn once(
     back(&passed)
 }
 
-/// States by all measures, later ones too, from those by earlier ones.
+/// Smooths the filtered states backwards, so that later measurements count too.
 fn back(passed: &[Filtered]) -> (Vec<DVec4>, Vec<f64>) {
     let (mut states, mut sigmas) = (Vec::with_capacity(passed.len()), Vec::with_capacity(passed.len()));
     let mut after: Option<(Filtered, DVec4, DMat4)> = None;
@@ -471,7 +476,7 @@ mod tests {
         Sensor::new(&Scene::nothing(&waveform).expect("a scene"), &waveform, 1.75).0
     }
 
-    /// Echoes of somebody on a straight way, exactly as the sensor expects them, but for some that come from elsewhere.
+    /// Echoes of a person on a straight path, exactly as the sensor expects them, except for some from elsewhere.
     fn detections(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Detections>, Vec<Smoothed>) {
         let truth = |i: usize| {
             let time_s = 0.1 * i as f64;
@@ -517,8 +522,8 @@ mod tests {
         }
     }
 
-    /// One in seven is 1.8 m to one side: an average over them would be 0.26 m off, the smoother is less than half as much. (At
-    /// the ends, where little else is known, wrong echoes weigh more.)
+    /// One echo in seven is 1.8 m to one side. An average over the echoes would be 0.26 m off; the smoother's error is
+    /// less than half as much. (At the ends, where little else is known, wrong echoes weigh more.)
     #[test]
     fn echoes_from_elsewhere_pull_little() {
         let sensor = sensor();
@@ -529,7 +534,7 @@ mod tests {
         }
     }
 
-    /// Gradients against differences of the values.
+    /// Compares gradients with differences of the values.
     #[test]
     fn measures_change_as_their_gradients_say() {
         let sensor = sensor();
@@ -540,7 +545,7 @@ mod tests {
             let (after, before) = (sensor.measures(state + step), sensor.measures(state - step));
             for (which, (value, gradient)) in sensor.measures(state).into_iter().enumerate() {
                 let slope = (after[which].0 - before[which].0) / 2e-4;
-                // How far the trunk reaches and leans is taken for constant.
+                // The gradient takes the reach and the lean of the trunk as constant.
                 assert!((slope - gradient[axis]).abs() < 0.05, "{which} {axis}: {slope} {} at {value}", gradient[axis]);
             }
         }

@@ -1,4 +1,4 @@
-//! The dataset of a recording and its mirror.
+//! Dataset of a recording and its mirror.
 
 use radome_dsp::{Rdm, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};

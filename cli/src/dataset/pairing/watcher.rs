@@ -7,17 +7,17 @@ use radome_dsp::{Frame, Truth, Waveform};
 
 use super::detections::Detections;
 
-/// Half the time over which frames are compared with each other to find people who are still, s.
+/// Half the time over which frames are compared to find still people, s.
 const STILL_HALF_S: f64 = 1.0;
 /// Distance, m, within which a moving echo hides a still one.
 const KEEPS_AWAY_M: f64 = 1.0;
 
-/// Frame of the recording without its samples.
+/// Metadata of a frame of the recording, without its samples.
 #[derive(Debug, Clone, Copy)]
 pub struct Taken {
     /// Number of the frame.
     pub sequence: u64,
-    /// Beginning of the frame on the recording's clock, ns.
+    /// Start of the frame on the recording's clock, ns.
     pub time_ns: u64,
     /// Whether frames were lost before it.
     pub after_gap: bool,
@@ -31,12 +31,12 @@ pub struct Watcher {
     moving: Vec<Vec<Detection>>,
     profiles: VecDeque<RangeProfile>,
     still: Vec<Vec<Detection>>,
-    /// Frames of a window.
+    /// Number of frames in a window.
     window: usize,
 }
 
 impl Watcher {
-    /// Finder for frames of a waveform.
+    /// Creates a finder for frames of a waveform.
     pub fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
         let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
         Watcher {
@@ -65,8 +65,8 @@ impl Watcher {
         Ok(())
     }
 
-    /// Echoes of all frames, with those that are still in the middle of each window; the first and last whole window stand for
-    /// either end.
+    /// Returns the echoes of all frames, with the still echoes of the window that is centred on each. At either end,
+    /// the first and the last complete window are used.
     pub fn finish(mut self, times_s: &[f64], taken: &[Taken], waveform: &Waveform) -> Vec<Detections> {
         if self.still.is_empty() && !self.profiles.is_empty() {
             self.still.push(self.detector.detect_still(&self.profiles.iter().collect::<Vec<_>>()));

@@ -1,5 +1,5 @@
-//! Address and login of the MQTT broker. Passwords come from a file or the environment, never from the command line, and
-//! are shown nowhere.
+//! Address and login of the MQTT broker. Passwords come from a file or the environment, never from the command line,
+//! and are never shown.
 
 use std::fs::File;
 use std::io::Read;
@@ -18,14 +18,14 @@ use rustls::pki_types::pem::PemObject;
 
 const GRAMMAR: &str = "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password comes from \
                        --mqtt-password-file FILE or RADOME_MQTT_PASSWORD";
-/// Variables of the environment that hold user and password.
+/// Environment variables that hold user and password.
 pub const USER_VARIABLE: &str = "RADOME_MQTT_USER";
 pub const PASSWORD_VARIABLE: &str = "RADOME_MQTT_PASSWORD";
 /// Longest password that is read from a file, bytes.
 const MOST_PASSWORD_BYTES: u64 = 4096;
-/// Longest packet that is taken from a broker: what is subscribed to has messages of a few bytes.
+/// Longest packet that is accepted from a broker, bytes. Messages of the subscribed topics have a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
-/// Longest silence of a connection; the broker says that the radar is gone after one and a half times this.
+/// Keep-alive interval of a connection. After one and a half times this, the broker reports the radar as offline.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// Options that name a broker.
@@ -42,17 +42,17 @@ pub struct BrokerArguments {
 }
 
 impl BrokerArguments {
-    /// The broker's address as it was given, which may be wrong and hold a password.
+    /// Returns the broker's address as given; it may be malformed and hold a password.
     pub fn url(&self) -> Option<&str> {
         self.url.as_deref()
     }
 
-    /// File of the password.
+    /// Returns the file of the password.
     pub fn password_file(&self) -> Option<&Path> {
         self.mqtt_password_file.as_deref()
     }
 
-    /// The broker with its login; `None` where no broker is named.
+    /// Returns the broker with its login; `None` where no broker is named.
     ///
     /// # Errors
     /// The address is malformed or holds a password; the password's file cannot be read or others may read it; there is a
@@ -67,17 +67,17 @@ impl BrokerArguments {
     }
 }
 
-/// A variable of the environment, if it is set and not empty.
+/// Returns an environment variable, if it is set and not empty.
 fn variable(name: &str) -> anyhow::Result<Option<String>> {
     match std::env::var_os(name).filter(|value| !value.is_empty()).map(|value| value.into_string()) {
         None => Ok(None),
         Some(Ok(value)) => Ok(Some(value)),
-        // The value itself is not quoted: it may be a password.
+        // The value is not quoted, since it may be a password.
         Some(Err(_)) => bail!("the environment variable {name} is not text in UTF-8"),
     }
 }
 
-/// The first line of a file that only its owner and group may read.
+/// Reads the first line of a file that only its owner and group may read.
 fn read_password(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("cannot read the password in {}", path.display());
     let file = File::open(path).with_context(named)?;
@@ -102,12 +102,12 @@ fn read_password(path: &Path) -> anyhow::Result<Secret> {
     Ok(Secret(password.to_owned()))
 }
 
-/// A text that is not shown by `{:?}` and has no `{}`.
+/// Text that `{:?}` does not show and that has no `{}`.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(String);
 
 impl Secret {
-    /// The text itself: not for errors and logs.
+    /// Returns the text itself, which must not appear in errors and logs.
     pub fn reveal(&self) -> &str {
         &self.0
     }
@@ -119,7 +119,7 @@ impl std::fmt::Debug for Secret {
     }
 }
 
-/// A broker's address and the login there.
+/// Address of a broker, and the login there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Broker {
     host: String,
@@ -129,7 +129,7 @@ pub struct Broker {
     password: Option<Secret>,
 }
 
-/// Host and port, without the login: this goes to logs.
+/// Formats host and port without the login, for logs.
 impl std::fmt::Display for Broker {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}:{}", self.host, self.port)
@@ -137,15 +137,15 @@ impl std::fmt::Display for Broker {
 }
 
 impl Broker {
-    /// From a URL and what the file and the environment add to it. A URL that holds a password is refused: other users see
-    /// it in the list of processes. No error quotes the URL, since what it is malformed by may be a password.
+    /// Parses a URL, completed by the file and the environment. A URL that holds a password is refused, since other
+    /// users see it in the list of processes. No error quotes the URL, since its malformed part may be a password.
     fn parse(url: &str, user: Option<String>, password: Option<Secret>) -> anyhow::Result<Self> {
         let (is_encrypted, rest) = match url.split_once("://") {
             Some(("mqtt" | "tcp", rest)) => (false, rest),
             Some(("mqtts" | "ssl", rest)) => (true, rest),
             _ => bail!("the broker's address does not begin with mqtt:// or mqtts://{GRAMMAR}"),
         };
-        // The host is what follows the last @: a password may hold any character.
+        // The host follows the last @, since a password may hold any character.
         let (login, address) = match rest.rsplit_once('@') {
             Some((login, address)) => (Some(login), address),
             None => (None, rest),
@@ -158,7 +158,7 @@ impl Broker {
         }
         let address = address.strip_suffix('/').unwrap_or(address);
         let default_port = if is_encrypted { 8883 } else { 1883 };
-        // An address of IP version 6 stands in brackets.
+        // An IPv6 address is enclosed in brackets.
         let (host, port) = match address.rsplit_once(':') {
             Some((host, port)) if !port.contains(']') => match port.parse() {
                 Ok(port) => (host, port),
@@ -182,23 +182,23 @@ impl Broker {
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
     }
 
-    /// Name or address of the host; IPv6 in brackets.
+    /// Returns the name or address of the host; IPv6 in brackets.
     pub fn host(&self) -> &str {
         &self.host
     }
 
-    /// User at the broker.
+    /// Returns the user at the broker.
     pub fn user(&self) -> Option<&str> {
         self.user.as_deref()
     }
 
-    /// Password of that user.
+    /// Returns the password of that user.
     pub fn password(&self) -> Option<&Secret> {
         self.password.as_ref()
     }
 
-    /// Options of a connection, less the last will. `authorities` is a file of certificates to trust in place of the
-    /// system's.
+    /// Builds the options of a connection without the last will. `authorities` is a file of certificates to trust in
+    /// place of the system's.
     ///
     /// # Errors
     /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
@@ -207,7 +207,7 @@ impl Broker {
         options.set_keep_alive(KEEP_ALIVE);
         options.set_clean_start(true);
         options.set_connection_timeout(10);
-        // Version 5 of the protocol lets the broker know: it keeps longer ones to itself, also those that it retains.
+        // MQTT 5 sends this limit to the broker, which then withholds longer packets, including retained ones.
         options.set_max_packet_size(Some(MOST_PACKET_BYTES));
         if let Some(user) = &self.user {
             options.set_credentials(user, self.password.as_ref().map_or("", Secret::reveal));
@@ -221,10 +221,10 @@ impl Broker {
     }
 }
 
-/// Whether this is a host's name, an address of IP version 4, or one of version 6 in brackets.
+/// Returns whether a text is a host name, an IPv4 address, or an IPv6 address in brackets.
 fn is_host(host: &str) -> bool {
     match host.strip_prefix('[').and_then(|host| host.strip_suffix(']')) {
-        // A link-local address carries its interface: fe80::1%eth0.
+        // A link-local address includes its interface: fe80::1%eth0.
         Some(address) => address.split('%').next().is_some_and(|address| address.parse::<Ipv6Addr>().is_ok()),
         None => !host.is_empty() && host.chars().all(|c| c.is_alphanumeric() || ".-_".contains(c)),
     }
@@ -351,7 +351,7 @@ mod tests {
         }
 
         proptest! {
-            /// A password in an address is refused and not echoed, whether the address is well formed or not.
+            /// A password in an address is refused and not quoted, whether the address is well formed or not.
             #[test]
             fn no_password_in_an_address_is_taken_or_quoted(
                 scheme in prop::sample::select(vec!["mqtt://", "mqtts://", "ssl://", "http://", "mqtt:", ""]),

@@ -1,38 +1,38 @@
-//! Messages to Home Assistant: one device with all its entities in one retained message (its "device discovery", for which see
-//! <https://www.home-assistant.io/integrations/mqtt/>), and the states that those entities read.
+//! Messages to Home Assistant: one device with all its entities in one retained message, and the states that those
+//! entities read. For its "device discovery" see <https://www.home-assistant.io/integrations/mqtt/>.
 
 use radome_driver::BoardIdentity;
 use serde_json::{Value, json};
 
 use super::latest::Said;
 
-/// A state that is older than this counts as unknown, s.
+/// Age beyond which a state counts as unknown, s.
 pub const EXPIRES_AFTER_S: u64 = 30;
 
-/// Identity of a radar that neither a board nor the user has named.
+/// Identity of a radar without a name from the board or the user.
 const UNNAMED: &str = "radome";
 
-/// The radar as the house knows it, and its topics.
+/// Radar as a Home Assistant device, with its topics.
 #[derive(Debug, Clone)]
 pub struct Device {
-    /// Name for people.
+    /// Display name.
     name: String,
-    /// Stable through restarts, no other's: the board's own identity, or the name.
+    /// Unique identity, stable across restarts: the board's own identity, or the name.
     id: String,
     model: String,
     maker: &'static str,
     firmware: Option<String>,
     discovery_prefix: String,
-    /// Whether wrong answers may be reported.
+    /// Whether reports of wrong answers are accepted.
     takes_reports: bool,
 }
 
-/// Buttons of the device: what is pressed when an answer is wrong.
+/// Buttons of the device, with which a user reports a wrong answer.
 const REPORTS: [(&str, &str); 3] =
     [("empty", "Report false alarm"), ("one", "Report one person"), ("two", "Report two people")];
 
 impl Device {
-    /// The device of a board, or of a name where no board has an identity.
+    /// Creates the device of a board, or of a name where the board has no identity.
     pub fn new(board: Option<&BoardIdentity>, name: Option<&str>, discovery_prefix: &str, takes_reports: bool) -> Self {
         let uuid = board.map(|board| board.uuid.as_str()).filter(|uuid| uuid.contains(|c| c != '0'));
         let id = uuid.map_or_else(|| slug(name.unwrap_or(UNNAMED)), slug);
@@ -47,42 +47,43 @@ impl Device {
         }
     }
 
-    /// Client identity at the broker: the same after a restart, so that the broker drops the connection that went before.
+    /// Client identifier at the broker. It is the same after a restart, so that the broker drops the previous
+    /// connection.
     pub fn client_id(&self) -> String {
         format!("radome-{}", self.id)
     }
 
-    /// Whether a board or the user has named it: two radars without a name are one to the broker.
+    /// Returns whether the board or the user has named it. The broker cannot distinguish two unnamed radars.
     pub fn has_own_name(&self) -> bool {
         self.id != UNNAMED
     }
 
-    /// `online` or `offline`, retained.
+    /// Topic of the availability, `online` or `offline`, retained.
     pub fn availability_topic(&self) -> String {
         format!("radome/{}/availability", self.id)
     }
 
-    /// [`state`], retained.
+    /// Topic of [`state`], retained.
     pub fn state_topic(&self) -> String {
         format!("radome/{}/state", self.id)
     }
 
-    /// Topic where reports arrive: the name of a class that would have been right.
+    /// Topic of reports; their payload is the name of the correct class.
     pub fn report_topic(&self) -> Option<String> {
         self.takes_reports.then(|| format!("radome/{}/report", self.id))
     }
 
-    /// Topic where the hub reports that it is there.
+    /// Topic where the hub reports that it is online.
     pub fn hub_topic(&self) -> String {
         format!("{}/status", self.discovery_prefix)
     }
 
-    /// Topic where the hub looks for devices.
+    /// Topic where the hub searches for devices.
     pub fn discovery_topic(&self) -> String {
         format!("{}/device/bgt60_{}/config", self.discovery_prefix, self.id)
     }
 
-    /// Message that the hub finds there.
+    /// Discovery message for the hub.
     pub fn discovery(&self) -> Value {
         let version = env!("CARGO_PKG_VERSION");
         let unique = |what: &str| format!("bgt60_{}_{what}", self.id);
@@ -130,7 +131,7 @@ impl Device {
     }
 }
 
-/// The state that all entities read.
+/// State that all entities read.
 pub fn state(said: &Said, dropped_frames: u64) -> Value {
     json!({
         "occupancy": if said.people > 0 { "ON" } else { "OFF" },
@@ -140,7 +141,7 @@ pub fn state(said: &Said, dropped_frames: u64) -> Value {
     })
 }
 
-/// Text as it may stand in a topic and in an id: lower-case letters, digits and `_`.
+/// Converts a text for topics and ids: lower-case letters, digits and `_`.
 fn slug(name: &str) -> String {
     let text: String =
         name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).take(64).collect();

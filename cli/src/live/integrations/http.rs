@@ -1,4 +1,4 @@
-//! The metrics' server: what Prometheus and health checks read, and reports of wrong answers.
+//! Server of the metrics: Prometheus metrics, health checks, and reports of wrong answers.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use super::metrics;
 use crate::live::access::{self, Access};
 use crate::live::http_server::{self, Client, Event, Limits};
 
-/// Connections at a time: a scraper needs one.
+/// Largest number of simultaneous connections; a scraper needs one.
 const MOST_CONNECTIONS: usize = 64;
 
 #[derive(Clone)]
@@ -43,7 +43,7 @@ pub async fn serve(listener: TcpListener, access: Access, latest: Arc<Latest>, r
     .await;
 }
 
-/// Lets nothing pass that means another host, comes from another site, or lacks the token.
+/// Refuses requests that name another host, come from another site, or lack the token.
 async fn guard(
     State(access): State<Arc<Access>>,
     Extension(client): Extension<Client>,
@@ -81,7 +81,7 @@ async fn show_metrics(State(served): State<Served>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], metrics::text(&served.latest))
 }
 
-/// 200 while frames are labelled, 503 otherwise.
+/// Returns 200 while frames are labelled, 503 otherwise.
 async fn show_health(State(served): State<Served>) -> impl IntoResponse {
     match served.latest.said() {
         Some(_) => (StatusCode::OK, "frames are labelled\n"),
@@ -89,7 +89,7 @@ async fn show_health(State(served): State<Served>) -> impl IntoResponse {
     }
 }
 
-/// Saves the last minute: asked by this machine, and by no page in a browser on it.
+/// Saves the last minute. Accepts requests from this machine only, and none from a page in a browser.
 async fn report(
     State(served): State<Served>,
     Extension(client): Extension<Client>,

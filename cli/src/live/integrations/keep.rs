@@ -1,4 +1,4 @@
-//! The last minute, kept to be saved as training data when somebody says that the answer is wrong.
+//! Buffer of the last minute, which is saved as training data when a user reports a wrong answer.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -40,39 +40,39 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether anything is to be kept.
+    /// Returns whether anything is to be kept.
     pub fn is_wanted(&self) -> bool {
         self.keep_to.is_some()
     }
 }
 
-/// Somebody says what would have been right.
+/// Report of the correct class by a user.
 #[derive(Debug, Clone, Copy)]
 pub struct Report {
     pub truth: Occupancy,
-    /// By which way it came.
+    /// Channel through which it came.
     pub by: &'static str,
 }
 
-/// Between two reports that are both believed.
+/// Least time between two reports that are both accepted.
 const LEAST_INTERVAL: Duration = Duration::from_secs(5);
 
-/// The way to the keeper.
+/// Sender of reports to the saving thread.
 #[derive(Clone)]
 pub struct Reports(Sender<Report>);
 
 impl Reports {
-    /// Hands a report on; `false` if the keeper is still busy with others.
+    /// Sends a report; `false` if earlier ones still wait.
     pub fn send(&self, report: Report) -> bool {
         self.0.try_send(report).is_ok()
     }
 }
 
-/// A frame, its codes packed as the chip packs them: three bytes for two.
+/// Frame with its codes packed as the chip packs them: two codes in three bytes.
 #[derive(Default)]
 struct Kept {
     packed: Vec<u8>,
-    /// Everything but the codes.
+    /// Frame without the codes.
     head: Option<Frame>,
     result: Option<FrameResult>,
 }
@@ -91,7 +91,7 @@ impl Kept {
     }
 }
 
-/// A frame without its codes.
+/// Copies a frame without its codes.
 fn frame_head(frame: &Frame) -> Frame {
     let Frame { sequence, time_ns, host_time_ns, shape, truth, temperature_millicelsius, .. } = *frame;
     Frame { sequence, time_ns, host_time_ns, shape, truth, temperature_millicelsius, codes: Vec::new() }
@@ -103,7 +103,7 @@ enum Entry {
     Gap(Gap),
 }
 
-/// The past, as far as time and memory allow.
+/// Ring buffer of recent frames, limited by time and memory.
 struct Ring {
     entries: VecDeque<Entry>,
     bytes: usize,
@@ -113,7 +113,7 @@ struct Ring {
 }
 
 impl Ring {
-    /// Forgets what is too old or too much; gives back the memory of one frame, to be used again.
+    /// Removes entries beyond the limits; returns the memory of one frame for reuse.
     fn forget(&mut self) -> Option<Kept> {
         let mut spare = None;
         while let Some(first) = self.entries.front() {
@@ -124,13 +124,13 @@ impl Ring {
                     self.newest_ns.saturating_sub(time_ns) > self.span_ns || self.bytes > self.most_bytes
                 }
             };
-            // A gap at the front is before all that is kept.
+            // A gap at the front precedes all kept frames.
             if !is_old && matches!(first, Entry::Frame(_)) {
                 break;
             }
             if let Some(Entry::Frame(kept)) = self.entries.pop_front() {
                 self.bytes -= kept.bytes();
-                // Unless it is being saved.
+                // The memory is not reused while the frame is being saved.
                 spare = Arc::into_inner(kept).or(spare);
             }
         }
@@ -138,20 +138,20 @@ impl Ring {
     }
 }
 
-/// Keeps frames as they are judged.
+/// Sink that keeps frames as they are classified.
 pub struct Keeper {
     ring: Arc<Mutex<Ring>>,
     spare: Option<Kept>,
 }
 
-/// The thread that saves; ends when this is dropped, behind the report that is being saved.
+/// Saving thread. Dropping it waits for the report that is being saved.
 pub struct Saver {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Keeper {
-    /// A keeper, the way to it, and its thread; nothing if nothing is to be kept.
+    /// Creates a keeper, its sender and its thread; `None` if nothing is to be kept.
     ///
     /// # Errors
     /// The folder cannot be written, or the thread cannot be started.
@@ -194,7 +194,7 @@ impl Keeper {
 
 impl Drop for Saver {
     fn drop(&mut self) {
-        // Whoever still holds a way to it, and be it a task that hangs, is not waited for.
+        // The flag stops the thread even if a hanging task still holds a sender.
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take()
             && let Err(payload) = thread.join()
@@ -209,7 +209,7 @@ impl Sink for Keeper {
         let mut kept = self.spare.take().unwrap_or_default();
         kept.fill(moment);
         let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
-        // A clock that has started again makes the past another night's.
+        // A restarted clock makes earlier entries unrelated.
         if moment.frame.time_ns < ring.newest_ns {
             ring.entries.clear();
             ring.bytes = 0;
@@ -234,7 +234,7 @@ impl Sink for Keeper {
     }
 }
 
-/// Inputs of saving.
+/// Inputs of the saving thread.
 struct Saving {
     ring: Arc<Mutex<Ring>>,
     folder: PathBuf,
@@ -271,9 +271,9 @@ impl Saving {
         }
     }
 
-    /// Writes what is kept as a recording, whole or not at all.
+    /// Writes the buffer as a recording, atomically.
     fn save(&self, report: Report) -> anyhow::Result<PathBuf> {
-        // A list of references: the classifier's thread waits no longer for it than for another frame.
+        // Cloning the list of references holds the lock only briefly, so the classifier's thread hardly waits.
         let entries = self.ring.lock().unwrap_or_else(PoisonError::into_inner).entries.clone();
         let entries: Vec<Entry> = entries.into();
         let results = entries.iter().filter_map(|entry| match entry {
@@ -320,14 +320,14 @@ impl Saving {
         Ok(path)
     }
 
-    /// `report-SECONDS-CLASS.mcap`, with another number where that is taken.
+    /// Free file name `report-SECONDS-CLASS.mcap`, with a number appended if it exists.
     fn free_name(&self, now_s: u64, truth: Occupancy) -> PathBuf {
         let name = |n: u64| self.folder.join(format!("report-{}-{}.mcap", now_s + n, truth.name()));
         (0..).map(name).find(|path| !path.exists()).unwrap_or_else(|| name(0))
     }
 }
 
-/// From when the answer last became another than the truth, until the end; everything if it never was.
+/// Interval from the start of the last wrong answers until the end; the whole buffer if no answer was wrong.
 fn disputed(results: &[FrameResult], truth: Occupancy, interval_s: f64) -> (f64, f64) {
     let is_wrong = |result: &&FrameResult| usize::from(result.people) != truth.index();
     let wrong_until = results.iter().rposition(|result| is_wrong(&result));
@@ -368,9 +368,9 @@ mod tests {
         let span = |people: &[u8], truth| disputed(&results(people), truth, 0.1);
         let close = |(a, b): (f64, f64), (c, d): (f64, f64)| (a - c).abs() < 1e-9 && (b - d).abs() < 1e-9;
         assert!(close(span(&[0, 0, 1, 1, 2], Occupancy::Empty), (0.2, 0.5)));
-        // It has righted itself before somebody found the button.
+        // The answer became right again before the user reported.
         assert!(close(span(&[0, 1, 1, 0, 0], Occupancy::Empty), (0.1, 0.5)));
-        // Somebody was there before, rightly.
+        // The earlier answer was rightly occupied.
         assert!(close(span(&[1, 0, 1, 1], Occupancy::Empty), (0.2, 0.4)));
         assert!(close(span(&[1, 1, 0, 0], Occupancy::One), (0.2, 0.4)));
         assert!(close(span(&[0, 0], Occupancy::Empty), (0.0, 0.2)));

@@ -1,4 +1,4 @@
-//! The newest of a run, in one place: written by the classifier's thread, read by whoever tells others.
+//! Newest state of a run, written by the classifier's thread and read by the integrations.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,63 +16,63 @@ use crate::live::sink::{Moment, Sink};
 pub struct Said {
     /// Probabilities of empty, one and two.
     pub probabilities: [f32; 3],
-    /// People that the room counts as holding, after delays: the one authoritative answer.
+    /// Number of people in the room, after delays: the one authoritative answer.
     pub people: usize,
 }
 
 impl Said {
-    /// Probability of what the room counts as.
+    /// Returns the probability of the number of people that counts.
     pub fn confidence(&self) -> f32 {
         self.probabilities.get(self.people).copied().unwrap_or(0.0)
     }
 }
 
-/// The newest of a run.
+/// Newest state of a run.
 #[derive(Debug, Clone)]
 pub struct Newest {
-    /// Nothing until the first label.
+    /// Newest answer; `None` until the first label.
     pub said: Option<Said>,
-    /// Time at which the last frame with a signal was judged, labelled or not.
+    /// Time at which the last frame with a signal was classified, labelled or not.
     pub judged: Option<Instant>,
     pub health: Health,
 }
 
-/// Requests of others to the run and refusals of them, each with a counter.
+/// Counters of external requests to the run, and of refusals.
 #[derive(Debug, Default)]
 pub struct Counters {
-    /// Whether the broker listens.
+    /// Whether the connection to the broker is up.
     pub mqtt_connected: AtomicBool,
-    /// Connections to the broker that came about.
+    /// Number of established connections to the broker.
     pub mqtt_connections: AtomicU64,
     pub mqtt_published: AtomicU64,
-    /// Messages of others that were not understood or not obeyed.
+    /// Number of received messages that were not understood or not followed.
     pub mqtt_refused: AtomicU64,
-    /// Connections to the metrics that gave way to newer ones because there were too many.
+    /// Number of connections to the metrics that were replaced by newer ones because there were too many.
     pub http_turned_away: AtomicU64,
-    /// Requests that were malformed, too long, too slow, without the token, or for what is not there.
+    /// Number of requests that were malformed, too long, too slow, without the token, or for an unknown path.
     pub http_refused: AtomicU64,
-    /// Reports of wrong answers that became recordings.
+    /// Number of reports of wrong answers that were saved as recordings.
     pub reports_kept: AtomicU64,
-    /// Reports that did not: too many at once, or no room.
+    /// Number of reports that were not saved: too many at once, or no space.
     pub reports_refused: AtomicU64,
 }
 
-/// Adds one.
+/// Adds one to a counter.
 pub fn count(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }
 
-/// The newest of a run, shared.
+/// Newest state of a run, shared between threads.
 pub struct Latest {
     newest: Mutex<Newest>,
     changes: watch::Sender<u64>,
     silence: Duration,
-    /// Requests of others.
+    /// Counters of external requests.
     pub counters: Counters,
 }
 
 impl Latest {
-    /// Health of a run that has reported nothing yet; a board that is silent for `silence` counts as gone.
+    /// Creates the state of a run without answers. A board that is silent for `silence` counts as gone.
     pub fn new(started: Instant, silence: Duration) -> Arc<Self> {
         let newest = Mutex::new(Newest { said: None, judged: None, health: Health::new(started) });
         Arc::new(Latest { newest, changes: watch::Sender::new(0), silence, counters: Counters::default() })
@@ -82,30 +82,30 @@ impl Latest {
         self.newest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A copy, for whoever takes longer over it.
+    /// Returns a copy, so that slow readers hold no lock.
     pub fn newest(&self) -> Newest {
         self.lock().clone()
     }
 
-    /// Newest answer, if frames still come: an old answer is none.
+    /// Returns the newest answer; `None` if frames no longer arrive.
     pub fn said(&self) -> Option<Said> {
         let newest = self.lock();
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
     }
 
-    /// Frames judged and frames lost so far.
+    /// Number of frames classified and lost so far.
     pub fn frames(&self) -> (u64, u64) {
         let newest = self.lock();
         (newest.health.frames, newest.health.dropped_total())
     }
 
-    /// Changes whenever the number of people does, and with the first label.
+    /// Returns a receiver that is notified when the number of people changes, and of the first label.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 }
 
-/// Keeps a [`Latest`] up to date.
+/// Sink that updates a [`Latest`].
 pub struct LatestSink(pub Arc<Latest>);
 
 impl Sink for LatestSink {

@@ -1,4 +1,4 @@
-//! A run in Prometheus' text format, version 0.0.4.
+//! Metrics of a run in the Prometheus text format, version 0.0.4.
 
 use std::fmt::Write;
 use std::sync::atomic::Ordering;
@@ -11,7 +11,7 @@ use crate::live::health::{Health, LatencyHistogram};
 /// Upper bounds of the latency's buckets, s.
 const BOUNDS_S: [f64; 10] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 1.0];
 
-/// All metrics.
+/// Formats all metrics.
 pub fn text(latest: &Latest) -> String {
     let health = latest.newest().health;
     let said = latest.said();
@@ -39,7 +39,7 @@ impl Page {
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
     }
 
-    /// Values of labels are names of our own: nothing in them needs escaping.
+    /// Writes a sample. Label values are internal names that need no escaping.
     fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
         self.0.push_str(name);
         for (i, (label, text)) in labels.iter().enumerate() {
@@ -48,7 +48,7 @@ impl Page {
         let _ = writeln!(self.0, "{} {value}", if labels.is_empty() { "" } else { "}" });
     }
 
-    /// A metric of one value, which is absent while it is not known.
+    /// Writes a metric with one value; omitted while the value is unknown.
     fn gauge(&mut self, name: &str, help: &str, value: Option<f64>) {
         self.metric(name, "gauge", help);
         if let Some(value) = value {

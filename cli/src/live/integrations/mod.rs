@@ -1,5 +1,5 @@
-//! Connections of a run to other programs: MQTT for home automation, metrics for Prometheus, notifications for systemd. Each reads the
-//! newest answer on a thread of its own and cannot hold up the classifier.
+//! Connections of a run to other programs: MQTT for home automation, metrics for Prometheus, notifications for systemd.
+//! Each reads the newest answer on a thread of its own and cannot block the classifier.
 
 pub mod broker;
 mod discovery;
@@ -53,7 +53,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether metrics are served.
+    /// Returns whether metrics are served.
     pub fn has_metrics(&self) -> bool {
         self.metrics.is_some()
     }
@@ -61,7 +61,7 @@ impl Arguments {
 
 /// Longest time to close connections.
 const FAREWELL: Duration = Duration::from_secs(4);
-/// A board that gives no frame for so many intervals, and this long, counts as gone.
+/// Number of frame intervals, and least time, without a frame after which a board counts as gone.
 const SILENT_FRAMES: f64 = 20.0;
 const SILENCE: Duration = Duration::from_secs(5);
 
@@ -71,12 +71,12 @@ pub struct Integrations {
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
     runtime: Option<Runtime>,
-    /// Behind the runtime, whose tasks hold the way to it.
+    /// Declared after the runtime, whose tasks hold senders to it.
     saver: Option<Saver>,
 }
 
 impl Integrations {
-    /// Opens what is wanted; `header` says of what, `access` who may use the metrics' port.
+    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port.
     ///
     /// # Errors
     /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
@@ -136,13 +136,13 @@ impl Integrations {
         Ok(integrations)
     }
 
-    /// Sinks for the classifier's thread.
+    /// Takes the sinks for the classifier's thread.
     pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
         std::mem::take(&mut self.sinks)
     }
 }
 
-/// Fails for a prefix under which nothing can be published.
+/// Fails for a prefix that is not valid in a topic.
 fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     if prefix.trim_matches('/').is_empty() || prefix.contains(['#', '+', '\0']) {
         bail!(
@@ -152,7 +152,7 @@ fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Opens the metrics' port, which the network reaches only with a token.
+/// Opens the metrics' port. The network reaches it only with a token.
 fn serve_metrics(
     runtime: &Runtime,
     address: SocketAddr,
@@ -198,7 +198,7 @@ impl Drop for Integrations {
         });
         runtime.shutdown_timeout(Duration::from_secs(1));
         self.sinks.clear();
-        // What is being saved is saved.
+        // Waits until a report that is being saved is complete.
         self.saver.take();
     }
 }

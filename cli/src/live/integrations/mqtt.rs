@@ -1,4 +1,5 @@
-//! MQTT: tells a broker what is said, and announces the radar to Home Assistant. Wherever the broker is, frames are judged.
+//! MQTT client: publishes answers to a broker, and announces the radar to Home Assistant. Failures of the broker do not
+//! affect the classification of frames.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,13 +17,13 @@ use super::discovery::{Device, state};
 use super::keep::{Report, Reports};
 use super::latest::{Latest, count};
 
-/// Between two messages that say the same; a third of what the hub waits for.
+/// Interval between repeated messages; a third of the hub's expiry time.
 const HEARTBEAT: Duration = Duration::from_secs(10);
-/// Between two looks at whether frames still come, and at most so often the hub is told who we are.
+/// Interval of the check for new frames, and least time between two announcements to the hub.
 const LOOK: Duration = Duration::from_secs(1);
-/// First and longest time before the broker is tried again.
+/// First and longest delay before the broker is tried again.
 const WAITS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(15)];
-/// A connection that lasted so long was a good one.
+/// Duration above which a connection counts as good.
 const GOOD_CONNECTION: Duration = Duration::from_secs(30);
 /// Longest time that the broker may take to close.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -30,7 +31,7 @@ const FAREWELL: Duration = Duration::from_secs(2);
 /// Options of a connection.
 pub struct Mqtt {
     pub broker: Broker,
-    /// Address, login, limits.
+    /// Address, login and limits.
     pub options: MqttOptions,
     pub device: Device,
     pub latest: Arc<Latest>,
@@ -41,19 +42,19 @@ pub struct Mqtt {
 /// Events of the connection.
 #[derive(Clone, Copy)]
 enum Heard {
-    /// The broker listens.
+    /// The connection is up.
     Connected,
-    /// The broker no longer listens.
+    /// The connection is lost.
     Lost,
     HubOnline,
-    /// The hub stops; what it knows of us is retained.
+    /// The hub goes offline; its copy of the discovery is retained.
     HubOffline,
-    /// Somebody says that the answer is wrong.
+    /// A user reports a wrong answer, with the correct class.
     Report(Occupancy),
 }
 
 impl Mqtt {
-    /// Tells until `stop` says so, whatever happens to the connection.
+    /// Publishes until `stop` is set, regardless of the state of the connection.
     pub async fn run(mut self, mut stop: watch::Receiver<bool>) {
         let will = LastWill::new(self.device.availability_topic(), "offline", QoS::AtLeastOnce, true, None);
         self.options.set_last_will(will);
@@ -68,7 +69,7 @@ impl Mqtt {
                 latest: self.latest.clone(),
                 hears,
             };
-            // A task of its own: whatever a broker sends that the protocol's library does not survive ends that task only.
+            // A separate task: if a packet makes the protocol library panic, only that task ends.
             let mut connection = tokio::spawn(listener.listen(events));
             let mut teller = Teller {
                 mqtt: &self,
@@ -94,7 +95,7 @@ impl Mqtt {
     }
 }
 
-/// Connections that the broker closed lately: two clients of one name throw each other off.
+/// Recent closings of the connection by the broker. Two clients with one name disconnect each other repeatedly.
 #[derive(Default)]
 struct Closings {
     at: Vec<Instant>,
@@ -102,7 +103,7 @@ struct Closings {
 }
 
 impl Closings {
-    /// Notes one more; says once, at the third within a minute, that they are too many.
+    /// Notes a closing; returns true once, at the third within a minute.
     fn are_too_many(&mut self) -> bool {
         let now = Instant::now();
         self.at.retain(|at| now.duration_since(*at) < Duration::from_secs(60));
@@ -111,7 +112,7 @@ impl Closings {
     }
 }
 
-/// Drives the connection and picks out what is meant for us.
+/// Runs the connection and extracts relevant messages.
 struct Listener {
     broker: Broker,
     has_own_name: bool,
@@ -159,7 +160,7 @@ impl Listener {
                         count(&counters.mqtt_refused);
                     }
                     let words = in_words(&error);
-                    // Once for each kind of trouble.
+                    // Each kind of error is reported once.
                     if words != last_words {
                         tracing::warn!(
                             "MQTT broker {}: {words}; trying again, frames are judged meanwhile",
@@ -183,7 +184,7 @@ impl Listener {
         );
     }
 
-    /// Meaning of a message; `None` if it is malformed.
+    /// Parses a message; `None` if it is malformed.
     fn understand(&self, message: &Publish) -> Option<Heard> {
         let topic = message.topic.as_ref();
         let text = std::str::from_utf8(&message.payload).ok()?.trim();
@@ -195,13 +196,13 @@ impl Listener {
             };
         }
         let is_report = self.report_topic.as_ref().is_some_and(|report| topic == report.as_bytes());
-        // A report that the broker has kept is about another night.
+        // A retained report refers to an earlier run.
         (is_report && !message.retain).then(|| Occupancy::from_name(text).map(Heard::Report)).flatten()
     }
 }
 
-/// Cause of a failed connection and what to do about it. What the broker sent is never shown: one that sends back what it
-/// received sends the password.
+/// Describes the cause of a failed connection, with a remedy. Data from the broker are never shown, since a server that
+/// echoes its input would echo the password.
 fn in_words(error: &ConnectionError) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
     match error {
@@ -225,16 +226,16 @@ fn in_words(error: &ConnectionError) -> String {
     }
 }
 
-/// Says what there is to say.
+/// Publishes answers and availability.
 struct Teller<'a> {
     mqtt: &'a Mqtt,
     client: AsyncClient,
-    /// Availability that the broker was last told on this connection.
+    /// Availability last published on this connection.
     told_online: Option<bool>,
-    /// Time at which the hub was last told who we are.
+    /// Time of the last announcement to the hub.
     announced: Option<Instant>,
     wants_hello: bool,
-    /// Whether it was said that a message could not be sent.
+    /// Whether a failed publication was reported.
     has_warned: AtomicBool,
 }
 
@@ -298,7 +299,7 @@ impl Teller<'_> {
     fn subscribe(&self) {
         let topics = [Some(self.mqtt.device.hub_topic()), self.mqtt.device.report_topic()];
         for topic in topics.into_iter().flatten() {
-            // The queue is as good as empty: nothing else is sent before.
+            // The queue is nearly empty, since nothing else is sent before.
             let _ = self.client.try_subscribe(topic, QoS::AtLeastOnce);
         }
     }
@@ -312,7 +313,7 @@ impl Teller<'_> {
         self.beat(true);
     }
 
-    /// Whether we are there, and, if so, what we say.
+    /// Publishes the availability and, if `with_state` is set, the newest state.
     fn beat(&mut self, with_state: bool) {
         let latest = &self.mqtt.latest;
         let said = latest.said();
@@ -321,13 +322,13 @@ impl Teller<'_> {
             self.publish(&self.mqtt.device.state_topic(), state(&said, dropped).to_string());
         }
         let availability = if said.is_some() { "online" } else { "offline" };
-        // Also when it is no news: the last will of a connection that died unseen may have said otherwise.
+        // Published even if unchanged: the last will of a connection that died unnoticed may have said otherwise.
         self.publish(&self.mqtt.device.availability_topic(), availability.into());
         self.told_online = Some(said.is_some());
     }
 
-    /// Retained, so that who comes later knows too. A queue that is full belongs to a broker that takes nothing; the next
-    /// beat says it again.
+    /// Publishes a retained message, so that later subscribers receive it too. If the queue is full, the broker takes
+    /// no messages; the next heartbeat repeats it.
     fn publish(&self, topic: &str, message: String) {
         if self.client.try_publish(topic, QoS::AtLeastOnce, true, message).is_ok() {
             count(&self.mqtt.latest.counters.mqtt_published);
@@ -343,7 +344,7 @@ mod tests {
 
     use super::*;
 
-    /// A server that sends back whatever it receives: the connection's first packet holds the login.
+    /// A server that echoes its input receives the login in the first packet of the connection.
     #[test]
     fn a_login_that_comes_back_is_not_shown() {
         let connect = Connect { keep_alive: 15, client_id: "radome-1".into(), clean_start: true, properties: None };

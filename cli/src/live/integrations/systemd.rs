@@ -1,4 +1,4 @@
-//! Notifications for systemd, where it has started us (`Type=notify`): when we are ready, that frames still come, when we stop.
+//! Notifications for systemd with `Type=notify`: ready, watchdog while frames arrive, stopping.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,17 +8,17 @@ use tokio::sync::watch;
 
 use super::latest::Latest;
 
-/// Between two looks, unless the watchdog wants more.
+/// Interval of the checks, unless the watchdog needs a shorter one.
 const LOOK: Duration = Duration::from_millis(500);
-/// Between two lines of status.
+/// Interval between lines of status.
 const STATUS_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Whether anybody listens.
+/// Returns whether systemd expects notifications.
 pub fn is_wanted() -> bool {
     std::env::var_os("NOTIFY_SOCKET").is_some()
 }
 
-/// Tells until `stop` says so.
+/// Sends notifications until `stop` is set.
 pub async fn run(latest: Arc<Latest>, mut stop: watch::Receiver<bool>) {
     let watchdog = sd_notify::watchdog_enabled();
     let mut look = tokio::time::interval(watchdog.map_or(LOOK, |period| (period / 4).min(LOOK)));
@@ -36,7 +36,7 @@ pub async fn run(latest: Arc<Latest>, mut stop: watch::Receiver<bool>) {
             is_ready = true;
             tell(&[NotifyState::Ready]);
         }
-        // A watchdog that barks while nothing comes from the board would be content with a dead one.
+        // The watchdog is notified only while frames arrive, so that it also detects a dead board.
         if flows && watchdog.is_some() {
             tell(&[NotifyState::Watchdog]);
         }

@@ -1,4 +1,4 @@
-//! The command that adapts the model to the room by the labels of a recording, and what is missing for it.
+//! Command that adapts the model to the room with the labels of a recording, and the labels that it still lacks.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -9,24 +9,24 @@ use serde::Serialize;
 
 use crate::judge::CFAR;
 
-/// File that the command writes. `radome model adapt` replaces no file that exists.
+/// File that the command writes. `radome model adapt` does not replace an existing file.
 const OUTPUT: &str = "room-mine.safetensors";
 
-/// Command and state with which the page offers to adapt the model by its labels.
+/// Offer on the page to adapt the model with its labels: command and state.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Offer {
-    /// Command line for a shell; absent where the model cannot be adapted or labels are kept in no recording.
+    /// Command line for a shell; absent where the model cannot be adapted or no recording holds the labels.
     pub command: Option<String>,
-    /// Labelled time, and what is missing.
+    /// Labelled time, and the labels that are missing.
     pub text: String,
 }
 
 impl Offer {
-    /// Makes the offer for the labels of a recording. `None` as long as none of them names a class.
+    /// Makes the offer for the labels of a recording. `None` while no label names a class.
     pub fn new(model: &Path, recording: Option<&Path>, is_running: bool, labels: &[&LabelSpan]) -> Option<Self> {
         let seconds = Occupancy::ALL.map(|class| {
             let of_class = labels.iter().filter(|label| label.occupancy() == Some(class));
-            // A sum of nothing is -0.
+            // An empty sum is -0.
             of_class.map(|label| label.end_s - label.start_s).sum::<f64>() + 0.0
         });
         if seconds.iter().sum::<f64>() <= 0.0 {
@@ -75,7 +75,7 @@ impl Offer {
     }
 }
 
-/// A path as one word of a POSIX shell.
+/// Quotes a path as one word of a POSIX shell.
 fn quoted(path: &Path) -> String {
     let text = path.to_string_lossy();
     let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "_./+-:@%,".contains(letter);

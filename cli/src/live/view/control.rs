@@ -1,4 +1,4 @@
-//! Requests of a page: one JSON object a message, checked here and nowhere else.
+//! Requests of a page: one JSON object per message, all of them checked here.
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
@@ -9,55 +9,55 @@ use super::feed::{Look, PageId};
 use super::labels::Edit;
 use super::shared::Shared;
 
-/// Longest name of who labels, characters.
+/// Longest name of the person who labels, characters.
 const MOST_WHO: usize = 60;
-/// Fastest replay, times real time.
+/// Fastest replay, as a multiple of real time.
 const MOST_SPEED: f64 = 1000.0;
 
-/// A message of a page.
+/// Message of a page.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
-    /// A picture has been taken in; the next may come.
+    /// The page has received a picture and is ready for the next.
     Seen,
-    /// Selection of this page.
+    /// Selects the content of this page.
     Look(Look),
-    /// The recording goes on.
+    /// Continues the playback.
     Play,
-    /// The recording stays.
+    /// Pauses the playback.
     Pause,
-    /// Times real time; 0 is as fast as it goes.
+    /// Sets the speed as a multiple of real time; 0 is as fast as possible.
     Speed { times: f64 },
-    /// To the first frame at or after a time.
+    /// Seeks the first frame at or after a time.
     Seek { time_s: f64 },
-    /// To a frame by its number.
+    /// Seeks a frame by its number.
     SeekFrame { sequence: u64 },
-    /// Steps so many frames on, or back.
+    /// Steps forwards, or backwards if negative.
     Step { frames: i64 },
-    /// From the newest frame on it is so.
+    /// Starts a label at the newest frame.
     Label { occupancy: Occupancy, who: Option<String> },
-    /// From the newest frame on nobody says.
+    /// Ends the label at the newest frame.
     Stop,
-    /// New edges of a label.
+    /// Changes the start and end of a label.
     Move { id: u64, start_s: f64, end_s: f64 },
-    /// Another class.
+    /// Changes the class of a label.
     Relabel { id: u64, occupancy: Occupancy },
-    /// A label from nothing.
+    /// Creates a label.
     Add { start_s: f64, end_s: f64, occupancy: Occupancy, who: Option<String> },
-    /// A label goes.
+    /// Deletes a label.
     Delete { id: u64 },
-    /// The last change of a label is taken back.
+    /// Undoes the last change of a label.
     Undo,
-    /// Makes the edit that was undone again.
+    /// Redoes the change that was undone.
     Redo,
 }
 
-/// Does what a page asks for; an error says why not.
+/// Executes the request of a page.
 ///
 /// # Errors
 /// The message is malformed, or the request cannot be met.
 pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
-    let command: Command = serde_json::from_str(text).context("that is no message of this page")?;
+    let command: Command = serde_json::from_str(text).context("this is no message of the page")?;
     let transport = || {
         let playback =
             shared.about.playback.as_ref().context("only recordings can be sought, paused and stepped through")?;

@@ -1,11 +1,13 @@
-//! Content of pages: the newest frame, and the maps of it that they ask for.
+//! Content of pages: the newest frame, and the maps of it that they request.
 //!
-//! The classifier hands over the newest frame and its answer, and goes on. A thread of the pages keeps the history and makes the maps:
-//! each kind once, however many pages look at it, and only for pages that have taken in the picture before.
+//! The classifier hands over the newest frame and its answer, and continues. A thread of the pages keeps the history
+//! and computes the maps. Each kind is computed once for all pages that show it, and only for pages that have received
+//! the previous picture.
 //!
-//! A picture is a message: length of the header in four bytes, little-endian; the header in JSON; the parts that it lists.
-//! Maps are one byte a cell, `[doppler][range]`, `low_db + step_db * byte`, 255 for what is no number; the noise floor f32 by
-//! range bin; chirps u16: one chirp, and over all chirps of the channel the least and the largest code of each sample.
+//! A picture is a message with the length of its header in four bytes, little-endian; the header in JSON; and the parts
+//! that it lists. Maps have one byte per cell, `[doppler][range]`, `low_db + step_db * byte`, and 255 for values that
+//! are not numbers. The noise floor is f32 by range bin. Chirps are u16: one chirp, and the least and largest code of
+//! each sample over all chirps of the channel.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -23,33 +25,33 @@ use super::partner::Partner;
 use crate::live::answer::{Answer, Probabilities};
 use crate::live::sink::Moment;
 
-/// Pictures a second are enough for eyes.
+/// Shortest time between pictures, above the rate that viewers need.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(33);
-/// Pictures on their way to a page that has not said that it has taken them in.
+/// Largest number of pictures that a page has not acknowledged.
 const MOST_UNSEEN: u32 = 2;
-/// A page that has said nothing for so long gets one nevertheless: it may not speak.
+/// Time after which a page gets a picture even without an acknowledgement, in case it cannot send.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Answers that a page gets when it comes: ten minutes of the paper's frames.
+/// Number of answers that a page gets when it opens: ten minutes of the paper's frames.
 const HISTORY: usize = 6_000;
-/// Frames over whose arrivals the rate is taken.
+/// Number of frames whose arrivals determine the rate.
 const RATE_FRAMES: usize = 32;
-/// dB of one step of a cell's byte.
+/// Step of a cell's byte, dB.
 const STEP_DB: f32 = 0.5;
-/// Doppler bins around zero that do not count as noise.
+/// Number of Doppler bins around zero that do not count as noise.
 const GUARD_BINS: usize = 3;
-/// The vendor's weight of the newest frame.
+/// The vendor's weight of the newest frame in the MTI filter.
 const MTI_ALPHA: f64 = 0.8;
 
-/// Names a page.
+/// Identifier of a page.
 pub type PageId = u64;
 
 /// Channel of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Channel {
-    /// The map that the network judges.
+    /// Map that the network classifies.
     Network,
-    /// Mean power of all.
+    /// Mean power of all receivers.
     #[default]
     Sum,
     /// One receiver, 0-based.
@@ -60,12 +62,12 @@ pub enum Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
-    /// Static echoes stay.
+    /// No removal.
     None,
-    /// The mean over a frame's chirps.
+    /// Subtracts the mean over a frame's chirps.
     #[default]
     Mean,
-    /// The vendor's filter from frame to frame.
+    /// The vendor's recursive filter over frames.
     Mti,
 }
 
@@ -76,20 +78,20 @@ pub struct Look {
     /// Channel of the map.
     #[serde(default)]
     channel: Channel,
-    /// Removal of static echoes from it.
+    /// Removal of static echoes from the map.
     #[serde(default)]
     removal: Removal,
     /// Index of the chirp, if one is shown.
     #[serde(default)]
     chirp: Option<usize>,
-    /// Whether the simulated partner too.
+    /// Whether the simulated partner is shown too.
     #[serde(default)]
     partner: bool,
 }
 
 type Kind = (Channel, Removal);
 
-/// The newest frame and what was said of it.
+/// Newest frame with its answer.
 struct Newest {
     answer: Answer,
     frame: Arc<Frame>,
@@ -97,7 +99,7 @@ struct Newest {
     health: serde_json::Value,
 }
 
-/// Answer to one frame, for the tracks over time.
+/// Answer to one frame, for the timeline.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     sequence: u64,
@@ -106,12 +108,12 @@ struct Point {
     label: Option<usize>,
     occupied: bool,
     truth: Option<(usize, bool)>,
-    /// Frames are missing before it.
+    /// Whether frames are missing before it.
     after_gap: bool,
 }
 
 impl Point {
-    /// Values in the order in which `History.add` of `timeline.js` takes them.
+    /// Returns the values in the order of the arguments of `History.add` in `timeline.js`.
     fn row(&self) -> serde_json::Value {
         let p = self.probabilities.map(|p| p.values().map(|v| (v * 1e3).round() / 1e3));
         json!([
@@ -132,23 +134,23 @@ struct PageState {
     sender: mpsc::Sender<Bytes>,
     unseen: u32,
     sent_at: Instant,
-    /// Version that it was sent last.
+    /// Version that was sent last.
     version: u64,
-    /// Answers that had been given when it was sent that.
+    /// Number of answers that had been given at that time.
     told: u64,
 }
 
 /// Data that the classifier's thread hands to the pages' thread.
 #[derive(Default)]
 struct Handover {
-    /// The newest frame, if it has not been taken.
+    /// Newest frame, if it has not been taken.
     newest: Option<Newest>,
     /// Answers that have not been taken, at most [`HISTORY`].
     points: VecDeque<Point>,
     after_gap: bool,
-    /// Counts frames and changes of what pages look at.
+    /// Counter of frames and of changed selections of pages.
     version: u64,
-    /// Counts everything that the pages' thread may be waiting for.
+    /// Counter of all events that the pages' thread may be waiting for.
     calls: u64,
     closed: bool,
 }
@@ -159,16 +161,16 @@ struct Pages {
     next: PageId,
 }
 
-/// The newest frame, and who looks at it.
+/// Newest frame, and the pages that show it.
 ///
-/// The classifier's thread takes one lock, that of the [`Handover`]. Everybody holds it for a few assignments and nothing else: no
-/// message is written and no page is waited for meanwhile. Nobody holds it and the lock of the pages at once.
+/// The classifier's thread takes one lock, that of the [`Handover`]. All threads hold it for a few assignments only,
+/// never while a message is written or a page is awaited. No thread holds it and the lock of the pages at once.
 pub struct Feed {
     handover: Mutex<Handover>,
     wake: Condvar,
     pages: Mutex<Pages>,
-    /// Arrivals of the frames of a recording that are shown: where one is sought, others come too. Used by the classifier's thread
-    /// alone.
+    /// Arrival times of the shown frames of a recording; frames before a seek position are not shown. Used by the
+    /// classifier's thread only.
     arrivals: Mutex<VecDeque<Instant>>,
     waveform: Waveform,
     is_tape: bool,
@@ -178,9 +180,9 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// A feed without frames and pages.
+    /// Creates a feed without frames and pages.
     pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
-        // Both of the queues that change places have their full size from the start: see `serve`.
+        // Both swapped queues have their full capacity from the start: see `serve`.
         let handover = Handover { points: VecDeque::with_capacity(HISTORY), ..Handover::default() };
         Feed {
             handover: Mutex::new(handover),
@@ -212,7 +214,7 @@ impl Feed {
         result
     }
 
-    /// Takes the newest frame. Waits for no page.
+    /// Takes the newest frame without waiting for any page.
     pub fn publish(&self, moment: &Moment) {
         let answer = moment.answer;
         let newest = Newest {
@@ -239,11 +241,11 @@ impl Feed {
             handover.version += 1;
             handover.newest.replace(newest)
         });
-        // Its memory is given back without the lock.
+        // The old frame is freed without the lock.
         drop(old);
     }
 
-    /// Frames in a second, over the newest ones that are shown.
+    /// Frame rate over the newest frames that are shown, 1/s.
     fn rate(&self, moment: &Moment) -> f64 {
         if !self.is_tape {
             return moment.health.frames_per_s();
@@ -258,17 +260,17 @@ impl Feed {
         if span_s > 0.0 { (arrivals.len() - 1) as f64 / span_s } else { 0.0 }
     }
 
-    /// Frames are missing.
+    /// Notes that frames are missing.
     pub fn gap(&self, _gap: &Gap) {
         self.handover().after_gap = true;
     }
 
-    /// The run is over.
+    /// Ends the feed after the run.
     pub fn close(&self) {
         self.call(|handover| handover.closed = true);
     }
 
-    /// A page comes; its pictures arrive at the receiver.
+    /// Adds a page; its pictures arrive at the receiver.
     pub fn join(&self) -> (PageId, mpsc::Receiver<Bytes>) {
         let (sender, receiver) = mpsc::channel(MOST_UNSEEN as usize + 1);
         let mut pages = self.open_pages();
@@ -281,17 +283,17 @@ impl Feed {
         (id, receiver)
     }
 
-    /// A page goes.
+    /// Removes a page.
     pub fn leave(&self, page: PageId) {
         self.open_pages().open.remove(&page);
     }
 
-    /// Pages that look.
+    /// Number of open pages.
     pub fn pages(&self) -> usize {
         self.open_pages().open.len()
     }
 
-    /// A page has taken in a picture.
+    /// Notes that a page has received a picture.
     pub fn seen(&self, page: PageId) {
         if let Some(page) = self.open_pages().open.get_mut(&page) {
             page.unseen = page.unseen.saturating_sub(1);
@@ -299,7 +301,7 @@ impl Feed {
         self.call(|_| ());
     }
 
-    /// A page wants to see something else.
+    /// Changes the selection of a page.
     ///
     /// # Errors
     /// The frames have no such channel or chirp.
@@ -320,7 +322,7 @@ impl Feed {
         Ok(())
     }
 
-    /// Waits until a page wants a picture, and there is a frame; `false` once closed.
+    /// Waits until there is a frame and a page wants a picture; `false` once closed.
     fn wait_for_pages(&self, mut has_frame: bool) -> bool {
         loop {
             let handover = self.handover();
@@ -335,20 +337,20 @@ impl Feed {
             }
             let handover = self.handover();
             if handover.calls == calls {
-                // Not for ever: a page may be silent.
+                // Bounded wait, since a page may stay silent.
                 drop(self.wake.wait_timeout(handover, PATIENCE));
             }
         }
     }
 
-    /// Makes pictures until closed.
+    /// Makes pictures until the feed is closed.
     pub fn serve(&self, partner: Option<Partner>) {
         let mut painters: BTreeMap<(bool, Kind), Painter> = BTreeMap::new();
         let mut mirrored: Option<(u64, Frame)> = None;
         let mut newest: Option<Newest> = None;
         let mut history: VecDeque<Point> = VecDeque::with_capacity(HISTORY);
         let mut taken: VecDeque<Point> = VecDeque::with_capacity(HISTORY);
-        // Answers that have come through the history.
+        // Number of answers that have entered the history.
         let mut answers = 0;
         let mut last = Instant::now();
         while self.wait_for_pages(newest.is_some()) {
@@ -374,7 +376,7 @@ impl Feed {
             let kinds: Vec<Kind> = pages.open.values().map(|page| page.look.kind()).collect();
             drop(pages);
 
-            // Work that nobody waits for but pages.
+            // From here on, only pages wait for the work.
             painters.retain(|(_, kind), _| kinds.contains(kind));
             if let Some(partner) = partner.as_ref().filter(|_| looks.iter().any(|(_, look, _)| look.partner))
                 && mirrored.as_ref().is_none_or(|(sequence, _)| *sequence != newest.frame.sequence)
@@ -390,7 +392,7 @@ impl Feed {
                 let Some(message) = picture.message(points) else { continue };
                 let mut pages = self.open_pages();
                 let Some(page) = pages.open.get_mut(&id) else { continue };
-                // A page that takes nothing in keeps its place until the server gives it up.
+                // A page that takes no pictures stays open until the server drops it.
                 if page.sender.try_send(message).is_ok() {
                     page.told = answers;
                     page.unseen += 1;
@@ -422,7 +424,7 @@ impl Feed {
             picture.painted("map", "floor", self.painter(false, look, painters), &newest.frame);
         }
         if let Some((_, frame)) = mirrored.filter(|(sequence, _)| look.partner && *sequence == newest.frame.sequence) {
-            // The network's map may span frames, of which the partner has one.
+            // The network's map may span several frames; the partner has only one.
             picture.painted("partner", "partner_floor", self.painter(true, look, painters), frame);
         }
         if let Some(chirp) = look.chirp {
@@ -458,7 +460,7 @@ impl PageState {
     }
 }
 
-/// Health of the run, for the line at the top of the page.
+/// Counters of the run, for the line at the top of the page.
 fn health(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     let health = moment.health;
     let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();
@@ -475,13 +477,14 @@ fn health(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     })
 }
 
-/// Makes maps of one kind. Frames that pages skip do not make it forget what stands still: it counts those that it gets.
+/// Computes maps of one kind. The static-echo filter counts the frames that it receives, so frames that pages skip do
+/// not reset it.
 struct Painter {
     processor: RdmProcessor,
     map: Rdm,
     samples: Vec<f32>,
     count: u64,
-    /// The frame that the map is of.
+    /// Frame that the map was computed from.
     made_of: Option<(u64, u64)>,
 }
 
@@ -522,7 +525,7 @@ impl Painter {
     }
 }
 
-/// A message in the making.
+/// Message under construction.
 struct Picture {
     header: serde_json::Value,
     parts: Vec<(&'static str, Vec<u8>)>,
@@ -535,12 +538,12 @@ impl Picture {
         }
     }
 
-    /// The first channel of a map, and its noise floor.
+    /// Adds the first channel of a map, and its noise floor.
     fn map(&mut self, name: &'static str, floor: &'static str, map: &Rdm) {
         let cells = map.db.get(..map.shape.doppler * map.shape.range).unwrap_or(&[]);
         let finite = || cells.iter().copied().filter(|v| v.is_finite());
         let (low, high) = finite().fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(v), high.max(v)));
-        // What a byte can hold, from the top.
+        // Range of a byte, from the top.
         let low_db = if low > high { 0.0 } else { low.floor().max((high - 254.0 * STEP_DB).ceil()) };
         self.header[name] = json!({
             "doppler": map.shape.doppler,
@@ -601,7 +604,7 @@ mod tests {
     use radome_dsp::WaveformRequest;
     use std::thread;
 
-    /// Far longer than anything takes on any machine.
+    /// Timeout far above the duration of any operation on any machine.
     const PATIENCE: Duration = Duration::from_secs(60);
 
     fn publish(feed: &Feed, sequences: std::ops::Range<u64>) {
@@ -614,7 +617,7 @@ mod tests {
         }
     }
 
-    /// Publishes on a thread of its own; whether that ends.
+    /// Publishes on a separate thread; returns whether that finishes.
     fn can_publish(feed: &Arc<Feed>, sequences: std::ops::Range<u64>) -> bool {
         let (done, ended) = std::sync::mpsc::channel();
         let of = feed.clone();
@@ -636,12 +639,12 @@ mod tests {
         let feed = Arc::new(Feed::new(&waveform, false));
         let answers = HISTORY as u64 + 100;
 
-        // Whoever changes the pages holds their lock for ever.
+        // Holds the lock of the pages throughout, as a thread that changes them would.
         let held = feed.open_pages();
         assert!(can_publish(&feed, 0..answers), "waits for the pages' lock");
         drop(held);
 
-        // The thread that writes messages is in the middle of the whole history.
+        // The thread that writes messages is stopped within the message with the whole history.
         let (page, mut pictures) = feed.join();
         let held = feed.hold_up.lock().expect("a lock");
         let of = feed.clone();
@@ -657,12 +660,12 @@ mod tests {
         let first = header(&pictures.blocking_recv().expect("a picture"));
         let rows = first["history"].as_array().expect("rows");
         assert_eq!((rows.len(), &rows[0][0]), (HISTORY, &json!(100)));
-        // What came meanwhile comes with the next picture, once.
+        // Answers that were given meanwhile come with the next picture, once.
         feed.seen(page);
         let second = header(&pictures.blocking_recv().expect("a picture"));
         let rows = second["history"].as_array().expect("rows");
         assert_eq!((rows.len(), &rows[49][0]), (50, &json!(answers + 49)));
-        // A page that comes later gets as much, and so does one that comes back.
+        // A page that opens later gets the same history, and so does one that reconnects.
         for _ in 0..3 {
             let (page, mut pictures) = feed.join();
             let rows = header(&pictures.blocking_recv().expect("a picture"))["history"].clone();

@@ -1,4 +1,4 @@
-//! The labels that pages make: put down by keys while frames go by, moved at their edges, taken back; and where they are kept.
+//! Labels that pages make by keys during playback, and edit and undo; and their storage.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,20 +17,20 @@ use super::adaptation::Offer;
 use crate::labels;
 use crate::source::Playback;
 
-/// More labels than anybody makes by hand.
+/// Largest number of labels, above any number made by hand.
 const MOST_SPANS: usize = 5_000;
-/// Changes that can be taken back.
+/// Number of changes that can be undone.
 const MOST_UNDO: usize = 100;
-/// Shorter spans are slips of the hand, s.
+/// Duration below which a span counts as accidental, s.
 const SHORTEST_S: f64 = 1e-3;
-/// Interval at which a growing label is written to the disk, and to a recording that is being made: what is lost if this
-/// program is killed is not more than of its frames.
+/// Intervals at which a growing label is written to the disk, and to a recording that is being made. They limit the
+/// loss if this program is killed.
 const GROWING_SAVED: Duration = Duration::from_secs(10);
 const GROWING_RECORDED: Duration = Duration::from_millis(500);
-/// Changes in a row that cost one write.
+/// Time for which successive changes are collected into one write.
 const IN_A_ROW: Duration = Duration::from_millis(300);
 
-/// A label with a name that stays while it is edited.
+/// Label with an identifier that stays while it is edited.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Span {
     pub id: u64,
@@ -38,7 +38,7 @@ pub struct Span {
     pub label: LabelSpan,
 }
 
-/// A label that still goes on.
+/// Label that has not ended yet.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Open {
     pub start_s: f64,
@@ -49,7 +49,7 @@ pub struct Open {
     made_ns: Option<u64>,
 }
 
-/// Spans, changed one step at a time.
+/// Set of spans with undo history, changed one step at a time.
 #[derive(Debug, Default)]
 pub struct Book {
     spans: Vec<Span>,
@@ -58,7 +58,7 @@ pub struct Book {
     past: Vec<(Vec<Span>, Option<Open>)>,
     future: Vec<(Vec<Span>, Option<Open>)>,
     extent_s: Option<(f64, f64)>,
-    /// Counts changes.
+    /// Number of changes.
     revision: u64,
 }
 
@@ -68,7 +68,7 @@ impl Book {
         Book { next_id: spans.len() as u64, spans, extent_s, ..Book::default() }
     }
 
-    /// Before a change.
+    /// Stores the state before a change for undo.
     fn remember(&mut self) {
         self.past.push((self.spans.clone(), self.open.clone()));
         if self.past.len() > MOST_UNDO {
@@ -78,7 +78,7 @@ impl Book {
         self.revision += 1;
     }
 
-    /// From here on it is so, until somebody says otherwise. The same once more ends it.
+    /// Starts a label from the current time on. The same label once more ends it.
     fn press(&mut self, label: Occupancy, now_s: f64, who: Option<String>) {
         self.remember();
         let was = self.open.as_ref().map(|open| open.label);
@@ -93,7 +93,7 @@ impl Book {
         self.paint(None, LabelSpan { who, made_ns, ..LabelSpan::new(start_s, end_s, label.name()) });
     }
 
-    /// Puts a span down; others that name a class give way.
+    /// Adds a span; others that name a class are cut where they overlap.
     fn paint(&mut self, id: Option<u64>, span: LabelSpan) {
         let (start_s, end_s) = match self.extent_s {
             Some((first_s, last_s)) => (span.start_s.max(first_s), span.end_s.min(last_s)),
@@ -121,7 +121,7 @@ impl Book {
                 if other.label.end_s - end_s >= SHORTEST_S {
                     let mut after = other;
                     after.label.start_s = end_s;
-                    // What is left on both sides is two labels.
+                    // The remainders on both sides become two labels.
                     if self.spans.last().is_some_and(|last| last.id == after.id) {
                         after.id = self.new_id();
                     }
@@ -190,7 +190,7 @@ impl Book {
         Ok(())
     }
 
-    /// Labels as they would be if the label that goes on ended here.
+    /// Returns the labels as if the open label ended now.
     fn labels(&self, now_s: f64) -> Vec<LabelSpan> {
         let mut ended = Book {
             spans: self.spans.clone(),
@@ -211,21 +211,21 @@ fn now_ns() -> Option<u64> {
 /// Edit of labels by a page.
 #[derive(Debug)]
 pub enum Edit {
-    /// A key: from here on.
+    /// Starts a label from the current time on.
     Press(Occupancy, Option<String>),
-    /// Nobody says anything from here on.
+    /// Ends the open label.
     Stop,
-    /// New edges, s.
+    /// Changes start and end, s.
     Move(u64, f64, f64),
-    /// Another class.
+    /// Changes the class.
     Relabel(u64, Occupancy),
-    /// A span from nothing.
+    /// Creates a span.
     Add(LabelSpan),
-    /// Takes one away.
+    /// Deletes a span.
     Delete(u64),
-    /// Takes the last change back.
+    /// Undoes the last change.
     Undo,
-    /// Makes it again.
+    /// Redoes the change that was undone.
     Redo,
 }
 
@@ -238,12 +238,12 @@ struct Told<'a> {
     can_redo: bool,
     /// Path of the labels, if they are stored.
     place: Option<String>,
-    /// Whether what is shown is there.
+    /// Whether the shown labels are saved.
     saved: bool,
     /// Reason why the edit was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
-    /// Proposal to adapt the model by the labels; absent as long as there are none.
+    /// Offer to adapt the model with the labels; absent as long as there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     adaptation: Option<Offer>,
 }
@@ -251,9 +251,9 @@ struct Told<'a> {
 /// Storage of labels.
 #[derive(Debug, Clone)]
 enum Place {
-    /// In a finished recording: beside it as long as they change, and in its channel of labels in the end.
+    /// In a finished recording: beside it while they change, finally in its channel of labels.
     Mcap(PathBuf),
-    /// In a file beside a recording that cannot hold any.
+    /// In a file beside a recording that cannot hold labels.
     Beside { recording: PathBuf, file: PathBuf },
     /// In a recording that is being made: beside it until it is finished, then in its channel of labels.
     Made { recording: PathBuf },
@@ -267,8 +267,8 @@ impl Place {
         }
     }
 
-    /// Writes the labels unless somebody else has changed those that are `known`; returns them as they now are. What that costs does
-    /// not depend on how often it was done or how long the recording is.
+    /// Writes the labels, unless another process has changed those in `known`; returns the stored labels. The cost is
+    /// independent of the number of writes and of the length of the recording.
     fn write(&self, known: &[LabelSpan], spans: &[LabelSpan]) -> anyhow::Result<Vec<LabelSpan>> {
         let check = |found: &[LabelSpan]| match found == known {
             true => Ok(()),
@@ -300,8 +300,8 @@ impl Place {
         self.read()
     }
 
-    /// Puts labels that are beside a recording into it, once they change no more. A recording that was not finished keeps them beside
-    /// it.
+    /// Moves labels from beside a recording into it, once they no longer change. A recording that was not finished
+    /// keeps them beside it.
     fn settle(&self) -> anyhow::Result<()> {
         let (Place::Mcap(recording) | Place::Made { recording }) = self else { return Ok(()) };
         match LabelEditor::open(recording).and_then(|editor| editor.settle()) {
@@ -324,17 +324,17 @@ impl Place {
 #[derive(Debug, Default)]
 struct State {
     book: Book,
-    /// Changes that are on the disk.
+    /// Number of changes that are on the disk.
     saved: u64,
-    /// Labels as the disk has them.
+    /// Labels as they are on the disk.
     known: Vec<LabelSpan>,
     fault: Option<String>,
     closed: bool,
-    /// Counts what pages have to be told.
+    /// Number of changes to report to pages.
     told: u64,
 }
 
-/// Keeps the labels of a run.
+/// Storage of the labels of a run.
 pub struct Keeper {
     state: Mutex<State>,
     changed: Condvar,
@@ -342,13 +342,13 @@ pub struct Keeper {
     /// Model file, as it was named.
     model: PathBuf,
     interval_s: f64,
-    /// Bits of the time of the newest frame, s.
+    /// Time of the newest frame, s, as the bits of an f64.
     now_s: AtomicU64,
 }
 
 impl Keeper {
-    /// Reads the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is the one
-    /// that pages offer to adapt.
+    /// Reads the labels of a recording. If the source is not a recording, labels go to the one that is being made.
+    /// `model` is the one that pages offer to adapt.
     ///
     /// # Errors
     /// The recording or its labels cannot be read.
@@ -388,7 +388,7 @@ impl Keeper {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The newest frame is from this time, s. Waits for nobody.
+    /// Sets the time of the newest frame, s, without waiting.
     pub fn at(&self, time_s: f64) {
         self.now_s.store(time_s.to_bits(), Ordering::Relaxed);
     }
@@ -397,7 +397,7 @@ impl Keeper {
         f64::from_bits(self.now_s.load(Ordering::Relaxed))
     }
 
-    /// Makes a change; why not otherwise.
+    /// Applies an edit.
     ///
     /// # Errors
     /// The edit does not fit the labels.
@@ -430,7 +430,7 @@ impl Keeper {
         Ok(())
     }
 
-    /// Before the time jumps: a label that goes on ends behind the newest frame.
+    /// Ends the open label at the newest frame, before the time jumps.
     pub fn before_jump(&self) {
         let end_s = self.now_s() + self.interval_s;
         let mut state = self.state();
@@ -442,17 +442,17 @@ impl Keeper {
         }
     }
 
-    /// Labels as they are now.
+    /// Returns the current labels.
     pub fn labels(&self) -> Vec<LabelSpan> {
         self.state().book.labels(self.now_s() + self.interval_s)
     }
 
-    /// Changes whenever [`told`](Self::told) does.
+    /// Counter that changes whenever [`told`](Self::told) does.
     pub fn told_count(&self) -> u64 {
         self.state().told
     }
 
-    /// Message to pages.
+    /// Returns the message to pages.
     pub fn told(&self) -> serde_json::Value {
         let state = self.state();
         let recording = self.place.as_ref().map(Place::recording);
@@ -471,7 +471,7 @@ impl Keeper {
         serde_json::json!({ "labels": told })
     }
 
-    /// Writes changes to the disk until closed; those that come in a row cost one write.
+    /// Writes changes to the disk until closed. Successive changes are written together.
     pub fn keep(&self) {
         let Some(place) = &self.place else { return };
         let growing = if matches!(place, Place::Made { .. }) { GROWING_RECORDED } else { GROWING_SAVED };
@@ -481,7 +481,7 @@ impl Keeper {
             while !state.closed && !has_grown && (state.saved == state.book.revision || state.fault.is_some()) {
                 let waited = self.changed.wait_timeout(state, growing).unwrap_or_else(PoisonError::into_inner);
                 state = waited.0;
-                // Another change, or a while later: the fault may have passed.
+                // After another change or a timeout, the write is tried again, since the error may be gone.
                 state.fault = None;
                 has_grown = waited.1.timed_out() && state.book.open.is_some();
             }
@@ -494,7 +494,7 @@ impl Keeper {
             let (revision, known) = (state.book.revision, state.known.clone());
             let labels = state.book.labels(self.now_s() + self.interval_s);
             drop(state);
-            // The disk may be slow: nobody waits for it.
+            // The disk may be slow, so no lock is held.
             let written = if revision > 0 { place.write(&known, &labels) } else { Ok(known) };
             let mut state = self.state();
             match written {
@@ -512,14 +512,14 @@ impl Keeper {
         }
     }
 
-    /// No more changes; what there is goes to the disk.
+    /// Ends the edits; the remaining changes go to the disk.
     pub fn close(&self) {
         self.before_jump();
         self.state().closed = true;
         self.changed.notify_all();
     }
 
-    /// Gives the recording its labels for good; says what could not be kept.
+    /// Writes the final labels to the recording; reports labels that could not be saved.
     ///
     /// # Errors
     /// The labels cannot be written.
@@ -528,7 +528,7 @@ impl Keeper {
         let count = state.book.spans.len();
         if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
             if let Place::Made { recording } = place {
-                // Those that went on have ended by now.
+                // Open labels have ended by now.
                 mcap::stage_labels(recording, &state.book.labels(self.now_s()))
                     .with_context(|| format!("{count} labels were not saved"))?;
             } else if let Some(fault) = &state.fault {
@@ -556,7 +556,7 @@ mod tests {
         let mut book = Book::new(vec![LabelSpan::new(0.0, 10.0, "empty")], Some((0.0, 20.0)));
         book.press(Occupancy::One, 2.0, None);
         book.press(Occupancy::Two, 4.0, None);
-        // The same again ends it.
+        // The same label again ends it.
         book.press(Occupancy::Two, 6.0, None);
         let painted = vec![(0.0, 2.0, "empty"), (2.0, 4.0, "one"), (4.0, 6.0, "two"), (6.0, 10.0, "empty")];
         assert_eq!(spans(&book), painted);

@@ -1,4 +1,4 @@
-//! The simulated partner of a recording: the scene that `scene pair` made of it, at the moment of the frame that is shown.
+//! Simulated partner of a recording: the scene made by `scene pair`, at the time of the frame that is shown.
 
 use std::path::{Path, PathBuf};
 
@@ -10,18 +10,18 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::source::{DEFAULT_SEED, Playback};
 
-/// A simulation beside a recording.
+/// Simulation that mirrors a recording.
 pub struct Partner {
     simulator: Simulator,
-    /// The mirror's time begins with the recording's first frame, s.
+    /// Time of the recording's first frame, at which the mirror's time begins, s.
     first_s: f64,
-    /// Last frame that has a partner.
+    /// Number of the last frame that has a partner.
     last_sequence: u64,
 }
 
 impl Partner {
-    /// The partner in `folder`, or, without it, in the folder beside the recording that is named after it, if there is one.
-    ///
+    /// Opens the partner in `folder`. Without `folder`, opens the one in the folder named after the recording beside
+    /// it, if there is one.
     /// # Errors
     /// The folder is no pair of the recording or cannot be read.
     pub fn find(
@@ -81,14 +81,14 @@ impl Partner {
         Ok(Partner { simulator, first_s: first.time_s(), last_sequence })
     }
 
-    /// The simulated frame of the same moment; `None` where the pair ends before it.
+    /// Simulates the frame at the same time; `None` for frames after the end of the pair.
     pub fn frame(&self, frame: &Frame) -> Option<Frame> {
         let start_s = (frame.time_s() - self.first_s).max(0.0);
         (frame.sequence <= self.last_sequence).then(|| self.simulator.frame_at(frame.sequence, start_s))
     }
 }
 
-/// `NAME-pair` beside `NAME.mcap` or the folder `NAME`.
+/// Returns `NAME-pair` beside `NAME.mcap` or the folder `NAME`.
 fn beside(recording: &Path) -> Option<PathBuf> {
     let mut name = recording.file_stem()?.to_owned();
     name.push("-pair");

@@ -8,7 +8,7 @@ use tokio::sync::Semaphore;
 
 use crate::live::access::{self, Access, Token};
 
-/// Pages at a time.
+/// Largest number of simultaneous pages.
 const MOST_PAGES: usize = 16;
 
 /// Reason for refusing a connection, a request, a page or a message.
@@ -29,7 +29,7 @@ pub enum Refusal {
     Flood,
 }
 
-/// Names of the refusals, in their order.
+/// Names of the refusals, in the order of the variants.
 const REFUSALS: [&str; 13] = [
     "connections",
     "unanswered",
@@ -58,7 +58,7 @@ impl From<access::Refusal> for Refusal {
     }
 }
 
-/// Access policy of the page, limit of pages, and counters of refusals.
+/// Access policy of the page, with the limit of pages and counters of refusals.
 pub struct Policy {
     pub access: Access,
     /// Permits of pages.
@@ -67,7 +67,7 @@ pub struct Policy {
 }
 
 impl Policy {
-    /// Policy of a page that is served at `address`; with a token only for those who bring it.
+    /// Creates the policy of a page that is served at `address`. With a token, clients must present it.
     pub fn new(address: SocketAddr, arguments: &access::Arguments, token: Option<&Token>) -> Self {
         Policy {
             access: Access::new(address, arguments, token),
@@ -83,7 +83,7 @@ impl Policy {
         }
     }
 
-    /// Refusals by name.
+    /// Number of refusals by name.
     pub fn refused(&self) -> serde_json::Value {
         let refused =
             REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));

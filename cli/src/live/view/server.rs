@@ -1,5 +1,5 @@
-//! Server of the page. `access.rs` decides who may ask; `http_server.rs` limits connections.
-//! Refusals are counted and cost the pipeline nothing.
+//! Server of the page. `access.rs` decides on access; `http_server.rs` limits connections. Refusals are counted and do
+//! not load the pipeline.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -24,19 +24,19 @@ use super::shared::Shared;
 use crate::live::access::{self, Access};
 use crate::live::http_server::{self, Client, Event, Limits};
 
-/// Longest message of a page, bytes. Its own are below 200.
+/// Longest message of a page, bytes. The page's own messages are below 200.
 const LONGEST_MESSAGE: usize = 4096;
-/// Messages of a page in a second; a picture is answered by one, a held key makes thirty.
+/// Largest number of messages of a page per second. A page acknowledges each picture, and a held key sends thirty.
 const MOST_MESSAGES: u32 = 200;
-/// Malformed messages after which a page is none.
+/// Number of malformed messages after which a page is dropped.
 const MOST_MALFORMED: u32 = 20;
-/// A page that says nothing whole for so long is dropped. Pages answer pings.
+/// Time without a complete message after which a page is dropped. Pages answer pings.
 const SILENCE: Duration = Duration::from_secs(30);
 /// Interval between pings of pages.
 const PING: Duration = Duration::from_secs(10);
-/// A page that takes a message in for longer is given up.
+/// Time of sending a message after which a page is dropped.
 const SLOWEST_SEND: Duration = Duration::from_secs(10);
-/// Interval at which a page is told of changes beside pictures.
+/// Interval at which changes besides pictures are sent to a page.
 const TICK: Duration = Duration::from_millis(100);
 /// Longest wait for pages at the end of a run.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -45,7 +45,7 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const JS: &str = "text/javascript; charset=utf-8";
 
-/// Everything that the page is made of.
+/// All files of the page.
 const FILES: [(&str, &str, &str); 12] = [
     ("", HTML, include_str!("page/index.html")),
     ("style.css", CSS, include_str!("page/style.css")),
@@ -61,7 +61,7 @@ const FILES: [(&str, &str, &str); 12] = [
     ("health.js", JS, include_str!("page/health.js")),
 ];
 
-/// Waits a little until pages have heard that the run is over, and gone.
+/// Waits a short time for pages to receive the end of the run and disconnect.
 pub fn wait_for_farewells(shared: &Shared) {
     let end = Instant::now() + FAREWELL;
     while shared.feed.pages() > 0 && Instant::now() < end {
@@ -86,7 +86,7 @@ pub async fn serve(listener: TcpListener, shared: Arc<Shared>) {
     http_server::serve(listener, router, Limits::default(), count).await;
 }
 
-/// Lets nothing pass that the policy refuses, and tells browsers to load nothing that is not of this page.
+/// Rejects requests that the policy refuses, and restricts browsers to resources of this page.
 async fn guard(
     State(shared): State<Arc<Shared>>,
     Extension(client): Extension<Client>,
@@ -108,7 +108,7 @@ async fn guard(
         }
         Err(refusal) => {
             shared.policy.count(refusal.into());
-            // What it brought is not kept while the answer waits.
+            // The body is freed before the delayed response.
             drop(request);
             refusal.answer().await
         }
@@ -134,11 +134,11 @@ async fn guard(
 
 /// Kind of an admitted request.
 enum Admitted {
-    /// To be given the cookie.
+    /// Client with a correct link, which receives the cookie.
     ByLink,
-    /// To read.
+    /// Client that reads.
     Reader,
-    /// To write, which is not done by requests.
+    /// Client that writes, which requests cannot do.
     Writer,
 }
 
@@ -165,7 +165,7 @@ fn file(name: &str) -> Response {
     }
 }
 
-/// A file of the page, or the labels as a file.
+/// Serves a file of the page, or the labels as a file.
 async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> Response {
     let labels = || shared.labels.labels();
     let (kind, text) = match name.as_str() {
@@ -185,7 +185,8 @@ async fn health(State(shared): State<Arc<Shared>>) -> Response {
 }
 
 async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) -> Response {
-    // Taken before the upgrade, so that no more pages come than may, however many ask at once. An upgrade that fails gives it back.
+    // Taken before the upgrade, so that simultaneous requests cannot exceed the limit of pages. A failed upgrade
+    // returns it.
     let Ok(permit) = shared.policy.pages.clone().try_acquire_owned() else {
         shared.policy.count(Refusal::Page);
         return (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response();
@@ -199,7 +200,7 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
     })
 }
 
-/// State that a page has been told beside pictures.
+/// State that was sent to a page, besides pictures.
 #[derive(Default)]
 struct Told {
     labels: Option<u64>,
@@ -207,7 +208,7 @@ struct Told {
     refused: Option<serde_json::Value>,
 }
 
-/// Talks until the page goes, is thrown out, or the run is over.
+/// Exchanges messages until the page disconnects, is dropped, or the run is over.
 async fn converse(socket: WebSocket, shared: &Shared, page: PageId, mut pictures: mpsc::Receiver<Bytes>) {
     let now = Instant::now();
     let (told, heard, pinged, second) = (Told::default(), now, now, now);
@@ -227,16 +228,16 @@ async fn converse(socket: WebSocket, shared: &Shared, page: PageId, mut pictures
     }
 }
 
-/// A page that is connected. Its methods say whether it stays.
+/// Connected page. Its methods return whether it stays connected.
 struct Visitor<'a> {
     socket: WebSocket,
     shared: &'a Shared,
     page: PageId,
     told: Told,
-    /// Times of its last whole message, and of the last ping.
+    /// Times of its last complete message and of the last ping.
     heard: Instant,
     pinged: Instant,
-    /// Begin of the second in which `messages` are counted.
+    /// Start of the second in which `messages` are counted.
     second: Instant,
     messages: u32,
     malformed: u32,
@@ -259,7 +260,7 @@ impl Visitor<'_> {
         }
     }
 
-    /// Does what a message asks for, unless there are too many.
+    /// Executes the request in a message, unless there are too many.
     async fn obey(&mut self, message: &Message) -> bool {
         if self.second.elapsed() >= Duration::from_secs(1) {
             (self.second, self.messages) = (Instant::now(), 0);
@@ -271,7 +272,7 @@ impl Visitor<'_> {
         }
         let obeyed = match message {
             Message::Text(text) => control::handle(self.shared, self.page, text.as_str()),
-            _ => Err(anyhow::anyhow!("that is no message of this page")),
+            _ => Err(anyhow::anyhow!("this is no message of the page")),
         };
         let Err(error) = obeyed else { return true };
         if error.downcast_ref::<serde_json::Error>().is_some() || matches!(message, Message::Binary(_)) {
@@ -284,7 +285,7 @@ impl Visitor<'_> {
         say(&mut self.socket, json!({ "refused": crate::output::chain(&error) })).await
     }
 
-    /// Sends news and pings; gives up a page that is silent, and says farewell at the end of the run.
+    /// Sends changes and pings; drops a silent page, and sends the summary at the end of the run.
     async fn look_after(&mut self) -> bool {
         if !news(&mut self.socket, self.shared, &mut self.told).await {
             return false;
@@ -305,7 +306,7 @@ impl Visitor<'_> {
     }
 }
 
-/// Sends changes beside pictures.
+/// Sends changes besides pictures.
 async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool {
     let labels = shared.labels.told_count();
     if told.labels != Some(labels) {
@@ -316,7 +317,7 @@ async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool 
     }
     if let Some(playback) = &shared.about.playback {
         let playback = playback.transport.playback();
-        // Where it is, pictures say, unless it stands.
+        // Pictures report the playback position, unless the playback is paused.
         let is_news = told.playback.is_none_or(|told| {
             (told.playing, told.speed, told.at_end) != (playback.playing, playback.speed, playback.at_end)
         });
@@ -343,12 +344,12 @@ async fn say(socket: &mut WebSocket, value: serde_json::Value) -> bool {
     send(socket, Message::Text(value.to_string().into())).await
 }
 
-/// Whether the page has taken it.
+/// Sends a message; returns whether the page has taken it.
 async fn send(socket: &mut WebSocket, message: Message) -> bool {
     matches!(tokio::time::timeout(SLOWEST_SEND, socket.send(message)).await, Ok(Ok(())))
 }
 
-/// Closes the connection. The page does not stay: `false`.
+/// Closes the connection; always returns `false`: the page does not stay.
 async fn throw_out(socket: &mut WebSocket, why: &'static str) -> bool {
     send(socket, Message::Close(Some(CloseFrame { code: 1008, reason: why.into() }))).await;
     false

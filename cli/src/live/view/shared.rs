@@ -11,7 +11,7 @@ use super::labels::Keeper;
 use super::policy::Policy;
 use crate::source::Playback;
 
-/// Description of the run for pages.
+/// Description of the run, for pages.
 pub struct About {
     pub description: String,
     pub model: String,
@@ -23,7 +23,7 @@ pub struct About {
 }
 
 impl About {
-    /// First message to a page.
+    /// Returns the first message to a page.
     pub fn hello(&self) -> serde_json::Value {
         let shape = self.waveform.shape();
         let playback = self.playback.as_ref().map(|playback| {
@@ -63,7 +63,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// Summary of the run, once it is over.
+    /// Locks the summary of the run.
     pub fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
         self.over.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,7 +1,8 @@
 //! `radome model adapt --curve`: accuracy against minutes of labels, on simulated rooms that no model has seen.
 //!
-//! A room is what a seed draws of a scene. It stays as it is while the program of its people goes on, so recordings of it are
-//! stretches of one simulation: stretches to adapt to first, then one to be judged by for each number of people.
+//! A room is the layout that a seed draws from a scene. It stays fixed while the scenario of its people continues, so
+//! recordings of it are intervals of one simulation. Intervals for adaptation come first, followed by one test interval
+//! for each number of people.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,13 +19,14 @@ use super::frames::Frames;
 use crate::judge::Model;
 use crate::output;
 
-/// Format of the file of rooms.
+/// Format version of the file of rooms.
 const FORMAT: u32 = 1;
-/// Time between the stretches to adapt to and those to be judged by, s: whoever is in the one has left before the other.
+/// Time between the adaptation intervals and the test intervals, s. It is long enough for all people to have left in
+/// between.
 const APART_S: f64 = 60.0;
 /// Longest time in the file, s.
 const LONGEST_S: f64 = 86_400.0;
-/// Time of the empty room by which alone a model is adapted, at most, minutes.
+/// Longest time of the empty room that is used to adapt with empty frames only, minutes.
 const EMPTY_MINUTES: f64 = 1.0;
 const CLASSES: usize = Occupancy::ALL.len();
 
@@ -33,11 +35,11 @@ const CLASSES: usize = Occupancy::ALL.len();
 #[serde(deny_unknown_fields)]
 struct RoomsFile {
     format: u32,
-    /// Labelled minutes in all, a third of them each class.
+    /// Total labelled minutes, a third of them for each class.
     minutes: Vec<f64>,
     /// Longest recording to adapt to, s.
     recording_s: f64,
-    /// Time of each class that models are judged by, s.
+    /// Time of each class in the test recordings, s.
     test_s: f64,
     room: Vec<RoomFile>,
 }
@@ -73,7 +75,7 @@ impl RoomsFile {
         }
     }
 
-    /// Time of each class that the longest labels take, s.
+    /// Time of each class for the longest of the labelled times, s.
     fn labelled_s(&self) -> f64 {
         self.minutes.iter().copied().fold(0.0, f64::max) * 60.0 / CLASSES as f64
     }
@@ -84,11 +86,11 @@ struct Room {
     name: String,
     /// Recordings to adapt to, `[people]`.
     training: [Vec<AdaptRecording>; CLASSES],
-    /// Recordings to be judged by.
+    /// Recordings to test on.
     test: Vec<AdaptRecording>,
 }
 
-/// Scores of a model on the room that it was adapted to, and on the other rooms.
+/// Scores of an adapted model on its own room and on the other rooms.
 #[derive(Debug, Clone, Copy, Serialize)]
 struct Point {
     room: Scores,
@@ -96,7 +98,7 @@ struct Point {
     others: Option<Scores>,
 }
 
-/// Points of a room.
+/// Scores of all adaptations to a room.
 #[derive(Serialize)]
 struct Curve {
     room: String,
@@ -107,7 +109,7 @@ struct Curve {
     labelled: Vec<Point>,
 }
 
-/// Adapts the model to each room of a file and tells how accurate it is then.
+/// Adapts the model to each room of a file and reports the accuracy.
 ///
 /// # Errors
 /// The file of rooms or a scene cannot be read, or the model does not take their waveform.
@@ -143,9 +145,9 @@ fn simulate(frames: &mut Frames, file: &RoomsFile, folder: &Path, of: &RoomFile)
     let mut tests = Vec::new();
     for (people, training) in training.iter_mut().enumerate() {
         let options = SimulateOptions { seed: of.seed, people: Some(people), ..SimulateOptions::default() };
-        // Features are computed on this thread: they must not queue behind the next frames.
+        // Features are computed on this thread. On the shared thread pool they would queue behind the next frames.
         let mut simulator = Simulator::new(&scene, options)?.on_own_threads()?;
-        // No two stretches are of the same time: people would move in both alike.
+        // No two intervals cover the same time, since people would move in both alike.
         let first = people as u64 * labelled;
         let mut at = first;
         while at < first + labelled {
@@ -160,7 +162,7 @@ fn simulate(frames: &mut Frames, file: &RoomsFile, folder: &Path, of: &RoomFile)
     Ok(Room { name: of.name.clone(), training, test: tests })
 }
 
-/// The next frames of a simulation as a recording.
+/// Reads the next frames of a simulation as a recording.
 fn stretch(frames: &mut Frames, simulator: &mut Simulator, length: u64) -> anyhow::Result<AdaptRecording> {
     let waveform = simulator.waveform().clone();
     let mut left = length;
@@ -178,7 +180,7 @@ fn stretch(frames: &mut Frames, simulator: &mut Simulator, length: u64) -> anyho
     frames.read(&waveform, next, truth)
 }
 
-/// The first seconds of recordings.
+/// Takes the first seconds of the recordings.
 fn first(recordings: &[AdaptRecording], seconds: f64) -> Vec<AdaptRecording> {
     let mut left_s = seconds;
     let mut all = Vec::new();
@@ -215,7 +217,7 @@ fn curve(adapter: &Adapter, file: &RoomsFile, rooms: &[Room], room: &Room) -> an
     })
 }
 
-/// Means over rooms.
+/// Averages over rooms.
 fn mean(curves: &[Curve]) -> Curve {
     let of = |point: &dyn Fn(&Curve) -> Option<Scores>| -> Option<Scores> {
         let all: Vec<Scores> = curves.iter().filter_map(point).collect();

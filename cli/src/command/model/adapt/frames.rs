@@ -8,18 +8,18 @@ use crate::judge::{Model, Prediction};
 
 /// Computes the features of recordings with one model.
 pub struct Frames<'a> {
-    /// The model; absent while it is at work, and after an error.
+    /// Model, which is absent while in use and after an error.
     model: Option<Model>,
     adapter: &'a Adapter,
 }
 
 impl<'a> Frames<'a> {
-    /// Reader of frames for a model and its adapter.
+    /// Creates a reader of frames for a model and its adapter.
     pub fn new(model: Model, adapter: &'a Adapter) -> Self {
         Frames { model: Some(model), adapter }
     }
 
-    /// Features and labels of frames, which `next` gives one after another.
+    /// Reads features and labels of the frames that `next` returns one after another.
     ///
     /// # Errors
     /// `next` fails, the model does not take the waveform, or an earlier call has failed.

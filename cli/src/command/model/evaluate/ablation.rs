@@ -1,4 +1,4 @@
-//! Recalls with parts of the maps replaced by noise: what a model goes by.
+//! Recalls with parts of the maps replaced by noise. They show which parts a model uses.
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
@@ -11,19 +11,19 @@ use super::labelled::LabelledRecording;
 use crate::judge::{CFAR, Model, Prediction};
 use crate::output;
 
-/// Scores with one part of the maps replaced, by single maps.
+/// Scores of single maps with one part replaced.
 #[derive(Serialize)]
 pub struct Row {
     /// Name of the ablation: the cells that noise replaced, or the change of the echoes.
     replaced: String,
-    /// Recall of empty, one and two; absent where there is no map of it.
+    /// Recall of empty, one and two; absent for a class without maps.
     recall: [Option<f64>; Occupancy::ALL.len()],
     balanced_accuracy: f64,
     /// Counts `[truth][label]`.
     confusion: [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()],
 }
 
-/// Scores of a network over the labelled frames of recordings, each by itself; and the network again.
+/// Scores a network on the single labelled frames of recordings. Returns the network with the scores.
 ///
 /// # Errors
 /// A recording cannot be read, or the model does not take its waveform.
@@ -60,7 +60,7 @@ pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> any
     Ok((model, rows(&scores)))
 }
 
-/// Scores of a network over maps of a dataset.
+/// Scores a network on the maps of a dataset.
 ///
 /// # Errors
 /// A map cannot be read, or the network fails.
@@ -78,7 +78,7 @@ fn rows(scores: &AblationScores) -> Vec<Row> {
     scores.metrics().into_iter().map(row).collect()
 }
 
-/// A table; nothing of no rows.
+/// Prints a table; prints nothing if there are no rows.
 ///
 /// # Errors
 /// Standard output cannot be written.

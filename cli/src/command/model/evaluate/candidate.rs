@@ -1,4 +1,4 @@
-//! A model under evaluation, and what it predicts for the frames of a recording.
+//! Model under evaluation, and its predictions for the frames of a recording.
 
 use std::path::{Path, PathBuf};
 
@@ -12,25 +12,25 @@ use serde::Serialize;
 use crate::judge::{Judge, Model, Prediction};
 use crate::output;
 
-/// A model that judges one recording after another.
+/// Model that predicts one recording after another.
 pub struct Candidate {
     path: PathBuf,
-    /// Absent while it is at work, and after it refused a recording: then it is opened again.
+    /// Model, which is absent while in use and after it refused a recording. It is then opened again.
     model: Option<Model>,
 }
 
 impl Candidate {
-    /// Takes a model that was opened from a path.
+    /// Creates a candidate from a model that was opened from a path.
     pub fn new(path: PathBuf, model: Model) -> Self {
         Candidate { path, model: Some(model) }
     }
 
-    /// Name of the model as it was given.
+    /// Returns the path of the model as it was given.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Hands the model out.
+    /// Takes the model out.
     ///
     /// # Errors
     /// If it has to be opened again and cannot be.
@@ -41,12 +41,12 @@ impl Candidate {
         }
     }
 
-    /// Takes the model back.
+    /// Puts the model back.
     pub fn put_back(&mut self, model: Model) {
         self.model = Some(model);
     }
 
-    /// Puts the model to work on the frames of a recording.
+    /// Starts the model on the frames of a recording.
     ///
     /// # Errors
     /// If the model refuses the waveform. It can judge other recordings afterwards.
@@ -62,14 +62,14 @@ impl Candidate {
         })
     }
 
-    /// Ends the work on a recording.
+    /// Ends a recording.
     pub fn end(&mut self, run: Run) -> Predictions {
         self.model = Some(run.judge.into_model());
         run.predictions
     }
 }
 
-/// A model at work on a recording.
+/// Model running on a recording.
 pub struct Run {
     judge: Judge,
     filter: OccupancyFilter,
@@ -77,7 +77,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Judges the next frame, whose label is `truth`.
+    /// Predicts the next frame, whose label is `truth`.
     ///
     /// # Errors
     /// If the model cannot judge it.
@@ -91,38 +91,38 @@ impl Run {
         Ok(())
     }
 
-    /// Frames are missing before the next one.
+    /// Notes that frames are missing before the next one.
     pub fn gap(&mut self) {
         self.judge.reset();
     }
 }
 
-/// Predictions for the frames of a recording, those without a label too.
+/// Predictions for the frames of a recording, including those without a label.
 pub struct Predictions {
-    /// Behind the filter.
+    /// Predictions after the filter.
     pub filtered: Vec<FramePrediction>,
-    /// Predictions for each frame by itself.
+    /// Predictions for each single frame.
     pub alone: Vec<FramePrediction>,
     frame_interval_s: f64,
 }
 
 impl Predictions {
-    /// Scores behind the filter.
+    /// Computes the scores after the filter.
     pub fn filtered_scores(&self) -> RecordingScores {
         RecordingScores::new(&self.filtered, self.frame_interval_s)
     }
 
-    /// Scores of each frame by itself.
+    /// Computes the scores of single frames.
     pub fn alone_scores(&self) -> RecordingScores {
         RecordingScores::new(&self.alone, self.frame_interval_s)
     }
 
-    /// Predictions for each frame by itself, as a filter is fitted to them.
+    /// Returns the single-frame predictions, to which a filter is fitted.
     pub fn sequence(&self) -> FilterSequence {
         FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.alone.clone() }
     }
 
-    /// Counts how reliable the filter's confidence is.
+    /// Adds the reliability of the filter's confidence to the sums.
     pub fn count_reliability(&self, sums: &mut ReliabilitySums) {
         for prediction in &self.filtered {
             if let Some(truth) = prediction.truth {
@@ -132,7 +132,7 @@ impl Predictions {
     }
 }
 
-/// A recording that a model refused.
+/// Recording that a model refused.
 #[derive(Debug, Clone, Serialize)]
 pub struct Refused {
     pub recording: String,
@@ -140,7 +140,7 @@ pub struct Refused {
 }
 
 impl Refused {
-    /// Keeps the reason of a refusal without its hint.
+    /// Stores the reason of a refusal without its hint.
     pub fn new(recording: String, refusal: &anyhow::Error) -> Self {
         let reason = output::chain(refusal);
         let reason = reason.split_once("\n\nhint: ").map_or(reason.as_str(), |(reason, _)| reason).to_owned();
@@ -148,7 +148,7 @@ impl Refused {
     }
 }
 
-/// Number of frames by true class (row) and by the class that they were called (column).
+/// Number of frames by true class (row) and predicted class (column).
 pub type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 /// Adds the counts of one confusion matrix to another.

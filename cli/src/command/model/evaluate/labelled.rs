@@ -1,4 +1,4 @@
-//! A recording and what is true of its frames.
+//! Recording with the true classes of its frames.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use radome_dsp::{Frame, Occupancy, Waveform};
 
 use crate::labels;
 
-/// A recording with labels.
+/// Recording with labels.
 pub struct LabelledRecording {
     pub path: PathBuf,
     labels: Labels,
@@ -25,8 +25,8 @@ enum Labels {
 }
 
 impl LabelledRecording {
-    /// From `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`, whose labels are those that
-    /// it holds: spans, or if it has none the truth that a simulator wrote with its frames.
+    /// Parses `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`. The latter uses
+    /// the labels in the recording: spans, or, without any, the truth that a simulator wrote with its frames.
     ///
     /// # Errors
     /// If there is something else behind `=`, or if labels cannot be read or contradict each other.
@@ -60,7 +60,7 @@ impl LabelledRecording {
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
-    /// Label of a frame; `None` where it has none, or where someone is entering or leaving.
+    /// Returns the label of a frame; `None` where it has none, or where someone is entering or leaving.
     pub fn truth(&self, frame: &Frame, waveform: &Waveform) -> Option<Occupancy> {
         let truth = match &self.labels {
             Labels::Throughout(occupancy) => return Some(*occupancy),

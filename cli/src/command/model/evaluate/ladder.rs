@@ -1,4 +1,5 @@
-//! `radome model evaluate --ladder`: models compared on simulated recordings that differ from training, one way a rung.
+//! `radome model evaluate --ladder`: compares models on simulated recordings that differ from training, in one way per
+//! rung.
 
 mod rung;
 mod scores;
@@ -22,10 +23,10 @@ use crate::judge::Model;
 use crate::panics::Guarded;
 use crate::{kept, output};
 
-/// Judges the recordings of a ladder with models and prints their scores; with `fit`, also the settings of the filter that suit all of
-/// them best.
+/// Evaluates models on the recordings of a ladder and prints their scores. With `fit`, also prints the filter settings
+/// that suit all of them best.
 ///
-/// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
+/// With `empty_hours`, that many hours of each rung's rooms without people replace the rung's recordings.
 ///
 /// # Errors
 /// A rung or a model cannot be read, a simulation fails, or nothing can be judged.
@@ -90,7 +91,7 @@ pub fn run(
 }
 
 impl Simulation {
-    /// Has all models judge the frames, each of which is simulated once.
+    /// Runs all models on the frames, each of which is simulated once.
     fn judge(
         &self,
         candidates: &mut [Candidate],
@@ -143,7 +144,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// The frames: simulated, or kept from an earlier time. With a recorder if they are to be kept.
+    /// Opens the frames: simulated, or stored by an earlier run. Returns a recorder if they are to be stored.
     fn open(&self, keep: Option<&Path>) -> anyhow::Result<(Box<dyn FrameSource>, Option<Recorder>)> {
         let options = SimulateOptions {
             seed: self.seed,
@@ -155,7 +156,7 @@ impl Simulation {
         let mut recorder = None;
         if let Some(folder) = keep {
             let path = folder.join(format!("{}.mcap", self.name));
-            // Whatever changes a scene or the simulator shows in the last frame.
+            // Any change of the scene or the simulator shows in the last frame.
             if kept::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
                 return Ok((radome_driver::recording::open(&path)?, None));
             }
@@ -163,7 +164,7 @@ impl Simulation {
             let options = RecorderOptions { existing: Existing::Replace, sync: None };
             recorder = Some(Recorder::with_options(&path, &header, &options)?);
         }
-        // Models judge on this thread: they must not queue behind the next frames.
+        // Models run on this thread. On the shared thread pool they would queue behind the next frames.
         let source: Box<dyn FrameSource> = Box::new(Guarded::new(Box::new(simulator.on_own_threads()?)));
         Ok((source, recorder))
     }
@@ -179,7 +180,7 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/ladder")
     }
 
-    /// Every rung can be read, says what is strange, and its scenes give frames with a truth. Seeds are those of no training.
+    /// Every rung loads without warnings, and its scenes give frames with a truth. No training uses the seeds.
     #[test]
     fn all_rungs_can_be_simulated() {
         let rungs = load(&ladder()).expect("rungs");
@@ -216,7 +217,7 @@ mod tests {
         assert_eq!(names, expected);
     }
 
-    /// Three people are there at a time, and read as two.
+    /// Three people are present at a time and are labelled as two.
     #[test]
     fn the_rung_of_three_people_has_three_people() {
         let rung = load(&ladder().join("three.toml")).expect("a rung").remove(0);
@@ -242,7 +243,7 @@ mod tests {
         simulation.judge(&mut [], &mut [], Some(folder.path()), &bar).expect("simulated");
         assert!(path.exists());
         assert!(simulation.open(Some(folder.path())).expect("kept").1.is_none());
-        // Of another seed or length it is another recording.
+        // A recording with another seed or length is a different one.
         simulation.frames = 3;
         assert!(simulation.open(Some(folder.path())).expect("anew").1.is_some());
         simulation.frames = 4;

@@ -1,4 +1,4 @@
-//! Thermal noise on a recording's raw samples, of a stated ratio to the signal.
+//! Thermal noise on a recording's raw samples, with a given signal-to-noise ratio.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rand_distr::{Distribution, Normal};
 use crate::dataset::thermal::signal_squares;
 use crate::source;
 
-/// Gaussian noise on every sample, before it is a code again.
+/// Gaussian noise that is added to every sample before it is rounded to a code again.
 pub struct ThermalNoise {
     normal: Normal<f64>,
     seed: u64,
@@ -18,8 +18,8 @@ pub struct ThermalNoise {
 const MOST_CODE: f64 = 4095.0;
 
 impl ThermalNoise {
-    /// Noise whose variance is the signal's over `10^(snr_db / 10)`. The signal's variance is that of the samples about the mean
-    /// of their chirp, over the whole recording: an offset is no signal.
+    /// Creates noise whose variance is the signal's over `10^(snr_db / 10)`. The signal's variance is that of the
+    /// samples about the mean of their chirp, over the whole recording: an offset is no signal.
     ///
     /// # Errors
     /// The recording cannot be read, or the ratio gives no finite noise.
@@ -36,7 +36,7 @@ impl ThermalNoise {
         Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: snr_db.to_bits() })
     }
 
-    /// Adds noise to a frame, the same whenever it is asked for; codes stay within the converter's range.
+    /// Adds noise to a frame, the same in every call. Codes stay within the converter's range.
     pub fn add(&self, frame: &mut Frame) {
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
         for code in &mut frame.codes {

@@ -1,4 +1,4 @@
-//! Conditions of a study: how its file names them, and their datasets, which are built like the study's own or given.
+//! Conditions of a study: their names in its file, and their datasets, which are built like the study's own or given.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use crate::files;
 use crate::shard::Shard;
 use crate::slurm::word_with;
 
-/// Heading of the table of folders whose maps are all a sensor's, where the study's file does not name another.
+/// Default heading of the table of folders whose maps all come from a sensor.
 const REAL: &str = "Real recordings";
 
 /// Another set that the trained models are put to.
@@ -44,7 +44,7 @@ pub struct ConditionFile {
     raw_snr_db: Option<f64>,
 }
 
-/// Name of a condition with the folder of its dataset: `NAME=DIR`.
+/// Name of a condition and the folder of its dataset: `NAME=DIR`.
 #[derive(Debug, Clone)]
 pub struct Given {
     name: String,
@@ -66,7 +66,7 @@ impl FromStr for Given {
 }
 
 impl Given {
-    /// `NAME=DIR` with the full form of the folder, as one word of a shell.
+    /// Formats `NAME=DIR` with the full form of the folder, as one word of a shell.
     ///
     /// # Errors
     /// The folder has no full form or cannot stand in a script.
@@ -93,7 +93,7 @@ pub(super) fn check(files: &[ConditionFile]) -> anyhow::Result<()> {
 }
 
 impl ConditionFile {
-    /// Path of the spec or rung that it names.
+    /// Returns the path of the spec or rung that the condition names.
     ///
     /// # Errors
     /// There is no such file, or it lies where a study's files may not be.
@@ -115,8 +115,8 @@ impl ConditionFile {
         Plan::of_spec(spec, &path, Shard::WHOLE)
     }
 
-    /// Builds its dataset in a folder of `conditions`, unless it is there. Whoever builds it writes the settings beside it, so that a
-    /// change of them is noticed.
+    /// Builds the condition's dataset in a folder of `conditions`, unless it exists. The building process writes the
+    /// settings beside it, so that a later change of them is detected.
     fn make(&self, study: &Path, conditions: &Path, map: RdmSpec) -> anyhow::Result<()> {
         let name = condition_file_name(&self.name)?;
         let (maps, card) = (conditions.join(&name), conditions.join(format!("{name}.json")));
@@ -137,7 +137,7 @@ impl ConditionFile {
     }
 }
 
-/// Checks `--condition` and that there is a source of each condition of the study's file that it does not give.
+/// Checks `--condition`, and that each condition of the study's file that it does not give has a source.
 ///
 /// # Errors
 /// `--condition` gives a name twice, or what the file names is not there or lies where a study's files may not be.
@@ -159,8 +159,9 @@ fn folder_of<'a>(given: &'a [Given], name: &str) -> Option<&'a Path> {
     given.iter().find(|given| given.name == name).map(|given| given.folder.as_path())
 }
 
-/// Opens the datasets of all conditions: those of the study's file in its order, and then those of `--condition` that it does not
-/// name. Builds those that are absent, unless there is to be no work: then they are left out. Returns their number, too.
+/// Opens the datasets of all conditions: those of the study's file in its order, and then those that only `--condition`
+/// names. Builds absent datasets. If no work is to be done, leaves them out instead. Returns the number of those left
+/// out, too.
 ///
 /// # Errors
 /// A dataset cannot be built or read, or `--condition` gives a name twice.
@@ -176,7 +177,7 @@ pub(super) fn open(
     let is_work = !(arguments.report_only || arguments.plan);
     if is_work && !absent.is_empty() {
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        // Each shard begins with another one, so that they do not wait for each other.
+        // Each shard begins with a different dataset, so that shards do not wait for each other.
         for file in absent.iter().cycle().skip(arguments.shard.index % absent.len()).take(absent.len()) {
             file.make(&arguments.spec, &folder, map).with_context(|| format!("condition '{}'", file.name))?;
         }
@@ -210,7 +211,7 @@ fn dataset(name: &str, maps: &Path) -> anyhow::Result<Dataset> {
     Dataset::open(maps).with_context(|| format!("condition '{name}'"))
 }
 
-/// Number of models that were judged under conditions, and of those that are to be.
+/// Number of models that were evaluated under conditions, and total number to evaluate.
 pub(super) fn count(report: &Report) -> (usize, usize) {
     let conditions = || report.conditions.iter();
     (conditions().map(|of| of.done).sum(), conditions().map(|of| of.planned).sum())
@@ -225,7 +226,7 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures").join(name)
     }
 
-    /// Every rung of the ladder gives maps for models of rooms, each frame of each recording one.
+    /// Every rung of the ladder gives maps for models of rooms, one for each frame of each recording.
     #[test]
     fn strangers_are_put_to_the_whole_ladder() {
         let study = fixture("studies/strangers.toml");
@@ -245,7 +246,7 @@ mod tests {
         }
     }
 
-    /// The noise of the paper's study is on its own frames: names and number of the runs are those without noise.
+    /// The paper's study adds noise to its own frames: names and number of the runs are those without noise.
     #[test]
     fn thermal_noise_is_on_the_frames_of_the_study() {
         let study = fixture("studies/paper.toml");

@@ -4,8 +4,8 @@ use radome_models::study::{Plan, Study};
 
 use crate::output;
 
-/// Counts and times a study's trainings, and prints them as a table or as one object. `conditions` is the number of its conditions,
-/// those included whose datasets are not built yet.
+/// Counts and times a study's trainings, and prints them as a table or as one object. `conditions` is the number of its
+/// conditions, including those whose datasets are not built yet.
 ///
 /// # Errors
 /// A network cannot be trained on the dataset, or standard output cannot be written.

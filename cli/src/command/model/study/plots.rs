@@ -8,13 +8,13 @@ use radome_models::study::{Cell, CurvePoint, Report};
 use crate::picture::plot;
 use crate::picture::theme::Theme;
 
-/// Name of a network, and points.
+/// Series of a plot: name of a network, and points.
 type Series<'a> = (&'a str, Vec<(f64, f64)>);
 
-/// Pages, each with the end of its plots' names.
+/// Page themes, each with the suffix of its plots' file names.
 const PAGES: [(Theme, &str); 2] = [(Theme::LIGHT, ""), (Theme::DARK, "-dark")];
 
-/// Writes the plots that a report has figures for: `noise`, `labels`, `curves` and `cost`.
+/// Writes the plots for which a report has data: `noise`, `labels`, `curves` and `cost`.
 ///
 /// # Errors
 /// A file cannot be written.
@@ -31,7 +31,7 @@ pub fn write(report: &Report, folder: &Path) -> anyhow::Result<()> {
     };
     let (validation, training) = (curve(&|point| point.validation), curve(&|point| point.training));
     let cost = with_points(of_cells(&whole, |cell| {
-        // An error of nothing has no place on a logarithmic axis.
+        // A logarithmic axis cannot show an error of zero.
         let error = cell.test.as_ref().map(|test| (1.0 - test.mean).max(1e-3));
         error.map(|error| (cell.multiply_adds as f64, error)).into_iter().collect()
     }));
@@ -67,7 +67,7 @@ fn with_points(series: Vec<Series>) -> Vec<Series> {
     series.into_iter().filter(|(_, points)| !points.is_empty()).collect()
 }
 
-/// Balanced accuracy by the share of labels; nothing for a study of one share.
+/// Balanced accuracy by the fraction of labels; empty for a study with a single fraction.
 fn labels(report: &Report) -> Vec<Series<'_>> {
     let mut series: Vec<Series> = Vec::new();
     if report.cells.iter().all(|cell| cell.label_fraction >= 1.0) {

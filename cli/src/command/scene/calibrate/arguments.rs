@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::output_file::Overwrite;
 use crate::source::DEFAULT_SEED;
 
-/// Windows of slow time, s.
+/// Length of the slow-time windows, s.
 pub const WINDOW_S: f64 = 10.0;
 
 /// `radome scene calibrate`

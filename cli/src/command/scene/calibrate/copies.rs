@@ -1,4 +1,4 @@
-//! Simulated copies of what recordings show, each of another seed.
+//! Simulated copies of recordings, each with another seed.
 
 use anyhow::Context;
 use radome_dsp::statistics::{MotionLine, Regions, SlowTimeStatistics};
@@ -11,28 +11,28 @@ use super::arguments::{Arguments, WINDOW_S};
 use super::sample::{Sample, Sampler};
 use crate::{output, source};
 
-/// A scene to be simulated through one receiver after the other.
+/// Scene that is simulated with one receiver after the other.
 pub struct Copies {
     scene: Scene,
     has_scene: bool,
     people: Option<usize>,
     seeds: std::ops::Range<u64>,
-    /// Frames of each.
+    /// Frames of each copy.
     frames: u64,
 }
 
-/// Samples of copies through one receiver.
+/// Samples of copies simulated with one receiver.
 pub struct Simulated {
-    /// By seed.
+    /// Samples by seed.
     pub samples: Vec<Sample>,
     /// Fit of each receiver over all copies.
     pub channels: Vec<ChannelFit>,
-    /// Line of the moving person in each.
+    /// Slow-time line of the moving person in each copy.
     pub lines: Vec<Option<MotionLine>>,
 }
 
 impl Copies {
-    /// Prepares copies of the scene that was asked for, or none.
+    /// Prepares copies of the requested scene, or none.
     ///
     /// # Errors
     /// The scene cannot be read, or its waveform is not that of the recordings.
@@ -55,12 +55,12 @@ impl Copies {
         })
     }
 
-    /// Whether there is anything but the receiver in them.
+    /// Returns whether the copies contain anything but the receiver.
     pub fn has_scene(&self) -> bool {
         self.has_scene
     }
 
-    /// Simulates all copies through a receiver.
+    /// Simulates all copies with a receiver.
     ///
     /// # Errors
     /// The receiver does not fit the scene, or the simulation fails.
@@ -88,7 +88,7 @@ impl Copies {
         Ok(Simulated { samples, channels: calibration.fit(receiver, "", "")?.channels, lines })
     }
 
-    /// Static echoes of the scene, without people and without leakage.
+    /// Simulates the static echoes of the scene, without people and without leakage.
     ///
     /// # Errors
     /// The simulation fails.

@@ -1,7 +1,8 @@
-//! Differences of simulations from recordings, beside differences between recordings, which are their only meaningful unit.
+//! Differences between simulations and recordings, with the differences between recordings as the reference for their
+//! size.
 //!
-//! Intervals come from drawing recordings anew, not cells, which are far from independent; of a single recording, contiguous
-//! blocks stand for them, and simulated copies for the copies.
+//! Confidence intervals come from resampling recordings, not cells, which are far from independent. For a single
+//! recording, contiguous blocks are resampled; for the simulation, simulated copies.
 
 use std::collections::BTreeMap;
 
@@ -18,49 +19,49 @@ use super::copies::Simulated;
 use super::recordings::Recordings;
 use super::sample::{Sample, Sampler, cell_noise_db, regions};
 
-/// Blocks that a single recording's part is cut into.
+/// Number of blocks that a single recording's part is cut into.
 const BLOCKS: usize = 8;
-/// Draws of an interval.
+/// Number of draws for an interval.
 const DRAWS: usize = 400;
-/// The interval holds this part of them.
+/// Fraction of the draws that the interval holds.
 const CONFIDENCE: f64 = 0.95;
 
-/// Figures of a comparison by name; what cannot be had of these maps is left out.
+/// Figures of a comparison by name; figures that these maps cannot give are left out.
 pub type Figures = BTreeMap<&'static str, f64>;
 
-/// The recordings' parts that judge.
+/// Parts of the recordings that simulations are compared with.
 pub struct Real {
     waveform: Waveform,
     regions: Regions,
     channels: Vec<ChannelFit>,
-    /// Recordings, or blocks of the only one.
+    /// Samples of the recordings, or of the blocks of a single one.
     units: Vec<Sample>,
-    /// The parts to which the receiver was fitted, by recording.
+    /// Parts that the receiver was fitted to, by recording.
     fitted: Vec<Sample>,
     resampled: &'static str,
 }
 
-/// One channel of recordings beside the same of simulations.
+/// Comparison of one channel between recordings and simulations.
 #[derive(Serialize)]
 pub struct Channel {
     /// Receive antenna, from 1.
     pub rx: u8,
-    /// Greatest difference of the noise densities of any range bin but the first and last, dB, and the mean of all.
+    /// Difference of the noise densities, dB: the largest of all range bins but the first and last, and the mean.
     pub noise_worst_db: f64,
     pub noise_mean_db: f64,
-    /// By range bin, from the second to the last but one, dB.
+    /// Difference by range bin, from the second to the last but one, dB.
     pub noise_by_bin_db: Vec<f64>,
-    /// Difference between the mean chirps' lowest range bins, relative to the recording's.
+    /// Difference between the mean chirps' lowest range bins, relative to those of the recording.
     pub leakage_error: f64,
     /// Figures of the maps.
     #[serde(flatten)]
     pub figures: Figures,
-    /// Interval that holds 95 of 100 draws.
+    /// Interval that holds 95 of 100 draws, by name of the figure.
     pub interval: BTreeMap<&'static str, [f64; 2]>,
 }
 
 impl Real {
-    /// Reads the recordings' maps; `target` is the range bin of who is there.
+    /// Reads the recordings' maps. `target` is the range bin of the person.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -87,12 +88,13 @@ impl Real {
         &self.regions
     }
 
-    /// Units that were resampled for the intervals.
+    /// Returns the name of the units that were resampled for the intervals.
     pub fn resampled(&self) -> &'static str {
         self.resampled
     }
 
-    /// The distance between real recordings, the mean over all pairs, or between the two parts of a single one: by channel.
+    /// Figures between real recordings by channel: the mean over all pairs, or those between the two parts of a single
+    /// recording.
     pub fn between(&self) -> Vec<Figures> {
         let pairs: Vec<(&Sample, Sample)> = match self.fitted.as_slice() {
             [fitted] => vec![(fitted, merged(&self.units))],
@@ -106,7 +108,7 @@ impl Real {
             for (a, b) in &pairs {
                 for (name, value) in self.figures(rx, &of_channel([*a], rx), &of_channel([b], rx), &self.channels) {
                     let (sum, count) = sums.entry(name).or_default();
-                    // Between two of a kind neither is first.
+                    // The order within a pair is arbitrary, so a difference counts by its absolute value.
                     *sum += if name.ends_with("difference_db") { value.abs() } else { value };
                     *count += 1.0;
                 }
@@ -116,7 +118,7 @@ impl Real {
         (0..self.channels.len()).map(channel).collect()
     }
 
-    /// The recordings beside simulated copies, by channel.
+    /// Compares the recordings with simulated copies, by channel.
     pub fn beside(&self, simulated: &Simulated) -> Vec<Channel> {
         let antennas = self.waveform.request.rx_antennas.antennas();
         let both = self.channels.iter().zip(&simulated.channels);
@@ -154,7 +156,7 @@ impl Real {
         }
     }
 
-    /// All figures of one channel of two samples, the second with noise of its own.
+    /// Computes all figures of one channel of two samples, the second with its own noise.
     fn figures(&self, rx: usize, a: &MapStatistics, b: &MapStatistics, other_noise: &[ChannelFit]) -> Figures {
         let mut figures = Figures::new();
         let noise = |channels: &[ChannelFit]| {
@@ -201,20 +203,20 @@ fn merged(samples: &[Sample]) -> Sample {
     all
 }
 
-/// One channel of all samples.
+/// Merges one channel of all samples.
 fn of_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> MapStatistics {
     let mut all = MapStatistics::default();
     samples.into_iter().filter_map(|sample| sample.maps.get(rx)).for_each(|maps| all.merge(maps));
     all
 }
 
-/// Draws as many samples as there are, with replacement.
+/// Draws as many samples as there are, with replacement, and merges one channel of them.
 fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapStatistics {
     of_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
 }
 
-/// Difference between two mean chirps in the range bins that hold leakage, complex, over what is there in the first; both
-/// without their means, under Hann's window.
+/// Relative difference between two mean chirps in the range bins that hold leakage: complex difference over the content
+/// of the first. Both are taken without their means, under a Hann window.
 fn leakage_error(real: &[f64], simulated: &[f64]) -> f64 {
     let bins = |chirp: &[f64]| {
         let (n, mean) = (chirp.len() as f64, chirp.iter().sum::<f64>() / chirp.len().max(1) as f64);

@@ -1,9 +1,9 @@
-//! Lines of moving people in the recordings and in their simulated copies.
+//! Slow-time lines of moving people in the recordings and in their simulated copies.
 
 use radome_dsp::statistics::MotionLine;
 use serde::Serialize;
 
-/// The strongest line of slow time, real and simulated.
+/// Strongest slow-time line, real and simulated.
 #[derive(Serialize)]
 pub struct Lines {
     pub real: Option<One>,
@@ -11,30 +11,30 @@ pub struct Lines {
     pub after: Option<Many>,
 }
 
-/// A recording's.
+/// Line of a recording.
 #[derive(Clone, Copy, Serialize)]
 pub struct One {
     pub level_dbfs: f64,
     pub range_m: f64,
     pub breath_hz: Option<f64>,
-    /// Windows of ten seconds.
+    /// Number of windows of ten seconds.
     pub windows: usize,
 }
 
-/// Those of copies, each of which draws somebody else.
+/// Lines of the copies, each of which draws another person.
 #[derive(Serialize)]
 pub struct Many {
-    /// Mean power, dBFS, and the levels of the quarter below and above.
+    /// Mean power, dBFS, and the lower and upper quartile.
     pub level_dbfs: f64,
     pub level_quartiles_dbfs: [f64; 2],
-    /// Median, m, and the ranges of the quarter below and above.
+    /// Median range, m, and the lower and upper quartile.
     pub range_m: f64,
     pub range_quartiles_m: [f64; 2],
-    /// Median.
+    /// Median breathing rate, Hz.
     pub breath_hz: Option<f64>,
-    /// Copies in which there is a line.
+    /// Number of copies that have a line.
     pub copies: usize,
-    /// From the recordings' line; `None` where they have none.
+    /// Level relative to the recordings' line; `None` where they have none.
     pub level_difference_db: Option<f64>,
     pub range_difference_m: Option<f64>,
 }

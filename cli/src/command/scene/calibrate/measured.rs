@@ -1,4 +1,4 @@
-//! Measurements of a receiver from recordings.
+//! Measurement of a receiver from recordings.
 
 use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::receiver::Receiver;
@@ -11,15 +11,15 @@ use super::recordings::Recordings;
 pub struct Measured {
     /// Fit to the first parts of the recordings.
     pub fit: Fit,
-    /// Fit to the other parts, which judge.
+    /// Fit to the other parts, which are held out for comparison.
     pub judged: Fit,
-    /// Slow time of the first parts.
+    /// Slow-time statistics of the first parts.
     pub fitted_slow_time: SlowTimeStatistics,
-    /// Slow time of whole recordings.
+    /// Slow-time statistics of whole recordings.
     pub slow_time: SlowTimeStatistics,
 }
 
-/// Measures noise, leakage and slow time.
+/// Measures noise, leakage and slow-time statistics.
 ///
 /// # Errors
 /// A recording cannot be read, or too little can be fitted.

@@ -1,4 +1,5 @@
-//! Recordings of one receiver, read frame by frame as often as needed: they may be larger than memory.
+//! Recordings of one receiver. Frames are read one by one, in as many passes as needed, since recordings may exceed
+//! memory.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ pub struct Recordings {
     all: Vec<Cut>,
 }
 
-/// A recording whose first frames are fitted.
+/// Recording whose first frames are used for the fit.
 pub struct Cut {
     path: PathBuf,
     frames: u64,
@@ -26,12 +27,12 @@ pub struct Cut {
 pub struct Place {
     /// Whether the receiver is fitted to it.
     pub is_fitted: bool,
-    /// Its place in its part, 0..1.
+    /// Relative position in its part, 0..1.
     pub in_part: f64,
 }
 
 impl Recordings {
-    /// Opens recordings, of which the first part is fitted.
+    /// Opens recordings whose first part is used for the fit.
     ///
     /// # Errors
     /// A recording cannot be read or is too short, or two have different waveforms.
@@ -89,12 +90,12 @@ impl Recordings {
         self.all.iter().map(|cut| cut.frames - cut.fitted).sum()
     }
 
-    /// The first one's name.
+    /// Returns the name of the first recording.
     pub fn name(&self) -> String {
         self.all.first().map(Cut::name).unwrap_or_default()
     }
 
-    /// Names of the recordings that a receiver was fitted to.
+    /// Returns the names of the recordings that a receiver was fitted to.
     pub fn measured_from(&self) -> String {
         let of = |cut: &Cut| format!("{}: {} of {} frames", cut.name(), cut.fitted, cut.frames);
         self.all.iter().map(of).collect::<Vec<_>>().join("; ")
@@ -106,7 +107,7 @@ impl Cut {
         self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// Reads it once more; one that has gaps is as good as several.
+    /// Reads the recording once more, across its gaps.
     ///
     /// # Errors
     /// The recording cannot be read, or the callback fails.
@@ -131,7 +132,7 @@ impl Cut {
         Ok(())
     }
 
-    /// Counts what does not say how long it is.
+    /// Counts the frames of a recording that does not state its length.
     fn count(&self) -> anyhow::Result<u64> {
         let mut frames = 0;
         self.each_frame("counting", |_, _| {

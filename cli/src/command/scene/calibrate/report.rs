@@ -1,4 +1,4 @@
-//! The answer, and the receiver file.
+//! Output of a calibration, and the receiver file.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,7 +14,7 @@ use super::line::{Lines, Many};
 use super::still::Clutter;
 use crate::{files, output};
 
-/// All there is to say.
+/// Complete result of a calibration.
 #[derive(Serialize)]
 pub struct Answer<'a> {
     pub receiver: Option<&'a Path>,
@@ -33,7 +33,7 @@ pub struct Answer<'a> {
     pub line: Option<Lines>,
 }
 
-/// Echoes' level.
+/// Level of the echoes.
 #[derive(Serialize)]
 pub struct Gain {
     pub gain_db: Option<f64>,
@@ -48,12 +48,12 @@ impl From<GainFit> for Gain {
     }
 }
 
-/// Rounds what was fitted to the digits that a recording bears, so that files can be read.
+/// Rounds fitted values to the significant digits of the measurement, so that files stay readable.
 pub fn round(receiver: &mut Receiver) {
     let digits = |value: &mut f64, digits: i32| {
         if *value != 0.0 && value.is_finite() {
             let scale = 10f64.powi(digits - 1 - value.abs().log10().floor() as i32);
-            // Dividing by a power of ten gives the shortest decimal, multiplying by its inverse does not.
+            // Dividing by a power of ten gives the shortest decimal; multiplying by its inverse does not.
             *value = if scale < 1.0 {
                 (*value * scale).round() * (1.0 / scale).round()
             } else {
@@ -87,13 +87,13 @@ pub fn round(receiver: &mut Receiver) {
     }
 }
 
-/// Writes the fitted receiver, with the command that makes it again.
+/// Writes the fitted receiver, with the command that reproduces it.
 ///
 /// # Errors
 /// The file cannot be written.
 pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -> anyhow::Result<()> {
     let text = toml::to_string(receiver).context("the receiver as TOML")?;
-    // Where files lay says nothing to others.
+    // Folders of the input files mean nothing to other users, so only file names are written.
     let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut command = "radome scene calibrate".to_owned();
     arguments.recordings.iter().for_each(|recording| command += &format!(" {}", file_name(recording)));
@@ -116,7 +116,7 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
     })
 }
 
-/// One object, or lines to read.
+/// Prints one JSON object, or text.
 ///
 /// # Errors
 /// Standard output cannot be written.
@@ -141,7 +141,7 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
     }
 }
 
-/// The table of receivers, simulated and real.
+/// Prints the table of receivers, simulated and real.
 fn channels(answer: &Answer) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{:>9} {:>3} {:>16} {:>9} {:>14} {:>12} {:>23} {:>6} {:>6} {:>11} {:>12} {:>7} {:>6}",
@@ -181,7 +181,7 @@ fn channels(answer: &Answer) -> anyhow::Result<()> {
     ))
 }
 
-/// Lines of what stands still: its jitter, and its level.
+/// Prints the jitter and the level of static echoes.
 fn still(answer: &Answer) -> anyhow::Result<()> {
     output::text_line(&match &answer.clutter {
         Some(clutter) => format!(
@@ -205,7 +205,7 @@ fn still(answer: &Answer) -> anyhow::Result<()> {
     })
 }
 
-/// The columns of maps.
+/// Formats the columns of map figures.
 fn figures(figures: &Figures, interval: &str) -> String {
     let get = |name: &str| figures.get(name).copied();
     let pair = |a: &str, b: &str| match (get(a), get(b)) {
@@ -234,7 +234,7 @@ fn figures(figures: &Figures, interval: &str) -> String {
     )
 }
 
-/// Lines of moving people.
+/// Prints the slow-time lines of moving people.
 fn slow_time(lines: &Lines) -> anyhow::Result<()> {
     let breath = |hz: Option<f64>| hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
     output::text_line(&match &lines.real {

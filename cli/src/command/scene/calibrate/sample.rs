@@ -5,7 +5,7 @@ use radome_dsp::rdm::StaticRemoval;
 use radome_dsp::statistics::{MapStatistics, Regions};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, Window};
 
-/// Range bins to either side of who is there that are looked at by themselves.
+/// Number of range bins on either side of the person that are compared separately.
 const TARGET_BINS: usize = 2;
 
 /// Regions of maps to compare, given the positions of people.
@@ -14,22 +14,22 @@ pub fn regions(target_bin: Option<usize>) -> Regions {
     Regions { first_bin: LEAKAGE_BINS, target }
 }
 
-/// Makes samples of frames.
+/// Computes samples of frames.
 pub struct Sampler {
     regions: Regions,
-    /// Without what stands still, and with it.
+    /// Processors without static echoes, and with them.
     processors: [RdmProcessor; 2],
     map: Rdm,
 }
 
-/// The maps of some frames, by receiver.
+/// Maps of some frames, by receiver.
 #[derive(Default, Clone)]
 pub struct Sample {
     pub maps: Vec<MapStatistics>,
 }
 
 impl Sampler {
-    /// Sampler for frames of a waveform.
+    /// Creates a sampler for frames of a waveform.
     ///
     /// # Errors
     /// The map is not valid for the waveform.
@@ -68,7 +68,7 @@ impl Sample {
     }
 }
 
-/// Mean power of noise in the cells of each range bin of a map, dB, from its density in LSB^2 a sample.
+/// Mean noise power in the cells of each range bin of a map, dB, from its density in LSB^2 per sample.
 pub fn cell_noise_db(density_lsb2: &[f64], waveform: &Waveform) -> Vec<f64> {
     let sums = |length: usize| {
         let weights = Window::Hann.weights(length);

@@ -1,4 +1,4 @@
-//! Static echoes in recordings: their level beside a scene's, and their drift.
+//! Static echoes in recordings: their level relative to a scene's, and their drift.
 
 use radome_dsp::{Waveform, Window};
 use radome_sim::receiver::calibration::gain::{self, Bin, GainFit, fit_gain};
@@ -7,11 +7,11 @@ use serde::Serialize;
 use super::copies::Copies;
 use super::measured::Measured;
 
-/// Jitter shows where an echo stands so far above noise, as power.
+/// Power ratio of an echo to the noise from which its jitter can be measured.
 const LEAST_OVER_NOISE: f64 = 100.0;
-/// An echo that drifts by 0.6 rad in ten seconds moves by this part of its power at most.
+/// Largest moving fraction of an echo's power, which a drift of 0.6 rad in ten seconds reaches.
 const MOST_MOVING: f64 = 0.3;
-/// With fewer bins nothing is said of clutter.
+/// Least number of bins for an estimate of clutter.
 const LEAST_BINS: usize = 3;
 
 /// Drift of static echoes: medians of bins, noise subtracted.
@@ -20,11 +20,11 @@ pub struct Clutter {
     pub phase_jitter_rad: f64,
     pub phase_drift_rad_per_10s: f64,
     pub amplitude_jitter: f64,
-    /// Bins that bore it.
+    /// Number of bins that contributed.
     pub bins: usize,
 }
 
-/// Fits jitter and drift of clutter to what stands still, if enough does.
+/// Fits jitter and drift of clutter to the static echoes, if there are enough.
 pub fn fit_clutter(waveform: &Waveform, measured: &mut Measured) -> Option<Clutter> {
     let step_m = waveform.range_step_m(waveform.request.samples_per_chirp);
     let first = (gain::LEAST_RANGE_M / step_m).ceil() as usize;
@@ -36,7 +36,7 @@ pub fn fit_clutter(waveform: &Waveform, measured: &mut Measured) -> Option<Clutt
             let (Some(still), Some(moving)) = (real.still(rx, bin), real.moving(rx, bin)) else { continue };
             let Some(changes) = real.changes(rx, bin).filter(|_| still >= LEAST_OVER_NOISE * noise) else { continue };
             if moving <= MOST_MOVING * still {
-                // Half of the noise is along the echo, half across.
+                // Half of the noise is in phase with the echo, half in quadrature.
                 let own = 0.5 * noise / still;
                 phases.push((changes.phase_rad2 - own).max(0.0).sqrt());
                 amplitudes.push((changes.amplitude - own).max(0.0).sqrt());
@@ -61,7 +61,8 @@ pub fn fit_clutter(waveform: &Waveform, measured: &mut Measured) -> Option<Clutt
     Some(clutter)
 }
 
-/// Fits the level of echoes to what stands still in the recordings and in the scene without people, if enough does.
+/// Fits the level of echoes to the static echoes in the recordings and in the scene without people, if there are
+/// enough.
 ///
 /// # Errors
 /// The simulation fails.
@@ -87,7 +88,8 @@ pub fn fit_level(waveform: &Waveform, copies: &Copies, measured: &mut Measured) 
     Ok(fit)
 }
 
-/// Power of noise in the bins of a frame's mean range profile over full scale, as slow time has them.
+/// Noise power in the bins of a frame's mean range profile, relative to full scale, in the convention of the slow-time
+/// statistics.
 fn frame_noise(density_lsb2: &[f64], waveform: &Waveform) -> Vec<f64> {
     let taper = Window::Hann.weights(waveform.request.samples_per_chirp);
     let (sum, squares) = taper.iter().fold((0.0, 0.0), |(s, q), w| (s + w, q + w * w));
@@ -95,7 +97,7 @@ fn frame_noise(density_lsb2: &[f64], waveform: &Waveform) -> Vec<f64> {
     density_lsb2.iter().map(|density| density * scale).collect()
 }
 
-/// The value in the middle; zero of nothing.
+/// Returns the median; zero of an empty list.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or_default()

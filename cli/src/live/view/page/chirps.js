@@ -1,4 +1,4 @@
-// Raw chirps: one of them, what all of them span, and where codes are at an end of the ADC.
+// Raw chirps: one of them, the envelope of all, and codes at either end of the ADC range.
 
 import { begin, painter, theme, ticks } from './plot.js';
 
@@ -23,7 +23,7 @@ export class ChirpsView {
     if (!begun || !this.header) return;
     const { g, width, height } = begun, n = this.header.samples;
     const chirp = this.codes.subarray(0, n), least = this.codes.subarray(n, 2 * n), most = this.codes.subarray(2 * n, 3 * n);
-    // As close as the codes allow, or all that the ADC can say.
+    // Range of the codes, or the full range of the ADC.
     const span = this.whole ? [0, LARGEST] : [Math.min(...least), Math.max(...most)], margin = Math.max(8, 0.06 * (span[1] - span[0]));
     const low = Math.max(-40, span[0] - margin), high = Math.min(LARGEST + 40, span[1] + margin);
     const x = i => LEFT + (i + 0.5) / n * (width - LEFT - RIGHT), y = code => TOP + (1 - (code - low) / (high - low)) * (height - TOP - BOTTOM);

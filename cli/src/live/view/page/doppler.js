@@ -1,8 +1,8 @@
-// Velocity over time: of each velocity the echo that stands out most of the noise of its range.
+// Velocity over time: for each velocity, the echo with the highest level over the noise of its range.
 
 import { begin, clock, painter, palette, theme, ticks } from './plot.js';
 
-/** Columns that are kept. */
+/** Number of columns that are kept. */
 const COLUMNS = 480;
 /** dB over noise that the colours span: an exponential's tail over a hundred ranges is 7. */
 const LOW = 6, HIGH = 36, NEAR = 3;
@@ -27,7 +27,7 @@ export class DopplerView {
     }
     const last = () => this.times[(this.count - 1 + COLUMNS) % COLUMNS];
     if (this.valid && time_s === last()) return;
-    // Back: what was later is not yet.
+    // After a backward seek, later columns are removed.
     while (this.valid && time_s <= last()) { this.count--; this.valid--; }
     const out = new Uint32Array(this.column.data.buffer);
     for (let d = 0; d < doppler; d++) {
@@ -53,7 +53,7 @@ export class DopplerView {
     const { g, width, height } = begun, w = width - LEFT - 4, h = height - TOP - BOTTOM, { doppler, step } = this;
     g.imageSmoothingEnabled = false;
     const shown = this.valid, per = w / Math.min(COLUMNS, Math.max(160, shown)), start = (this.count - shown) % COLUMNS, x0 = LEFT + w - shown * per;
-    // The ring from its oldest column on, in two pieces where it has gone round.
+    // The ring is drawn from its oldest column on, in two pieces if it has wrapped around.
     const first = Math.min(shown, COLUMNS - start);
     g.drawImage(this.ring, start, 0, first, doppler, x0, TOP, first * per, h);
     if (first < shown) g.drawImage(this.ring, 0, 0, shown - first, doppler, x0 + first * per, TOP, (shown - first) * per, h);

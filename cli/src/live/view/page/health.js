@@ -1,4 +1,4 @@
-// How the run fares, as a strip of words and numbers.
+// State of the run, as a strip of words and numbers.
 
 export class HealthStrip {
   constructor(list) {
@@ -26,7 +26,7 @@ export class HealthStrip {
   }
 
   hello({ source, board, model }) {
-    // The last part of a path is what tells it from others.
+    // The last part of a path identifies it.
     this.put('source', source.replace(/\S*\/(?=[^/\s])/g, ''), { title: source });
     this.put('board', board ? board.name : null);
     this.put('firmware', board ? board.firmware : null, { title: board?.chip ?? '' });
@@ -44,7 +44,7 @@ export class HealthStrip {
   }
 
   access({ refused, pages }) {
-    // Browsers open connections that they do not use: those say nothing.
+    // Browsers open connections that they do not use, so unanswered ones are not counted.
     const by = Object.entries(refused).filter(([why, n]) => n && why !== 'unanswered'), all = by.reduce((sum, [, n]) => sum + n, 0);
     this.put('pages', pages > 1 ? String(pages) : null);
     this.put('turned away', all ? String(all) : null, { title: by.map(([why, n]) => `${why.replaceAll('_', ' ')} ${n}`).join(', ') });

@@ -1,4 +1,4 @@
-// The list of labels: where they are kept, and each of them with times that can be typed.
+// List of labels: their storage, and each label with editable times.
 
 import { clock } from './plot.js';
 

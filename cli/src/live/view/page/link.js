@@ -1,4 +1,4 @@
-// The connection: pictures and news in, requests out. A picture is answered, so that a slow page gets fewer and none waits.
+// Connection: receives pictures and news, sends requests. Each picture is acknowledged, so that a slow page gets fewer.
 
 /** Header and parts of a picture: see feed.rs. */
 export function decode(buffer) {
@@ -13,7 +13,7 @@ export function decode(buffer) {
   return { header, parts };
 }
 
-/** Numbers of another kind in the bytes of a part, which may start anywhere. */
+/** Typed array from the bytes of a part, which may be unaligned. */
 export const floats = bytes => new Float32Array(bytes.slice().buffer);
 export const words = bytes => new Uint16Array(bytes.slice().buffer);
 
@@ -48,9 +48,9 @@ export class Link {
     };
     socket.onclose = () => {
       this.handlers.state(this.over ? 'over' : 'lost');
-      // A socket does not say why it was refused. Another run may have another token.
+      // A socket does not report why it was refused. Another run may have another token.
       if (!opened && !this.over) fetch('health.json').then(({ status }) => { if (status === 401) this.handlers.state('locked'); }, () => {});
-      // The program may come back under the same address.
+      // The program may be restarted at the same address.
       setTimeout(() => this.connect(), this.over ? 5000 : this.waits);
       this.waits = Math.min(this.waits * 2, 8000);
     };

@@ -1,4 +1,4 @@
-// The page: what comes over the link goes to the views, what hands do goes over the link.
+// Page: passes messages of the link to the views, and input of the user to the link.
 
 import { ChirpsView } from './chirps.js';
 import { DopplerView } from './doppler.js';
@@ -30,9 +30,9 @@ const list = new LabelList({
 });
 Object.assign(page, { map, partner, profile, doppler, chirps, timeline, send: request => send(request) });
 
-// ---- what comes
+// ---- messages
 
-/** When the newest frame came. */
+/** Arrival time of the newest frame. */
 let arrived_ms = 0;
 
 const link = new Link({
@@ -104,12 +104,12 @@ const send = request => link.send(request);
 
 function greet(hello) {
   page.hello = hello;
-  // The program says anew what has been; it may be another run.
+  // The program sends the history again; it may be another run.
   timeline.history = new History();
   health.hello(hello);
   timeline.tape = hello.tape;
   timeline.interval = hello.frame_interval_s;
-  // Whoever may only watch gets no controls that change labels.
+  // Read-only pages get no controls that change labels.
   list.readOnly = timeline.readOnly = $('keys').hidden = $('who-label').hidden = hello.read_only_labels;
   $('tape').hidden = !hello.tape;
   if (!hello.tape) list.goTo = null;
@@ -129,7 +129,7 @@ function greet(hello) {
   look();
 }
 
-/** The command that adapts the model by the labels, where there are some. */
+/** Shows the command that adapts the model with the labels, if there are any. */
 function offer(adaptation) {
   $('adapt').hidden = !adaptation;
   $('adapt-text').textContent = adaptation?.text ?? '';
@@ -140,7 +140,7 @@ function offer(adaptation) {
   }
 }
 
-/** Browsers give the clipboard to pages of this machine and encrypted ones only: elsewhere the command is selected. */
+/** Copies the command. Browsers allow this only on local and encrypted pages; elsewhere the command is selected. */
 async function copyCommand() {
   try {
     await navigator.clipboard.writeText($('adapt-command').textContent);
@@ -166,7 +166,7 @@ function say(answer) {
   }
 }
 
-/** What was said is no longer so: an old answer must not look like the present one. */
+/** Clears the answer, so that an old one does not look like the present one. */
 function unsay() {
   $('answer').value = '–';
   $('confidence').textContent = $('truth').textContent = '';
@@ -174,7 +174,7 @@ function unsay() {
   health.put('frames/s', '–');
 }
 
-/** Seconds without a frame where they are too many, else 0. A recording may rest on a frame. */
+/** Seconds without a frame if they are too many, else 0. A recording may be paused at a frame. */
 function silent_s() {
   const seconds = (performance.now() - arrived_ms) / 1000;
   return page.hello && !page.hello.tape && seconds > Math.max(2, 5 * page.hello.frame_interval_s) ? seconds : 0;
@@ -206,7 +206,7 @@ function notice(text) {
   fading = setTimeout(() => { $('notice').hidden = true; }, 8000);
 }
 
-// ---- what hands do
+// ---- user input
 
 function look() {
   if (!page.hello) return;
@@ -216,7 +216,7 @@ function look() {
   send({ do: 'look', channel, removal: $('removal').value, chirp, partner: page.hello.partner && $('partner-on').checked });
 }
 
-/** The view shows something else: what was held of the old one means nothing. */
+/** Applies a new selection and discards the held maxima of the old one. */
 function relook() {
   localStorage.setItem('channel', $('channel').value);
   localStorage.setItem('removal', $('removal').value);
@@ -224,7 +224,7 @@ function relook() {
   look();
 }
 
-/** A place in the recording. While a hand draws, one at a time: each costs the frames before it. */
+/** Seeks in the recording. While the user drags, requests are throttled: each one reads the frames before it. */
 let sought = null, resting = 0;
 function seek(time_s) {
   if (!page.hello?.tape || !Number.isFinite(time_s)) return;
@@ -246,7 +246,7 @@ function label(occupancy) { send({ do: 'label', occupancy, who: who() }); }
 function play() { send({ do: page.playback?.playing ? 'pause' : 'play' }); }
 function step(frames) { send({ do: 'step', frames }); }
 
-/** The next of a select's options, or the one before. */
+/** Selects the next or the previous option of a select element. */
 function turn(element, by, round = false) {
   const n = element.options.length, index = element.selectedIndex + by;
   element.selectedIndex = round ? (index + n) % n : Math.max(0, Math.min(n - 1, index));
@@ -281,7 +281,7 @@ $('redo').addEventListener('click', () => send({ do: 'redo' }));
 $('adapt-copy').addEventListener('click', copyCommand);
 $('help-open').addEventListener('click', () => $('help').showModal());
 
-// A select that was opened with a pointer gives the keys back.
+// A select element that was opened with a pointer loses the focus after a change.
 let pointed = false;
 addEventListener('pointerdown', () => { pointed = true; }, true);
 addEventListener('keydown', () => { pointed = false; }, true);
@@ -307,7 +307,7 @@ addEventListener('keydown', event => {
   const { target } = event, tag = target.tagName;
   const isTyping = tag === 'SELECT' || tag === 'INPUT' && !['checkbox', 'range'].includes(target.type);
   if (isTyping) { if (event.key === 'Escape') target.blur(); return; }
-  // Controls keep their own keys.
+  // Keys that controls use themselves are not shortcuts.
   if (event.key === ' ' && ['BUTTON', 'SUMMARY', 'INPUT', 'A'].includes(tag)) return;
   if (tag === 'INPUT' && target.type === 'range' && /^(Arrow|Home|End|Page)/.test(event.key)) return;
   let act = KEYS[event.key] ?? KEYS[event.shiftKey ? event.key : event.key.toLowerCase()];

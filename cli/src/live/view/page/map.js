@@ -2,7 +2,7 @@
 
 import { begin, palette, painter, theme, ticks } from './plot.js';
 
-/** Range bins next to the antenna that are its own leakage. */
+/** Number of range bins next to the antenna that contain leakage. */
 const NEAR = 3;
 const LEFT = 42, BOTTOM = 34, RIGHT = 52, TOP = 6;
 
@@ -19,7 +19,7 @@ export class MapView {
     canvas.addEventListener('keydown', event => this.key(event));
   }
 
-  /** A new map: bytes with the header that says what they mean, and the noise floor by range. */
+  /** Takes a new map: header, bytes, and the noise floor by range. */
   take(header, bytes, floor) {
     const { range, doppler, low_db: low, step_db: step } = header;
     const cells = range * doppler;
@@ -37,7 +37,7 @@ export class MapView {
     this.header = header;
     this.floor = floor;
     this.strongest = this.find();
-    // The scale follows slowly: an empty room is dark and does not flicker.
+    // The scale changes slowly, so that an empty room is dark and does not flicker.
     const sorted = Array.from(floor).filter(Number.isFinite).sort((a, b) => a - b);
     const middle = this.overFloor ? 0 : sorted[sorted.length >> 1] ?? 0;
     const wants = [middle - 2, Math.max(middle + 38, this.strongest ? this.strongest.db + 2 : -Infinity)];
@@ -47,12 +47,12 @@ export class MapView {
     this.draw();
   }
 
-  /** What was held, or belongs to another view, means nothing any more. */
+  /** Discards the held maxima and the scale of the previous selection. */
   forget() { this.held = null; this.isNew = true; }
 
   none(text) { this.header = null; this.message = text; this.strongest = null; this.draw(); }
 
-  /** The cell that stands out most of the noise. */
+  /** Finds the cell with the highest level over the noise. */
   find() {
     const { range, doppler } = this.header;
     let best = -Infinity, at = -1;

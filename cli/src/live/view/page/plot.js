@@ -1,8 +1,8 @@
-// What all plots share: colours, a canvas as fine as the screen, ticks.
+// Shared parts of all plots: colours, a canvas at the screen's resolution, ticks.
 
 const VIRIDIS = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];
 
-/** Colours of 0 to 254 as RGBA in one number; 255, what is no number, is magenta. */
+/** Colours of 0 to 254 as RGBA in one number; 255 (not a number) is magenta. */
 export const palette = new Uint32Array(256);
 for (let i = 0; i < 255; i++) {
   const at = i / 254 * 8, k = Math.min(7, Math.floor(at)), f = at - k;
@@ -20,7 +20,7 @@ const read = () => {
 read();
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', read);
 
-/** A canvas's context in CSS pixels, cleared, and its size; none while it is not shown. */
+/** Cleared context of a canvas in CSS pixels, with its size; none while it is not shown. */
 export function begin(canvas) {
   const width = canvas.clientWidth, height = canvas.clientHeight, scale = devicePixelRatio || 1;
   if (!width || !height) return null;
@@ -45,14 +45,14 @@ export function ticks(from, to, most = 7) {
   return out;
 }
 
-/** Minutes and seconds. */
+/** Formats minutes and seconds. */
 export function clock(time, digits = 1) {
   const sign = time < 0 ? '-' : '', t = Math.abs(time), minutes = Math.floor(t / 60);
   const seconds = (t - 60 * minutes).toFixed(digits);
   return minutes ? `${sign}${minutes}:${seconds.padStart(digits ? digits + 3 : 2, '0')}` : `${sign}${seconds} s`;
 }
 
-/** Draws at the screen's pace, whatever comes faster; nothing while the page is hidden. */
+/** Limits drawing to the screen's refresh rate; draws nothing while the page is hidden. */
 export function painter(draw, interval = 0) {
   let asked = false, last = 0;
   const paint = now => {

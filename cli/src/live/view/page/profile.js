@@ -1,4 +1,4 @@
-// The range profile: the strongest cell of each range, and the noise under it.
+// Range profile: the strongest cell of each range, and the noise floor.
 
 import { begin, painter, theme, ticks } from './plot.js';
 

@@ -1,13 +1,13 @@
-// Tracks over time: probabilities, whether the room counts as occupied, the truth where it is known, and the labels.
+// Timeline: probabilities, occupancy after delays, the truth where it is known, and the labels.
 
 import { begin, clock, painter, theme, ticks } from './plot.js';
 
-/** Answers that are kept: an hour of ten a second. Of fixed size, so that a page can stay open for months. */
+/** Number of answers that are kept: an hour at ten per second. The fixed size lets a page stay open for months. */
 const MOST = 36000;
 const NAMES = ['empty', 'one', 'two'];
 const LEFT = 88, RIGHT = 8, TOP = 4, BOTTOM = 18, GRIP = 9;
 const NONE = 255, SPLIT = 1000;
-/** Rows from the top with their shares of the height, and the share between two of them. */
+/** Rows from the top with their fractions of the height, and the fraction between two of them. */
 const ROWS = { probabilities: 50, occupied: 10, truth: 10, labels: 20 }, BETWEEN = 3;
 
 /** Answers in the order of their time. */
@@ -18,7 +18,7 @@ export class History {
     this.columns = ['empty', 'one', 'two', 'occupied', 'truth', 'transition', 'gap', 'label'].map(name => this[name] = new Uint8Array(MOST));
   }
 
-  /** Rows in the order of `Point::row` in feed.rs. */
+  /** Adds rows whose values have the order of `Point::row` in feed.rs. */
   add(rows) {
     for (const [, time, p, label, occupied, truth, transition, gap] of rows) {
       let at = this.length;
@@ -37,7 +37,7 @@ export class History {
     }
   }
 
-  /** Makes room; the oldest go when there is none. */
+  /** Shifts entries to insert others; drops the oldest ones when the history is full. */
   shift(at, by) {
     if (this.length + by > MOST) {
       for (const column of [this.time, ...this.columns]) column.copyWithin(0, SPLIT, this.length);
@@ -76,7 +76,7 @@ export class Timeline {
     const last = this.tape ? this.tape.last_s + this.interval : Math.max(this.now + this.interval, first + 1);
     if (!this.window || last - first <= this.window && this.tape) return [first, last];
     if (!this.tape) return [this.now + this.interval - this.window, this.now + this.interval];
-    // The place stays a little right of the middle.
+    // The current time stays a little right of the middle.
     const from = Math.max(first, Math.min(last - this.window, this.now - 0.6 * this.window));
     return [from, from + this.window];
   }
@@ -111,7 +111,7 @@ export class Timeline {
     const begin_ = Math.max(0, history.first(from) - 1), end = Math.min(history.length, history.first(to) + 1);
     const [pTop, pHeight] = rows.probabilities;
     const until = i => i + 1 < history.length && history.time[i + 1] - history.time[i] < 3 * this.interval ? history.time[i + 1] : history.time[i] + this.interval;
-    // One column a pixel at most, whatever the window holds.
+    // At most one column per pixel, for any window length.
     let filled = -1;
     for (let i = begin_; i < end; i++) {
       const left = Math.max(filled, Math.round(x(history.time[i]))), right = Math.round(x(until(i)));
@@ -185,7 +185,7 @@ export class Timeline {
     }
   }
 
-  /** What is under the pointer: an edge of a label, a label, or a time. */
+  /** Finds the object under the pointer: an edge of a label, a label, or a time. */
   hit(event) {
     const { x, time, rows, from, to } = this.geometry(), px = event.offsetX, [top, h] = rows.labels;
     const at = Math.max(from, Math.min(to, time(px)));
@@ -193,7 +193,7 @@ export class Timeline {
     let best = null;
     if (!this.readOnly) for (const span of this.spans) for (const edge of ['start_s', 'end_s']) {
       const distance = Math.abs(x(span[edge]) - px);
-      // Of two that meet, the one whose inside the pointer is on.
+      // Of two adjacent edges, the one of the label under the pointer wins.
       const inside = edge === 'start_s' ? px >= x(span.start_s) : px <= x(span.end_s);
       if (distance <= GRIP && (!best || distance - (inside ? 0.5 : 0) < best.distance)) best = { span, edge, distance: distance - (inside ? 0.5 : 0) };
     }
@@ -223,7 +223,7 @@ export class Timeline {
     if (this.drag.seeking) this.seek(hit.time);
     else {
       const { start_s, end_s } = this.drag.span;
-      // To the frame, and never over the other edge.
+      // The edge snaps to a frame and never crosses the other edge.
       const t = this.tape ? this.tape.first_s + Math.round((hit.time - this.tape.first_s) / this.interval) * this.interval : hit.time;
       this.drag.span = this.drag.edge === 'start_s' ? { start_s: Math.min(t, end_s - this.interval), end_s } : { start_s, end_s: Math.max(t, start_s + this.interval) };
     }
@@ -235,7 +235,7 @@ export class Timeline {
     this.drag = null;
     const was = drag?.edge && this.spans.find(span => span.id === drag.id);
     if (was && was[drag.edge] !== drag.span[drag.edge]) {
-      // Shown there until the server has said so.
+      // Shown at the new time until the server confirms it.
       this.spans = this.spans.map(span => span === was ? { ...span, ...drag.span } : span);
       this.move(drag.id, drag.span.start_s, drag.span.end_s);
     }

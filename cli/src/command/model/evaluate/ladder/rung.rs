@@ -1,4 +1,4 @@
-//! Rungs of a ladder, and the recordings that are simulated of them.
+//! Rungs of a ladder, and the recordings that are simulated for them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,33 +9,33 @@ use radome_sim::bounded_file::named_by_spec;
 
 use crate::dataset::rung::{MOST_FRAMES, RungFile};
 
-/// Length of the recordings of empty rooms at most, s: hours are watched in several rooms.
+/// Longest recording of an empty room, s. Hours of empty rooms are spread over several rooms.
 const EMPTY_RECORDING_S: f64 = 360.0;
 
-/// A rung, ready to be simulated.
+/// Rung, ready to be simulated.
 pub(super) struct Rung {
     /// Short name.
     pub(super) name: String,
-    /// One sentence that says how it differs from training.
+    /// One sentence that describes the difference from training.
     pub(super) about: String,
     pub(super) simulations: Vec<Simulation>,
 }
 
-/// A recording to be simulated.
+/// Recording to be simulated.
 pub(super) struct Simulation {
     /// Name of the recording.
     pub(super) name: String,
-    /// Name of its scene's file.
+    /// Name of the scene file.
     stem: String,
     /// The scene before its seed draws from it.
     pub(super) scene: Scene,
     pub(super) seed: u64,
-    /// People that the scene is forced to have at most; its own number if absent.
+    /// Maximum number of people; the scene's own number if absent.
     pub(super) people: Option<usize>,
     pub(super) frames: u64,
 }
 
-/// The rungs of a folder by their files' names, or the one rung of a file.
+/// Loads the rungs of a folder, ordered by file name, or the one rung of a file.
 pub(super) fn load(path: &Path) -> anyhow::Result<Vec<Rung>> {
     let mut files = Vec::new();
     if path.is_dir() {
@@ -53,7 +53,7 @@ pub(super) fn load(path: &Path) -> anyhow::Result<Vec<Rung>> {
     } else {
         files.push(path.to_owned());
     }
-    // Each scene is read once: reading says what is to be warned of.
+    // Each scene is read once, because reading prints its warnings.
     let mut scenes = BTreeMap::new();
     let rungs = files.iter().map(|file| Rung::load(file, &mut scenes)).collect::<anyhow::Result<Vec<_>>>()?;
     let mut names = BTreeSet::new();
@@ -98,10 +98,10 @@ impl Rung {
         Ok(Rung { name: file.name, about: file.about, simulations })
     }
 
-    /// The same scenes without people, for so many hours together: each in recordings of six minutes at most, whose seeds follow
-    /// those that the rung has of it.
+    /// Replaces the recordings by the same scenes without people, for this many hours in total. Each recording lasts
+    /// six minutes at most. The seeds follow those that the rung uses for the scene.
     pub(super) fn without_people(self, hours: f64) -> anyhow::Result<Self> {
-        // By name of the scene: skins and ellipsoids of one scene are in different rungs.
+        // Grouped by scene name, because skins and ellipsoids of one scene are in different rungs.
         let mut last_of_scene: BTreeMap<&str, &Simulation> = BTreeMap::new();
         for simulation in &self.simulations {
             let last = last_of_scene.entry(simulation.stem.as_str()).or_insert(simulation);
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
     use crate::output;
 
-    /// An hour of each rung, in rooms that the rung itself does not have.
+    /// An hour of each rung is simulated in rooms that the rung itself does not contain.
     #[test]
     fn hours_of_empty_rooms_are_of_other_seeds() {
         for rung in load(&ladder()).expect("rungs") {

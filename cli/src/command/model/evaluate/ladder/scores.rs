@@ -12,7 +12,7 @@ use super::super::candidate::{Confusion, Predictions, Refused, add_confusion};
 use super::rung::Rung;
 use crate::output;
 
-/// Scores of a model on the recordings of a rung that it did not refuse.
+/// Scores of a model on the accepted recordings of a rung.
 #[derive(Default)]
 pub(super) struct RungScores {
     filtered: Confusion,
@@ -26,7 +26,7 @@ pub(super) struct RungScores {
     pub(super) sequences: Vec<FilterSequence>,
 }
 
-/// Judgement of a recording, behind the filter.
+/// Predictions for a recording, after the filter.
 #[derive(Debug, Clone, Serialize)]
 struct OfRecording {
     recording: String,
@@ -34,7 +34,7 @@ struct OfRecording {
     label: &'static str,
     majority: Occupancy,
     frames: u64,
-    /// Share of the frames that were called what their label says.
+    /// Fraction of the frames that were predicted correctly.
     right: f64,
     is_right: bool,
 }
@@ -71,20 +71,20 @@ impl RungScores {
     }
 }
 
-/// A model on a rung, or on all of them.
+/// Scores of a model on a rung, or on all of them.
 #[derive(Serialize)]
 struct Row {
     rung: String,
-    /// Balanced accuracy behind the filter; absent if the model refused all recordings.
+    /// Balanced accuracy after the filter; absent if the model refused all recordings.
     balanced_accuracy: Option<f64>,
     balanced_accuracy_by_single_frames: Option<f64>,
-    /// Number of frames behind the filter, `[truth][called]`.
+    /// Number of frames after the filter, `[truth][predicted]`.
     confusion: Confusion,
     recordings_right: usize,
     recordings_judged: usize,
-    /// Time from the start of a stretch of `two` to the first frame of it that was called two.
+    /// Time from the start of an interval of `two` to its first frame that was predicted two.
     second_person_found: FoundTimes,
-    /// False alarms behind the filter.
+    /// False alarms after the filter.
     #[serde(flatten)]
     false_alarms: FalseAlarms,
     /// Reliability of the filter's largest probability.
@@ -114,17 +114,18 @@ impl Row {
     }
 }
 
-/// A model on a ladder.
+/// Scores of a model on a ladder.
 #[derive(Serialize)]
 pub(super) struct OfModel {
     model: PathBuf,
     rungs: Vec<Row>,
-    /// Accuracies are means over the rungs, so that each weighs the same; all else is over all recordings.
+    /// Scores on all rungs. Accuracies are means over the rungs, so that each weighs the same. All other scores are
+    /// over all recordings.
     all: Row,
 }
 
 impl OfModel {
-    /// Scores of a model by rung.
+    /// Collects the scores of a model by rung.
     pub(super) fn new(model: &Path, rungs: &[Rung], scores: &[RungScores]) -> Self {
         let rows: Vec<Row> = rungs.iter().zip(scores).map(|(rung, scores)| Row::new(&rung.name, scores)).collect();
         let mut sum = RungScores::default();
@@ -136,7 +137,7 @@ impl OfModel {
         let all = Row {
             balanced_accuracy: mean(|row| row.balanced_accuracy),
             balanced_accuracy_by_single_frames: mean(|row| row.balanced_accuracy_by_single_frames),
-            // They stand in their rungs.
+            // Recordings are listed in their rungs.
             recordings: Vec::new(),
             ..Row::new("all", &sum)
         };
@@ -193,7 +194,7 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints settings as a training's file takes them.
+/// Prints the filter settings in the format of a training file.
 pub(super) fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
     eprintln!(
         "log loss, the mean over models and rungs: {:.3} by frame, {:.3} through the fitted filter",
