@@ -81,5 +81,23 @@ fn labels(report: &Report) -> Vec<Series<'_>> {
         let point = cell.test.as_ref().map(|test| (100.0 * cell.label_fraction, test.mean));
         series[index].1.extend(point);
     }
+    // A spec may list the fractions in any order.
+    series.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
     series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The paper's study lists all labels first. Lines must not run back to it.
+    #[test]
+    fn labels_are_drawn_from_few_to_many() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/studies/paper/report.json");
+        let text = std::fs::read_to_string(path).expect("a report");
+        let report: Report = serde_json::from_str(&text).expect("JSON");
+        let series = labels(&report);
+        let (_, points) = series.iter().find(|(name, _)| *name == "hqnn").expect("the network");
+        assert_eq!(points.iter().map(|(share, _)| *share).collect::<Vec<_>>(), [10.0, 30.0, 50.0, 100.0]);
+    }
 }
