@@ -30,7 +30,7 @@ const WAVES: usize = 6;
 const MOST_OFF: f64 = 4.0;
 /// Periods of the fastest wave between two samples: over such a segment a septic polynomial follows a sinusoid to 4
 /// millionths of its amplitude.
-const PERIODS_A_STRETCH: f64 = 0.25;
+const PERIODS_AN_INTERVAL: f64 = 0.25;
 /// Largest number of halvings of a frame.
 const MOST_HALVINGS: u32 = 6;
 /// Paths weaker than this, relative to the threshold of a single path, are inaudible even together.
@@ -171,7 +171,7 @@ impl SwayPath {
 /// Number of halvings of a span that resolves a wave of this frequency.
 fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
     (0..MOST_HALVINGS)
-        .find(|&h| span_s * fastest_hz <= PERIODS_A_STRETCH * f64::from(1u32 << h))
+        .find(|&h| span_s * fastest_hz <= PERIODS_AN_INTERVAL * f64::from(1u32 << h))
         .unwrap_or(MOST_HALVINGS)
 }
 

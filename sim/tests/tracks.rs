@@ -13,7 +13,7 @@ use radome_sim::tracks::Track;
 use crate::common::scene;
 
 const SAMPLES: usize = 256;
-const STRETCH_S: f64 = 0.032;
+const INTERVAL_S: f64 = 0.032;
 const APART_S: f64 = 1e-3;
 
 /// Samples of every path to every receiver at a time, and their derivatives: `[path][receiver]`.
@@ -42,15 +42,15 @@ fn receivers_that_share_a_path_hear_their_own() {
     let motion = Arc::new(walk.stay());
     let synthesiser = Synthesiser::new(SAMPLES);
     for start_s in [1.5, 1.7, 3.3, 4.4] {
-        let ends = [start_s, start_s + STRETCH_S].map(|time_s| keys(&prepared, &motion, time_s));
+        let ends = [start_s, start_s + INTERVAL_S].map(|time_s| keys(&prepared, &motion, time_s));
         let received =
             |keys: &[(PathSample, PathDerivatives)]| keys[0].0.amplitude.norm() > 0.5 * prepared.threshold_lsb;
         let paths = ends[0].iter().zip(&ends[1]).filter(|(a, b)| received(a) && received(b));
         let (mut tracks, mut own) = (Vec::new(), vec![Vec::new(); prepared.rx.len()]);
         for (a, b) in paths {
-            tracks.push(Track::between(a, b, STRETCH_S).expect("a receiver"));
+            tracks.push(Track::between(a, b, INTERVAL_S).expect("a receiver"));
             for ((a, b), own) in a.iter().zip(b).zip(&mut own) {
-                own.push(PathSegment::between(a, b, STRETCH_S));
+                own.push(PathSegment::between(a, b, INTERVAL_S));
             }
         }
         assert!(tracks.len() > 20 && own.len() == 3, "{} paths, {} receivers", tracks.len(), own.len());

@@ -148,6 +148,7 @@ impl<'a> Study<'a> {
         if chosen.len() == self.spec.variants.len() {
             let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
             let jobs = of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard);
+            // Scores that an earlier run left undone come first.
             let trained: Vec<Job> = jobs.iter().filter(|job| self.has_result(job)).cloned().collect();
             self.work(&self.judgings(&trained), go_on, tell)?;
             self.work(&trainings(&jobs), go_on, tell)?;

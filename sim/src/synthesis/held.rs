@@ -405,7 +405,7 @@ pub(super) mod tests {
     pub(in crate::synthesis) const SAMPLES: usize = 256;
     /// Number of chirps of an interval.
     pub(in crate::synthesis) const COUNT: usize = 64;
-    pub(in crate::synthesis) const STRETCH_S: f64 = 0.032;
+    pub(in crate::synthesis) const INTERVAL_S: f64 = 0.032;
     pub(in crate::synthesis) const CHIRP: Chirp =
         Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
 
@@ -418,8 +418,8 @@ pub(super) mod tests {
             let c = SPEED_OF_LIGHT_M_PER_S;
             let begin = [(22.0 + number(18.0)) / c, number(8.0) / c, number(30.0) / c];
             let end = [
-                begin[0] + STRETCH_S * (begin[1] + 0.5 * STRETCH_S * begin[2]),
-                begin[1] + STRETCH_S * begin[2],
+                begin[0] + INTERVAL_S * (begin[1] + 0.5 * INTERVAL_S * begin[2]),
+                begin[1] + INTERVAL_S * begin[2],
                 begin[2] + number(5.0) / c,
             ];
             let amplitude = Complex64::new(number(1.0), number(1.0));
@@ -441,10 +441,10 @@ pub(super) mod tests {
     /// Returns the echo as a separate tone at a receiver in a chirp.
     pub(in crate::synthesis) fn tone(echo: &HeldEcho, receiver: usize, chirp: usize) -> Tone {
         let u = place(chirp);
-        let scaled = echo.delay.map(|[y, v, w]| [y, v * STRETCH_S, w * STRETCH_S * STRETCH_S]);
+        let scaled = echo.delay.map(|[y, v, w]| [y, v * INTERVAL_S, w * INTERVAL_S * INTERVAL_S]);
         let c = quintic(scaled[0], scaled[1]);
         let delay_s: f64 = c.iter().rev().fold(0.0, |sum, c| sum * u + c);
-        let rate = (1..6).rev().fold(0.0, |sum, p| sum * u + p as f64 * c[p]) / STRETCH_S;
+        let rate = (1..6).rev().fold(0.0, |sum, p| sum * u + p as f64 * c[p]) / INTERVAL_S;
         let [begin, end] = echo.amplitude;
         let (beside_s, ratio) = match receiver {
             0 => (0.0, 1.0),
@@ -462,7 +462,7 @@ pub(super) mod tests {
     }
 
     pub(in crate::synthesis) fn held(echoes: &[HeldEcho]) -> HeldEchoes {
-        let mut held = HeldEchoes::new(STRETCH_S);
+        let mut held = HeldEchoes::new(INTERVAL_S);
         echoes.iter().for_each(|echo| held.push(echo));
         held
     }

@@ -153,7 +153,7 @@ fn tone(path: &PathSegment, chirp: &Chirp, place: f64) -> Tone {
 /// Paths of walkers: ranges from half a metre to fifteen, radial speeds up to three metres per second either way, over
 /// 64 ms.
 fn walkers(count: usize) -> Vec<PathSegment> {
-    const STRETCH_S: f64 = 0.064;
+    const INTERVAL_S: f64 = 0.064;
     let mut rng = generator(1, Purpose::Noise, [0, 0]);
     let mut paths = Vec::with_capacity(count);
     for _ in 0..count {
@@ -163,8 +163,8 @@ fn walkers(count: usize) -> Vec<PathSegment> {
             let amplitude = Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
             (PathSample { delay_s, delay_rate, amplitude }, PathDerivatives::default())
         };
-        let (first, last) = (key(delay_s), key(delay_s + delay_rate * STRETCH_S));
-        paths.push(PathSegment::between(&first, &last, STRETCH_S));
+        let (first, last) = (key(delay_s), key(delay_s + delay_rate * INTERVAL_S));
+        paths.push(PathSegment::between(&first, &last, INTERVAL_S));
     }
     paths
 }

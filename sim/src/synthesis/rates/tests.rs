@@ -1,7 +1,7 @@
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
-use super::super::held::tests::{CHIRP, SAMPLES, STRETCH_S, echoes, held, place, tone};
+use super::super::held::tests::{CHIRP, INTERVAL_S, SAMPLES, echoes, held, place, tone};
 use super::super::spread::Cell;
 use super::super::{HeldEcho, Places, SynthesisScratch, Tone, exact_chirp};
 use super::*;
@@ -37,8 +37,8 @@ fn error(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize
 /// Returns an echo at 3 m with this path rate, m/s, and path acceleration, m/s^2.
 fn echo(rate_m_per_s: f64, bend_m_per_s2: f64) -> HeldEcho {
     let c = radome_dsp::SPEED_OF_LIGHT_M_PER_S;
-    let end = rate_m_per_s + STRETCH_S * bend_m_per_s2;
-    let grown = STRETCH_S * 0.5 * (rate_m_per_s + end);
+    let end = rate_m_per_s + INTERVAL_S * bend_m_per_s2;
+    let grown = INTERVAL_S * 0.5 * (rate_m_per_s + end);
     let delay = [[6.0, rate_m_per_s, bend_m_per_s2], [6.0 + grown, end, bend_m_per_s2]].map(|d| d.map(|m| m / c));
     let others = [([1.2e-11; 2], 0.9), ([-7e-12; 2], 1.1)];
     HeldEcho { delay, amplitude: [Complex64::new(0.6, -0.8); 2], others }
