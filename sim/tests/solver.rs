@@ -123,6 +123,48 @@ fn trihedrals_at_all_tabulated_angles() {
     }
 }
 
+/// The cavity of Ling, Chou and Lee (1989): waveguide modes beside rays and physical optics. Rays ignore diffraction at the
+/// rim and along the walls, whose part falls with the square root of the wavelength. It is larger where the field
+/// stands upright on the side walls.
+#[test]
+fn cavities_approach_waveguide_modes() {
+    // Ten wavelengths wide and five or ten deep at 60 GHz.
+    let error_db = |depth_m: f64, frequency_hz: f64, azimuth_deg: f64, polarisation: Polarisation| {
+        let target = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m };
+        let s = Setup { frequency_hz, polarisation, ..setup(None, azimuth_deg, 0.0, Wall::Conductor) };
+        db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2) - known_db(&target, &s)
+    };
+    for depth_m in [0.025, 0.05] {
+        for azimuth_deg in [15.0, 20.0, 25.0, 30.0, 35.0, 40.0] {
+            let error = |frequency_hz, polarisation| error_db(depth_m, frequency_hz, azimuth_deg, polarisation);
+            let vertical = error(60e9, Polarisation::Vertical);
+            assert!(vertical.abs() < 1.0, "{depth_m} m, {azimuth_deg} degrees: {vertical}");
+            let vertical = error(960e9, Polarisation::Vertical);
+            assert!(vertical.abs() < 0.25, "{depth_m} m, {azimuth_deg} degrees: {vertical}");
+            let horizontal = [60e9, 960e9].map(|f| error(f, Polarisation::Horizontal));
+            assert!(horizontal[0] < 2.7 && horizontal[1] < 0.7, "{depth_m} m, {azimuth_deg} degrees: {horizontal:?}");
+        }
+    }
+    // A cavity as deep as it is wide returns nothing at 45 degrees: each ray leaves by two side walls, to the other side.
+    let deep = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 0.05 };
+    let at = |azimuth_deg: f64| setup(None, azimuth_deg, 0.0, Wall::Conductor);
+    let dip = |azimuth_deg: f64| {
+        let s = at(azimuth_deg);
+        [db(solve(&deep, &s, Method::Images, None, 0.1).sigma_m2), known_db(&deep, &s)]
+    };
+    let (lobe, null) = (dip(25.0), dip(45.0));
+    assert!(lobe[0] - null[0] > 15.0 && lobe[1] - null[1] > 15.0, "{lobe:?} {null:?}");
+    // A flat one returns what a plate of its aperture does, but for the modes that it does not carry.
+    let flat = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 1e-4 };
+    let plate = Target::Plate { width_m: 0.05, height_m: 0.05 };
+    let above = Setup { frequency_hz: 960e9, ..at(0.0) };
+    assert!((known_db(&flat, &above) - known_db(&plate, &above)).abs() < 0.05);
+    // More bounces than sequences have facets, and a radar beside the aperture.
+    for azimuth_deg in [80.0, 90.0, 120.0] {
+        assert!(Problem::new(&deep, &at(azimuth_deg), Method::Images, None).is_err(), "{azimuth_deg}");
+    }
+}
+
 #[test]
 fn mie_is_the_reference_mie() {
     let reference = common::reference();

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
 use super::edge::fresnel_integral;
-use super::{Outline, Setup, Target, mie};
+use super::{Outline, Setup, Target, cavity, mie};
 use crate::em::image::Wall;
 use crate::em::specular::Ellipsoid;
 use crate::em::triangle::sinc;
@@ -49,6 +49,11 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
             conductor(setup)?;
             (far && d.min_element() > 0.0).then_some(())?;
             (setup.aperture_m2(trihedral_aperture_m2(edge_m, outline, d)), "effective aperture, far field")
+        }
+        Target::Cavity { width_m, height_m, depth_m } => {
+            conductor(setup)?;
+            (far && d.x > 0.0).then_some(())?;
+            (cavity::cross_section_m2(setup, width_m, height_m, depth_m), "waveguide modes, far field")
         }
         Target::Sphere { radius_m } => match setup.range_m {
             None => match setup.boundary {

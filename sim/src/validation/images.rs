@@ -6,8 +6,10 @@
 //! before it as seen from the last image. Every current counts each field of geometrical optics once: the sequences 1-2
 //! and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
 //!
-//! Facets hide each other only by facing away, so the method suits corners and not rooms with furniture. Every sequence
-//! is tried: the rays that find sequences in scenes are traced in single precision, from antennas that are near.
+//! Currents radiate to both sides of a facet. Behind it they extinguish the wave that the facet intercepts, so a facet
+//! hides what lies behind it from the receiver. From the transmitter, facets hide each other only by facing away, and
+//! behind an aperture if one is given: the method suits corners and cavities, and not rooms with furniture. Every
+//! sequence is tried: the rays that find sequences in scenes are traced in single precision, from antennas that are near.
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -51,12 +53,14 @@ pub struct Way {
 
 impl Images {
     /// Makes facets from convex polygons of a material, counter-clockwise seen from the reflecting side, and every
-    /// illuminated sequence of at most `max_bounces` facets.
+    /// illuminated sequence of at most `max_bounces` facets. If there is an `aperture`, a convex polygon, the wave reaches
+    /// facets only through it.
     ///
     /// # Errors
     /// If a face is not a plane polygon, or the environment of scenes refuses the faces.
     pub fn new(
         faces: Vec<Vec<DVec3>>,
+        aperture: Option<Vec<DVec3>>,
         boundary: Wall,
         path: BistaticPath,
         wavenumber_per_m: f64,
@@ -69,7 +73,8 @@ impl Images {
             Endpoint::Far(towards) => towards * FAR_M,
         };
         let sequences = all_sequences(&environment, origin, max_bounces);
-        let ways = sequences.into_iter().filter_map(|facets| Way::new(&environment, &path, facets)).collect();
+        let way = |facets| Way::new(&environment, &path, aperture.clone(), facets);
+        let ways = sequences.into_iter().filter_map(way).collect();
         Ok(Images { environment, boundary, path, ways })
     }
 
@@ -89,7 +94,7 @@ impl Images {
         integrate(&way.lit, accuracy, |point, normal| {
             let (there, back) = (way.source.leg(point), self.path.rx.leg(point));
             let length_m = there.length_m + way.longer_m + back.length_m;
-            let lit = normal.dot(there.towards) > 0.0 && normal.dot(back.towards) > 0.0;
+            let lit = normal.dot(there.towards) > 0.0;
             if !lit {
                 return Sample { length_m, amplitude: Complex64::ZERO, lit };
             }
@@ -106,11 +111,16 @@ impl Images {
 
 impl Way {
     /// Computes a sequence; `None` where the last facet is not illuminated, or the sequence is empty.
-    fn new(environment: &Environment, path: &BistaticPath, facets: Vec<FacetId>) -> Option<Self> {
+    fn new(
+        environment: &Environment,
+        path: &BistaticPath,
+        aperture: Option<Vec<DVec3>>,
+        facets: Vec<FacetId>,
+    ) -> Option<Self> {
         let (last, before) = facets.split_last()?;
         let (mut source, mut mirror, mut longer_m) = (path.tx, DMat3::IDENTITY, 0.0);
-        // Facets that the wave has passed, in the same mirrored space.
-        let mut windows: Vec<Vec<DVec3>> = Vec::new();
+        // Aperture and facets that the wave has passed, in the same mirrored space.
+        let mut windows: Vec<Vec<DVec3>> = aperture.into_iter().collect();
         for &facet in before {
             let (corners, normal) = (&environment.facet(facet)?.corners, environment.normal(facet)?);
             let on_plane = *corners.first()?;
@@ -180,6 +190,20 @@ pub fn trihedral(edge_m: f64, is_square: bool) -> Vec<Vec<DVec3>> {
     vec![face(DVec3::X, DVec3::Y), face(DVec3::Y, DVec3::Z), face(DVec3::Z, DVec3::X)]
 }
 
+/// Aperture of a rectangular cavity: in the plane x = 0, width along y, height along z.
+pub fn aperture(width_m: f64, height_m: f64) -> Vec<DVec3> {
+    let (w, h) = (0.5 * width_m, 0.5 * height_m);
+    [(-w, -h), (w, -h), (w, h), (-w, h)].iter().map(|&(y, z)| DVec3::new(0.0, y, z)).collect()
+}
+
+/// The five inner faces of a rectangular cavity behind its [`aperture`].
+pub fn cavity(width_m: f64, height_m: f64, depth_m: f64) -> Vec<Vec<DVec3>> {
+    let rim = aperture(width_m, height_m);
+    let end: Vec<DVec3> = rim.iter().map(|&corner| corner - DVec3::X * depth_m).collect();
+    let side = |i: usize| vec![rim[i], rim[(i + 1) % 4], end[(i + 1) % 4], end[i]];
+    (0..4).map(side).chain([end.clone()]).collect()
+}
+
 #[cfg(test)]
 mod hard_cases {
     use std::sync::Arc;
@@ -192,7 +216,7 @@ mod hard_cases {
 
     fn images(faces: Vec<Vec<DVec3>>, end: Endpoint, max_bounces: usize) -> Images {
         let path = BistaticPath::monostatic(end, DVec3::Z);
-        Images::new(faces, Wall::Conductor, path, K, max_bounces).expect("plane faces")
+        Images::new(faces, None, Wall::Conductor, path, K, max_bounces).expect("plane faces")
     }
 
     /// Integrals of all sequences of `order` facets.

@@ -8,10 +8,11 @@
 //! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
 //! solved to a tolerance. Far from the target the cross-section is the textbook's. Near it, the cross-section is the
 //! one that a radar at that range would report: `4 pi (k/2 pi)^2 |I|^2 R^4`. The range is measured to the target's
-//! reference point: the middle of a plate, the corner of a dihedral or trihedral, the pole of a mirror, and the surface
-//! under the radar of a round body. The radar transmits and receives with one antenna of unit field in every direction.
+//! reference point: the middle of a plate or of an aperture, the corner of a dihedral or trihedral, the pole of a mirror,
+//! and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit field in every direction.
 
 pub mod bistatic_path;
+pub mod cavity;
 pub mod closed_form;
 pub mod dense;
 pub mod edge;
@@ -68,6 +69,15 @@ pub enum Target {
         edge_m: f64,
         /// Triangles or squares.
         outline: Outline,
+    },
+    /// Rectangular cavity, its aperture in the plane x = 0 about the origin, open towards +x, closed at its other end.
+    Cavity {
+        /// Width along y, m.
+        width_m: f64,
+        /// Height along z, m.
+        height_m: f64,
+        /// Depth from the aperture to the end, m.
+        depth_m: f64,
     },
     /// A sphere about the origin.
     Sphere {
@@ -258,11 +268,13 @@ impl Method {
                 _ => false,
             },
             Method::Images => match target {
-                Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Plate { .. } => true,
+                Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Cavity { .. } | Target::Plate { .. } => {
+                    true
+                }
                 Target::Surface { surface } => few_flat_faces(surface),
                 _ => false,
             },
-            _ => !matches!(target, Target::Dihedral { .. } | Target::Trihedral { .. }),
+            _ => !matches!(target, Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Cavity { .. }),
         }
     }
 
@@ -270,7 +282,7 @@ impl Method {
     pub fn automatic(target: &Target, mesh: bool) -> Self {
         match target {
             Target::Plate { .. } | Target::Cylinder { .. } | Target::Mirror { .. } => Method::Facets,
-            Target::Dihedral { .. } | Target::Trihedral { .. } => Method::Images,
+            Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Cavity { .. } => Method::Images,
             Target::Sphere { .. } | Target::Ellipsoid { .. } if !mesh => Method::Specular,
             Target::Surface { surface } if few_flat_faces(surface) => Method::Images,
             Target::Surface { surface } if !surface.is_smooth() => Method::Facets,

@@ -17,6 +17,7 @@ use crate::em::curved_triangle::Integrator;
 use crate::em::image::Wall;
 use crate::em::specular::Ellipsoid;
 use crate::geometry::{Surface, polygon, shape};
+use crate::paths::discovery::MAX_ORDER;
 
 /// Largest number of triangles. The limit for a skin is lower, because a skin is prepared patch by patch.
 const MOST_TRIANGLES: f64 = 4e6;
@@ -109,8 +110,15 @@ impl Problem {
         let shape = match (method, target) {
             (Method::Images, _) => {
                 let faces = faces(target);
-                let bounces = faces.len().min(MOST_BOUNCES);
-                Shape::Faces(Box::new(Images::new(faces, setup.boundary, path, setup.wavenumber_per_m(), bounces)?))
+                let (bounces, aperture) = match *target {
+                    Target::Cavity { width_m, height_m, depth_m } => {
+                        let bounces = cavity_bounces(setup, [width_m, height_m], depth_m)?;
+                        (bounces, Some(images::aperture(width_m, height_m)))
+                    }
+                    _ => (faces.len().min(MOST_BOUNCES), None),
+                };
+                let k = setup.wavenumber_per_m();
+                Shape::Faces(Box::new(Images::new(faces, aperture, setup.boundary, path, k, bounces)?))
             }
             (Method::Specular, &Target::Sphere { radius_m }) => Shape::Body(body(DVec3::splat(radius_m))),
             (Method::Specular, &Target::Ellipsoid { semi_axes_m }) => Shape::Body(body(semi_axes_m)),
@@ -303,10 +311,9 @@ fn faces(target: &Target) -> Vec<Vec<DVec3>> {
     match *target {
         Target::Dihedral { width_m, height_m } => images::dihedral(width_m, height_m),
         Target::Trihedral { edge_m, outline } => images::trihedral(edge_m, outline == Outline::Square),
+        Target::Cavity { width_m, height_m, depth_m } => images::cavity(width_m, height_m, depth_m),
         Target::Plate { width_m, height_m } => {
-            let (w, h) = (0.5 * width_m, 0.5 * height_m);
-            let corners: Vec<DVec3> =
-                [(-w, -h), (w, -h), (w, h), (-w, h)].iter().map(|&(y, z)| DVec3::new(0.0, y, z)).collect();
+            let corners = images::aperture(width_m, height_m);
             let back = corners.iter().rev().copied().collect();
             vec![corners, back]
         }
@@ -319,6 +326,25 @@ fn faces(target: &Target) -> Vec<Vec<DVec3>> {
         }
         _ => Vec::new(),
     }
+}
+
+/// Number of bounces by which a wave that enters a cavity comes out again.
+///
+/// # Errors
+/// If they are more than sequences have facets, or the radar does not look into the aperture.
+fn cavity_bounces(setup: &Setup, across_m: [f64; 2], depth_m: f64) -> Result<usize, RcsError> {
+    let towards = setup.towards();
+    let (half_width_m, half_height_m) = (0.5 * across_m[0], 0.5 * across_m[1]);
+    // Rays of a near radar are steepest at the far rim.
+    let [y_m, z_m, x_m] = match setup.range_m {
+        None => [towards.y.abs(), towards.z.abs(), towards.x],
+        Some(r) => [r * towards.y.abs() + half_width_m, r * towards.z.abs() + half_height_m, r * towards.x],
+    };
+    check("the radar's distance from the plane of the aperture", x_m, "m", 1e-6, f64::MAX)?;
+    let across = |slope_m: f64, size_m: f64| (2.0 * depth_m * slope_m / (x_m * size_m)).ceil();
+    let bounces = 1.0 + across(y_m, across_m[0]) + across(z_m, across_m[1]);
+    check("the number of bounces in the cavity", bounces, "", 1.0, MAX_ORDER as f64)?;
+    Ok(bounces as usize)
 }
 
 /// Checks a target's sizes and returns its extent towards a radar.
@@ -337,6 +363,12 @@ fn check_sizes(target: &Target) -> Result<f64, RcsError> {
         Target::Trihedral { edge_m, .. } => {
             check_length("the edge", edge_m)?;
             Ok(edge_m)
+        }
+        Target::Cavity { width_m, height_m, depth_m } => {
+            check_length("the width", width_m)?;
+            check_length("the height", height_m)?;
+            check_length("the depth", depth_m)?;
+            Ok(0.0)
         }
         Target::Sphere { radius_m } => {
             check_length("the radius", radius_m)?;
@@ -405,6 +437,6 @@ fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
         }
         Target::Surface { ref surface } => surface.clone(),
         // Corners are represented by faces, never by meshes.
-        Target::Dihedral { .. } | Target::Trihedral { .. } => Surface::default(),
+        Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Cavity { .. } => Surface::default(),
     })
 }

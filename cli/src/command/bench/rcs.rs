@@ -17,18 +17,22 @@ use crate::output;
 /// `radome bench rcs`
 ///
 /// Directions are those of the radar as the target sees it: azimuth from the target's x axis towards y, elevation towards z.
-/// Plates and mirrors look along x, a cylinder and a dihedral's edge stand along z, a trihedral's edges are the three axes.
+/// Plates, mirrors and cavities look along x, a cylinder and a dihedral's edge stand along z, a trihedral's edges are the
+/// three axes.
 /// Without directions a target is looked at along its axis of symmetry.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a mesh file in metres (.stl, .obj)
+    /// plate, dihedral, trihedral, cavity, sphere, cylinder, ellipsoid, mirror, or a mesh file in metres (.stl, .obj)
     target: String,
-    /// Along y (plate), across the edge (dihedral), diameter of the aperture (mirror: 0.2)
+    /// Along y (plate, cavity: 0.05), across the edge (dihedral), diameter of the aperture (mirror: 0.2)
     #[arg(long)]
     width_m: Option<f64>,
-    /// Along z
+    /// Along z (cavity: 0.05)
     #[arg(long)]
     height_m: Option<f64>,
+    /// Depth of a cavity
+    #[arg(long)]
+    depth_m: Option<f64>,
     /// Length of a trihedral's edges
     #[arg(long)]
     edge_m: Option<f64>,
@@ -50,7 +54,7 @@ pub struct Arguments {
     /// Elevation of the radar
     #[arg(long, allow_hyphen_values = true)]
     elevation_deg: Option<f64>,
-    /// Range to the target: middle of a plate, corner, pole of a mirror, surface of a round body [default: infinitely far]
+    /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body [default: infinitely far]
     #[arg(long)]
     range_m: Option<f64>,
     /// Frequency
@@ -213,6 +217,11 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         "trihedral" => (trihedral(a.faces.unwrap_or(Faces::Triangular)), &["edge-m", "faces"]),
         "trihedral-triangular" => (trihedral(Faces::Triangular), &["edge-m"]),
         "trihedral-square" => (trihedral(Faces::Square), &["edge-m"]),
+        "cavity" => {
+            let (width_m, height_m) = (a.width_m.unwrap_or(0.05), a.height_m.unwrap_or(0.05));
+            let depth_m = a.depth_m.unwrap_or(0.05);
+            (Target::Cavity { width_m, height_m, depth_m }, &["width-m", "height-m", "depth-m"])
+        }
         "sphere" => (Target::Sphere { radius_m: a.radius_m.unwrap_or(0.05) }, &["radius-m"]),
         "cylinder" => (Target::Cylinder { radius_m: a.radius_m.unwrap_or(0.05), height_m }, &["radius-m", "height-m"]),
         "ellipsoid" => {
@@ -231,6 +240,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     let given = [
         ("width-m", a.width_m.is_some()),
         ("height-m", a.height_m.is_some()),
+        ("depth-m", a.depth_m.is_some()),
         ("edge-m", a.edge_m.is_some()),
         ("radius-m", a.radius_m.is_some()),
         ("axes-m", a.axes_m.is_some()),
@@ -255,8 +265,8 @@ fn mesh_file(path: &str) -> anyhow::Result<Target> {
     let lower = path.to_ascii_lowercase();
     if !lower.ends_with(".stl") && !lower.ends_with(".obj") {
         bail!(
-            "there is no target {path}\n\nhint: plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a file \
-             that ends in .stl or .obj"
+            "there is no target {path}\n\nhint: plate, dihedral, trihedral, cavity, sphere, cylinder, ellipsoid, mirror, or a \
+             file that ends in .stl or .obj"
         )
     }
     let mut mesh = Mesh::default();

@@ -164,6 +164,11 @@ fn targets() -> Vec<(&'static str, Target, Setup)> {
             Target::Trihedral { edge_m: 0.1, outline: Outline::Square },
             setup(None, 45.0, 35.264_389_682_754_654),
         ),
+        (
+            "cavity 5 x 5 x 5 cm",
+            Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 0.05 },
+            setup(None, 30.0, 0.0),
+        ),
         ("sphere 5 cm", Target::Sphere { radius_m: 0.05 }, setup(None, 17.0, 31.0)),
         ("torso at 2 m", Target::Ellipsoid { semi_axes_m: DVec3::new(0.12, 0.17, 0.3) }, setup(Some(2.0), 30.0, 20.0)),
         ("cylinder 5 x 30 cm", Target::Cylinder { radius_m: 0.05, height_m: 0.3 }, setup(None, 20.0, 0.0)),
