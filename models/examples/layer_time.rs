@@ -1,5 +1,5 @@
 //! Time of each layer shape of ResNet-18 and EfficientNet-B0 on 32 maps of 128 x 128, ms, for the forward pass alone
-//! and with the backward pass. Also times a training step of a whole ResNet-18.
+//! and with the backward pass. `radome bench train` and `radome bench infer` time whole networks.
 //!
 //! `cargo run --release -p radome-models --example layer_time [level]`
 #![allow(clippy::print_stdout)]
@@ -8,9 +8,8 @@ use std::time::Instant;
 
 use candle_core::{Device, Result, Tensor, Var};
 use radome_models::layer::{
-    Activation, BatchNormConstants, BatchNormMode, ConvGeometry, Feature, InputGradient, KernelLevel, PreparedConv,
-    RunningStatistics, adaptive_average_pool, add_relu, backward, batch_norm, conv2d, cross_entropy, linear,
-    max_pool2d,
+    Activation, BatchNormConstants, BatchNormMode, ConvGeometry, InputGradient, KernelLevel, RunningStatistics,
+    backward, batch_norm, conv2d, linear, max_pool2d,
 };
 
 #[global_allocator]
@@ -73,126 +72,12 @@ fn random(shape: &[usize]) -> Result<Var> {
     Var::from_tensor(&Tensor::randn(0f32, (2.0 / fan_in as f32).sqrt(), shape, &Device::Cpu)?)
 }
 
-/// Convolution followed by batch norm.
-struct Block {
-    weight: Var,
-    scale: Var,
-    shift: Var,
-    statistics: RunningStatistics,
-    geometry: ConvGeometry,
-}
-
-impl Block {
-    fn new(inputs: usize, outputs: usize, kernel: usize, stride: usize) -> Result<Self> {
-        Ok(Block {
-            weight: random(&[outputs, inputs, kernel, kernel])?,
-            scale: Var::ones(outputs, candle_core::DType::F32, &Device::Cpu)?,
-            shift: Var::zeros(outputs, candle_core::DType::F32, &Device::Cpu)?,
-            statistics: RunningStatistics::new(outputs, BatchNormConstants::default()),
-            geometry: ConvGeometry::dense(stride, kernel / 2),
-        })
-    }
-
-    fn run(&self, x: &Tensor, act: Activation, needs: InputGradient, level: KernelLevel) -> Result<Tensor> {
-        let y = conv2d(x, &self.weight, None, self.geometry, needs, level)?;
-        batch_norm(&y, &self.scale, &self.shift, &self.statistics, BatchNormMode::Training, act, level)
-    }
-}
-
-fn resnet(level: KernelLevel) -> Result<impl FnMut() -> Result<Tensor>> {
-    let stem = Block::new(1, 64, 7, 2)?;
-    let mut blocks = Vec::new();
-    let mut inputs = 64;
-    for outputs in [64, 128, 256, 512] {
-        for k in 0..2 {
-            let stride = if k == 0 && outputs > 64 { 2 } else { 1 };
-            let shortcut = if stride == 2 { Some(Block::new(inputs, outputs, 1, 2)?) } else { None };
-            blocks.push((Block::new(inputs, outputs, 3, stride)?, Block::new(outputs, outputs, 3, 1)?, shortcut));
-            inputs = outputs;
-        }
-    }
-    let (weight, bias) = (random(&[3, 512])?, Var::zeros(3, candle_core::DType::F32, &Device::Cpu)?);
-    let input = Tensor::randn(0f32, 1.0, (BATCH, 128, 128, 1), &Device::Cpu)?;
-    let labels: Vec<usize> = (0..BATCH).map(|i| i % 3).collect();
-    Ok(move || {
-        let mut x = stem.run(&input, Activation::Relu, InputGradient::Unused, level)?;
-        x = max_pool2d(&x, 3, 2, 1, level)?;
-        for (first, second, shortcut) in &blocks {
-            let y = first.run(&x, Activation::Relu, InputGradient::Needed, level)?;
-            let y = second.run(&y, Activation::None, InputGradient::Needed, level)?;
-            let short = match shortcut {
-                Some(block) => block.run(&x, Activation::None, InputGradient::Needed, level)?,
-                None => x,
-            };
-            x = add_relu(&y, &short, level)?;
-        }
-        let x = adaptive_average_pool(&x, 1, 1)?;
-        cross_entropy(&linear(&x, &weight, &bias, level)?, &labels, &[1.0; 3])
-    })
-}
-
-/// Classifies `batch` maps by a ResNet-18 with random weights, in the same way as inference.
-fn resnet_inference(batch: usize, level: KernelLevel) -> Result<impl FnMut() -> Result<()>> {
-    let conv = |inputs: usize, outputs: usize, kernel: usize, stride: usize, act: Activation| -> Result<PreparedConv> {
-        let weight = random(&[outputs, inputs, kernel, kernel])?.flatten_all()?.to_vec1::<f32>()?;
-        let geometry = ConvGeometry::dense(stride, kernel / 2);
-        PreparedConv::new(&weight, [outputs, inputs, kernel, kernel], None, None, geometry, act, level)
-    };
-    let stem = conv(1, 64, 7, 2, Activation::Relu)?;
-    let mut blocks = Vec::new();
-    let mut inputs = 64;
-    for outputs in [64, 128, 256, 512] {
-        for k in 0..2 {
-            let stride = if k == 0 && outputs > 64 { 2 } else { 1 };
-            let shortcut = if stride == 2 { Some(conv(inputs, outputs, 1, 2, Activation::None)?) } else { None };
-            let first = conv(inputs, outputs, 3, stride, Activation::Relu)?;
-            blocks.push((first, conv(outputs, outputs, 3, 1, Activation::Relu)?, shortcut));
-            inputs = outputs;
-        }
-    }
-    let head = conv(512, 3, 1, 1, Activation::None)?;
-    let input = Feature::new([batch, 128, 128, 1], vec![0.5; batch * 128 * 128])?;
-    let [mut x, mut y, mut z, mut short] = std::array::from_fn(|_| Feature::default());
-    Ok(move || {
-        stem.run(&input, None, &mut y)?;
-        y.max_pool2d(3, 2, 1, level, &mut x)?;
-        for (first, second, shortcut) in &blocks {
-            first.run(&x, None, &mut y)?;
-            match shortcut {
-                Some(conv) => {
-                    conv.run(&x, None, &mut short)?;
-                    second.run(&y, Some(&short), &mut z)?;
-                }
-                None => second.run(&y, Some(&x), &mut z)?,
-            }
-            std::mem::swap(&mut x, &mut z);
-        }
-        x.adaptive_average_pool(1, 1, &mut y)?;
-        head.run(&y, None, &mut z)
-    })
-}
-
 fn main() -> Result<()> {
     let level = match std::env::args().nth(1).as_deref() {
         Some("portable") => KernelLevel::Portable,
         Some("avx2") => KernelLevel::Avx2,
         _ => KernelLevel::detect(),
     };
-    if std::env::args().any(|a| a == "resnet") {
-        let [forward, both] = time(8, resnet(level)?)?;
-        println!("ResNet-18 {forward:.1} {both:.1}");
-        for batch in [1, 32] {
-            let mut run = resnet_inference(batch, level)?;
-            let (began, mut best) = (Instant::now(), f64::INFINITY);
-            for _ in 0..if batch == 1 { 100 } else { 6 } {
-                let start = now(began);
-                run()?;
-                best = best.min(now(began) - start);
-            }
-            println!("ResNet-18 inference, batch {batch}: {best:.2}");
-        }
-        return Ok(());
-    }
     println!("{level:?}, batch {BATCH}; forward ms, forward and backward ms, billion multiply-adds a second forwards");
     for &(name, size, inputs, outputs, kernel, stride, depthwise) in SHAPES {
         let geometry = ConvGeometry { stride, padding: kernel / 2, groups: if depthwise { inputs } else { 1 } };
@@ -219,7 +104,5 @@ fn main() -> Result<()> {
     let (x, w, b) = (random(&[BATCH, 4096])?, random(&[512, 4096])?, random(&[512, 1])?.flatten_all()?);
     let [forward, both] = time(7, || linear(&x, &w, &b, level))?;
     println!("{:20}     4096 ->  512 {forward:8.2} {both:8.2}", "linear");
-    let [forward, both] = time(5, resnet(level)?)?;
-    println!("{:20}                  {forward:8.2} {both:8.2}", "ResNet-18");
     Ok(())
 }
