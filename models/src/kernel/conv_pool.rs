@@ -1,4 +1,4 @@
-//! Inner loops of the fused layer of convolution, ReLU and pooling, and of short sums.
+//! Inner loops of the fused layer of convolution, ReLU and pooling.
 
 use super::level::{dispatch, multiply_add};
 
@@ -294,9 +294,4 @@ fn add_scaled<const FUSED: bool>(target: &mut [f32], factor: f32, source: &[f32]
     for (t, &s) in target_rest.iter_mut().zip(source_rest) {
         *t = multiply_add::<FUSED>(factor, s, *t);
     }
-}
-
-dispatch! {
-    /// `target += factor * source`.
-    pub(crate) fn axpy(target: &mut [f32], factor: f32, source: &[f32]) = add_scaled
 }

@@ -47,7 +47,7 @@ pub(crate) fn run(
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);
         scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
-        gemm.cell_addresses(cells.clone(), source, &zeros, &mut scratch.addresses);
+        gemm.addresses(cells.clone(), source, &zeros, None, &mut scratch.addresses);
         gemm.targets(cells.clone(), channels, shared, &mut scratch.targets);
         let row_tiles = cells.len().div_ceil(ChannelTile::ROWS);
         for tile in 0..row_tiles {
@@ -90,7 +90,7 @@ pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f
                 let block = part(cells.len(), blocks, block);
                 let block = cells.start + block.start..cells.start + block.end;
                 scratch.addresses.resize(offsets * block.len(), std::ptr::null());
-                gemm.cell_addresses(block.clone(), source, &zeros, &mut scratch.addresses);
+                gemm.addresses(block.clone(), source, &zeros, None, &mut scratch.addresses);
                 for offset_tile in 0..offset_tiles {
                     let rows = part(offsets, offset_tiles, offset_tile);
                     let tile = OffsetTile {

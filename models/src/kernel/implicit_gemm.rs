@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use super::packed::Packed;
 use super::spin_pool::for_each_task;
-use super::tile::{RowTile, Shared, part};
+use super::tile::{RowTile, Shared, part, place};
 
 /// Position of one cell of a convolution kernel.
 #[derive(Debug, Clone, Copy)]
@@ -67,12 +67,6 @@ impl ImplicitGemm {
         self.batch * self.grid[0] * self.grid[1]
     }
 
-    /// Image, row and column of a cell.
-    fn place(&self, cell: usize) -> [usize; 3] {
-        let [rows, columns] = self.grid;
-        [cell / (rows * columns), cell / columns % rows, cell % columns]
-    }
-
     /// Returns whether the cells at all offsets are gathered into patches before the product.
     pub fn is_gathered(&self) -> bool {
         let all_in_order = || self.offsets.iter().enumerate().all(|(k, offset)| offset.index as usize == k);
@@ -80,30 +74,8 @@ impl ImplicitGemm {
     }
 
     /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`; padding has the address of
-    /// `zeros`. A gathered product has one address for each cell, into `patches`.
+    /// `zeros`. With `patches`, the cells at all offsets are gathered there, and each cell has one address.
     pub fn addresses(
-        &self,
-        cells: std::ops::Range<usize>,
-        source: &[f32],
-        zeros: &[f32],
-        patches: &mut [f32],
-        addresses: &mut [*const f32],
-    ) {
-        self.look_up(cells, source, zeros, self.is_gathered().then_some(patches), addresses);
-    }
-
-    /// Writes addresses as [`ImplicitGemm::addresses`] does, but never gathers.
-    pub fn cell_addresses(
-        &self,
-        cells: std::ops::Range<usize>,
-        source: &[f32],
-        zeros: &[f32],
-        addresses: &mut [*const f32],
-    ) {
-        self.look_up(cells, source, zeros, None, addresses);
-    }
-
-    fn look_up(
         &self,
         cells: std::ops::Range<usize>,
         source: &[f32],
@@ -117,7 +89,7 @@ impl ImplicitGemm {
         let mut first = 0;
         while first < count {
             // Cells of one row of the grid.
-            let [image, row, column] = self.place(cells.start + first);
+            let [image, row, column] = place(cells.start + first, self.grid);
             let run = (self.grid[1] - column).min(count - first);
             if let Some(patches) = &mut patches {
                 let length = offsets * self.channels;
@@ -195,7 +167,7 @@ impl ImplicitGemm {
         targets.clear();
         let mut cell = cells.start;
         while cell < cells.end {
-            let [image, row, column] = self.place(cell);
+            let [image, row, column] = place(cell, self.grid);
             let run = (self.grid[1] - column).min(cells.end - cell);
             let row = self.target_step * row + self.target_start[0];
             let column = self.target_step * column + self.target_start[1];
@@ -261,7 +233,8 @@ impl ImplicitGemm {
         scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
         scratch.patches.resize(if gathered { channels * cells.len() } else { 0 }, 0.0);
         self.targets(cells.clone(), weights.columns, target, &mut scratch.targets);
-        self.addresses(cells.clone(), source, zeros, &mut scratch.patches, &mut scratch.addresses);
+        let patches = gathered.then_some(&mut scratch.patches[..]);
+        self.addresses(cells.clone(), source, zeros, patches, &mut scratch.addresses);
         let row_tiles = cells.len().div_ceil(tiles.rows);
         let compute = |tile: usize, panel: usize| {
             let rows = part(cells.len(), row_tiles, tile);

@@ -220,11 +220,6 @@ unsafe fn offset_tile<V: Vector, const R: usize>(tile: &OffsetTile) {
     }
 }
 
-/// A kernel for row tiles.
-pub(crate) type RowKernel = unsafe fn(&RowTile);
-/// A kernel for outer tiles.
-pub(crate) type OuterKernel = unsafe fn(&OuterTile);
-
 macro_rules! by_rows {
     ($rows:expr, $f:ident, [], $($r:literal)*) => {
         match $rows { $($r => $f::<$r>,)* _ => unreachable!("a tile of {} rows", $rows) }
@@ -239,7 +234,7 @@ macro_rules! by_rows {
 
 macro_rules! kernels {
     ($rows:ident, $outer:ident, $channels:ident, $offsets:ident, $v:ty, $(#[$feature:meta])*, $($r:literal)*) => {
-        fn $rows(rows: usize, wide: bool) -> RowKernel {
+        fn $rows(rows: usize, wide: bool) -> unsafe fn(&RowTile) {
             $(#[$feature])*
             unsafe fn kernel<const R: usize, const N: usize>(tile: &RowTile) {
                 // SAFETY: passed on.
@@ -248,7 +243,7 @@ macro_rules! kernels {
             if wide { by_rows!(rows, kernel, [2], $($r)*) } else { by_rows!(rows, kernel, [1], $($r)*) }
         }
 
-        fn $outer(rows: usize, columns: usize) -> OuterKernel {
+        fn $outer(rows: usize, columns: usize) -> unsafe fn(&OuterTile) {
             $(#[$feature])*
             unsafe fn kernel<const R: usize, const N: usize, const WHOLE: bool>(tile: &OuterTile) {
                 // SAFETY: passed on.
@@ -385,6 +380,11 @@ impl Tiles {
 /// Part `index` of `0..length` cut into `parts` parts whose lengths differ by one at most.
 pub(crate) fn part(length: usize, parts: usize, index: usize) -> std::ops::Range<usize> {
     length * index / parts..length * (index + 1) / parts
+}
+
+/// Image, row and column of a cell, where each image has so many rows and columns.
+pub(crate) fn place(cell: usize, [rows, columns]: [usize; 2]) -> [usize; 3] {
+    [cell / (rows * columns), cell / columns % rows, cell % columns]
 }
 
 /// Address of a buffer that several threads write to, each its own part.

@@ -47,7 +47,8 @@ pub(crate) fn weight_gradient(
             let block = cells.start + block.start..cells.start + block.end;
             scratch.addresses.resize(offsets * block.len(), std::ptr::null());
             scratch.patches.resize(if gathered { channels * block.len() } else { 0 }, 0.0);
-            gemm.addresses(block.clone(), source, &zeros, &mut scratch.patches, &mut scratch.addresses);
+            let patches = gathered.then_some(&mut scratch.patches[..]);
+            gemm.addresses(block.clone(), source, &zeros, patches, &mut scratch.addresses);
             for offset in 0..offsets {
                 for first_channel in (0..channels).step_by(tiles.width()) {
                     for output_tile in part(output_tiles, splits, split) {

@@ -11,7 +11,7 @@ use std::cell::RefCell;
 
 use super::packed::{Packed, Side};
 use super::spin_pool::for_each_task;
-use super::tile::{RowTile, Shared, Tiles, WIDEST, part};
+use super::tile::{RowTile, Shared, Tiles, WIDEST, part, place};
 use super::winograd_transform::{GradientWindow, InputWindow, OutputWindow, POINTS};
 use super::winograd_weights::transformed;
 
@@ -170,12 +170,6 @@ pub(super) struct Map {
 }
 
 impl Map {
-    /// Image, row and column of a window.
-    fn place(&self, window: usize) -> [usize; 3] {
-        let [rows, columns] = self.grid;
-        [window / (rows * columns), window / columns % rows, window % columns]
-    }
-
     /// Input cells of a window.
     pub fn patch(
         &self,
@@ -185,7 +179,7 @@ impl Map {
         target: *mut f32,
         stride: usize,
     ) -> InputWindow {
-        let [image, row, column] = self.place(window);
+        let [image, row, column] = place(window, self.grid);
         // First and end of the cells that lie within `length`, among the four cells from cell `2 index - 1` on.
         let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
         let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
@@ -209,7 +203,7 @@ impl Map {
         target: *mut f32,
         stride: usize,
     ) -> GradientWindow {
-        let [image, row, column] = self.place(window);
+        let [image, row, column] = place(window, self.grid);
         let mut cells = [std::ptr::null(); 4];
         for (k, cell) in cells.iter_mut().enumerate() {
             let (row, column) = (2 * row + k / 2, 2 * column + k % 2);
@@ -233,7 +227,7 @@ impl Map {
         sums: *const f32,
         stride: usize,
     ) -> OutputWindow {
-        let [image, row, column] = self.place(window);
+        let [image, row, column] = place(window, self.grid);
         let (mut targets, mut residual) = ([std::ptr::null_mut(); 4], [std::ptr::null(); 4]);
         let Finish::Cells { residual: others, rectified } = finish else {
             targets[0] = target.get().wrapping_add(window * outputs + first);

@@ -146,8 +146,8 @@ impl Operation for ConvReluPool {
         let mut weights = vec![0.0f32; weight.len()];
         let mut biases = vec![0.0f32; block.outputs];
         for (partial_weights, partial_biases) in &partials {
-            conv_pool::axpy(self.level, &mut weights, 1.0, partial_weights);
-            conv_pool::axpy(self.level, &mut biases, 1.0, partial_biases);
+            weights.iter_mut().zip(partial_weights).for_each(|(sum, part)| *sum += part);
+            biases.iter_mut().zip(partial_biases).for_each(|(sum, part)| *sum += part);
         }
         Ok(vec![wanted.then_some(input_gradient), Some(block.to_channel_first(&weights)), Some(biases)])
     }
