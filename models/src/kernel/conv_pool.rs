@@ -1,6 +1,6 @@
 //! Inner loops of the fused layer of convolution, ReLU and pooling.
 
-use super::level::{dispatch, multiply_add};
+use super::level::{for_each_level, multiply_add};
 
 /// Output channels that the convolution kernel handles at once.
 pub(crate) const LANES: usize = 16;
@@ -99,58 +99,48 @@ impl Block {
     }
 }
 
-dispatch! {
+for_each_level! {
     /// Computes convolution, bias, ReLU and pooling of one sample. `winner` receives the index 0..4 of the largest cell
     /// of each window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
     pub(crate) fn forward(
         block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
-    ) = forward_generic
-}
-
-#[inline(always)]
-fn forward_generic<const FUSED: bool>(
-    block: Block,
-    padded: &[f32],
-    packed: &[f32],
-    bias: &[f32],
-    pooled: &mut [f32],
-    winner: &mut [u8],
-) {
-    let Block { rows, columns, inputs, outputs } = block;
-    let line = (columns + 2) * inputs;
-    let tile = block.kernel_length() * LANES;
-    for (group, weights) in packed.chunks_exact(tile).enumerate() {
-        let first = group * LANES;
-        let lanes = LANES.min(outputs - first);
-        let mut init = [0.0f32; LANES];
-        init[..lanes].copy_from_slice(&bias[first..first + lanes]);
-        for y in 0..rows / 2 {
-            for x in 0..columns / 2 {
-                let corner = 2 * y * line + 2 * x * inputs;
-                let mut sums = [init; 4];
-                for ky in 0..3 {
-                    // Three offsets of one row are contiguous in channel-last order; so are their weights.
-                    let at = |row: usize, column: usize| {
-                        let from = corner + (ky + row) * line + column * inputs;
-                        &padded[from..from + 3 * inputs]
-                    };
-                    let cells = [at(0, 0), at(0, 1), at(1, 0), at(1, 1)];
-                    let weights = &weights[ky * 3 * inputs * LANES..(ky + 1) * 3 * inputs * LANES];
-                    accumulate::<FUSED>(&mut sums, cells, weights);
-                }
-                let at = (y * (columns / 2) + x) * outputs + first;
-                let (pooled, winner) = (&mut pooled[at..at + lanes], &mut winner[at..at + lanes]);
-                for lane in 0..lanes {
-                    let (mut best, mut index) = (sums[0][lane], 0u8);
-                    for (candidate, sum) in sums.iter().enumerate().skip(1) {
-                        // A NaN is taken and stays, because comparisons with it are false.
-                        if (sum[lane] > best) | sum[lane].is_nan() {
-                            (best, index) = (sum[lane], candidate as u8);
-                        }
+    ) {
+        let Block { rows, columns, inputs, outputs } = block;
+        let line = (columns + 2) * inputs;
+        let tile = block.kernel_length() * LANES;
+        for (group, weights) in packed.chunks_exact(tile).enumerate() {
+            let first = group * LANES;
+            let lanes = LANES.min(outputs - first);
+            let mut init = [0.0f32; LANES];
+            init[..lanes].copy_from_slice(&bias[first..first + lanes]);
+            for y in 0..rows / 2 {
+                for x in 0..columns / 2 {
+                    let corner = 2 * y * line + 2 * x * inputs;
+                    let mut sums = [init; 4];
+                    for ky in 0..3 {
+                        // Three offsets of one row are contiguous in channel-last order; so are their weights.
+                        let at = |row: usize, column: usize| {
+                            let from = corner + (ky + row) * line + column * inputs;
+                            &padded[from..from + 3 * inputs]
+                        };
+                        let cells = [at(0, 0), at(0, 1), at(1, 0), at(1, 1)];
+                        let weights = &weights[ky * 3 * inputs * LANES..(ky + 1) * 3 * inputs * LANES];
+                        accumulate::<FUSED>(&mut sums, cells, weights);
                     }
-                    let dead = best <= 0.0;
-                    pooled[lane] = if dead { 0.0 } else { best };
-                    winner[lane] = if dead { DEAD } else { index };
+                    let at = (y * (columns / 2) + x) * outputs + first;
+                    let (pooled, winner) = (&mut pooled[at..at + lanes], &mut winner[at..at + lanes]);
+                    for lane in 0..lanes {
+                        let (mut best, mut index) = (sums[0][lane], 0u8);
+                        for (candidate, sum) in sums.iter().enumerate().skip(1) {
+                            // A NaN is taken and stays, because comparisons with it are false.
+                            if (sum[lane] > best) | sum[lane].is_nan() {
+                                (best, index) = (sum[lane], candidate as u8);
+                            }
+                        }
+                        let dead = best <= 0.0;
+                        pooled[lane] = if dead { 0.0 } else { best };
+                        winner[lane] = if dead { DEAD } else { index };
+                    }
                 }
             }
         }
@@ -175,54 +165,41 @@ fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4
     *sums = acc;
 }
 
-dispatch! {
+for_each_level! {
     /// Gradients of one sample. `gradient` belongs to the pooled output; weights and `weight_gradient` are
     /// channel-last. `input_gradient` is padded, or empty if it is not needed. All gradients are accumulated.
     pub(crate) fn backward(
         block: Block, padded: &[f32], weight: &[f32], winner: &[u8], gradient: &[f32],
         weight_gradient: &mut [f32], bias_gradient: &mut [f32], input_gradient: &mut [f32]
-    ) = backward_generic
-}
-
-#[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn backward_generic<const FUSED: bool>(
-    block: Block,
-    padded: &[f32],
-    weight: &[f32],
-    winner: &[u8],
-    gradient: &[f32],
-    weight_gradient: &mut [f32],
-    bias_gradient: &mut [f32],
-    input_gradient: &mut [f32],
-) {
-    let Block { rows, columns, inputs, outputs } = block;
-    if inputs == 1 && input_gradient.is_empty() {
-        return backward_of_data::<FUSED>(block, padded, winner, gradient, weight_gradient, bias_gradient);
-    }
-    let line = (columns + 2) * inputs;
-    let (length, run) = (block.kernel_length(), 3 * inputs);
-    for y in 0..rows / 2 {
-        for x in 0..columns / 2 {
-            let at = (y * (columns / 2) + x) * outputs;
-            let (winner, gradient) = (&winner[at..at + outputs], &gradient[at..at + outputs]);
-            for o in 0..outputs {
-                let (index, g) = (winner[o] as usize, gradient[o]);
-                if index == DEAD as usize {
-                    continue;
-                }
-                bias_gradient[o] += g;
-                let corner = (2 * y + index / 2) * line + (2 * x + index % 2) * inputs;
-                let kernel_gradient = &mut weight_gradient[o * length..(o + 1) * length];
-                for (ky, kernel_gradient) in kernel_gradient.chunks_exact_mut(run).enumerate() {
-                    let from = corner + ky * line;
-                    add_scaled::<FUSED>(kernel_gradient, g, &padded[from..from + run]);
-                }
-                if !input_gradient.is_empty() {
-                    let kernel = &weight[o * length..(o + 1) * length];
-                    for (ky, kernel) in kernel.chunks_exact(run).enumerate() {
+    ) {
+        let Block { rows, columns, inputs, outputs } = block;
+        if inputs == 1 && input_gradient.is_empty() {
+            return backward_of_data::<FUSED>(block, padded, winner, gradient, weight_gradient, bias_gradient);
+        }
+        let line = (columns + 2) * inputs;
+        let (length, run) = (block.kernel_length(), 3 * inputs);
+        for y in 0..rows / 2 {
+            for x in 0..columns / 2 {
+                let at = (y * (columns / 2) + x) * outputs;
+                let (winner, gradient) = (&winner[at..at + outputs], &gradient[at..at + outputs]);
+                for o in 0..outputs {
+                    let (index, g) = (winner[o] as usize, gradient[o]);
+                    if index == DEAD as usize {
+                        continue;
+                    }
+                    bias_gradient[o] += g;
+                    let corner = (2 * y + index / 2) * line + (2 * x + index % 2) * inputs;
+                    let kernel_gradient = &mut weight_gradient[o * length..(o + 1) * length];
+                    for (ky, kernel_gradient) in kernel_gradient.chunks_exact_mut(run).enumerate() {
                         let from = corner + ky * line;
-                        add_scaled::<FUSED>(&mut input_gradient[from..from + run], g, kernel);
+                        add_scaled::<FUSED>(kernel_gradient, g, &padded[from..from + run]);
+                    }
+                    if !input_gradient.is_empty() {
+                        let kernel = &weight[o * length..(o + 1) * length];
+                        for (ky, kernel) in kernel.chunks_exact(run).enumerate() {
+                            let from = corner + ky * line;
+                            add_scaled::<FUSED>(&mut input_gradient[from..from + run], g, kernel);
+                        }
                     }
                 }
             }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
-use crate::kernel::level::{dispatch, multiply_add};
+use crate::kernel::level::{for_each_level, multiply_add};
 
 /// Number of values that one task processes.
 pub(super) const CHUNK: usize = 1 << 14;
@@ -112,40 +112,34 @@ fn activate_sum<const FUSED: bool, const A: u8>(values: &mut [f32], others: &[f3
 }
 
 #[inline(always)]
-fn add_generic<const FUSED: bool>(activation: Activation, values: &mut [f32], others: &[f32]) {
-    by_activation!(activation, activate_sum::<FUSED>(values, others))
-}
-
-#[inline(always)]
 fn descend_all<const FUSED: bool, const A: u8>(input: &[f32], gradient: &mut [f32]) {
     gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g));
 }
 
-#[inline(always)]
-fn forward_generic<const FUSED: bool>(activation: Activation, input: &[f32], output: &mut [f32]) {
-    by_activation!(activation, activate_all::<FUSED>(input, output))
+for_each_level! {
+    fn forward(activation: Activation, input: &[f32], output: &mut [f32]) {
+        by_activation!(activation, activate_all::<FUSED>(input, output))
+    }
 }
 
-#[inline(always)]
-fn in_place_generic<const FUSED: bool>(activation: Activation, values: &mut [f32]) {
-    by_activation!(activation, activate_in_place::<FUSED>(values))
+for_each_level! {
+    fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) {
+        by_activation!(activation, descend_all::<FUSED>(input, gradient))
+    }
 }
 
-#[inline(always)]
-fn backward_generic<const FUSED: bool>(activation: Activation, input: &[f32], gradient: &mut [f32]) {
-    by_activation!(activation, descend_all::<FUSED>(input, gradient))
-}
-
-dispatch! { fn forward(activation: Activation, input: &[f32], output: &mut [f32]) = forward_generic }
-dispatch! { fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) = backward_generic }
-dispatch! {
+for_each_level! {
     /// Replaces values by their activation.
-    pub(super) fn in_place(activation: Activation, values: &mut [f32]) = in_place_generic
+    pub(super) fn in_place(activation: Activation, values: &mut [f32]) {
+        by_activation!(activation, activate_in_place::<FUSED>(values))
+    }
 }
 
-dispatch! {
+for_each_level! {
     /// Replaces values by the activation of their sums with others.
-    pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) = add_generic
+    pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) {
+        by_activation!(activation, activate_sum::<FUSED>(values, others))
+    }
 }
 
 /// Applies an activation to every value of a tensor of any shape.
@@ -186,14 +180,13 @@ impl Operation for Activate {
     }
 }
 
-#[inline(always)]
-fn sum_relu_generic<const FUSED: bool>(a: &[f32], b: &[f32], output: &mut [f32]) {
-    for ((y, &a), &b) in output.iter_mut().zip(a).zip(b) {
-        *y = activate::<FUSED, RELU>(a + b);
+for_each_level! {
+    fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) {
+        for ((y, &a), &b) in output.iter_mut().zip(a).zip(b) {
+            *y = activate::<FUSED, RELU>(a + b);
+        }
     }
 }
-
-dispatch! { fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) = sum_relu_generic }
 
 /// Output of a function of each pair of values of two arrays of one shape.
 pub(super) fn each_pair(

@@ -7,7 +7,7 @@ use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
-use crate::kernel::level::dispatch;
+use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
 /// Channels that are summed at once.
@@ -85,25 +85,22 @@ impl AveragePool {
     }
 }
 
-dispatch! {
+for_each_level! {
     /// Adds the channels from `first` on of cells of `channels`. Nothing is multiplied: the same bits at every level.
-    fn add_cells(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) = add_cells_generic
-}
-
-#[inline(always)]
-fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
-    let cells = cells.chunks_exact(channels);
-    if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
-        // The sums stay in registers over all cells.
-        let mut of_lanes = *sums;
-        for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
-            of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
+    fn add_cells(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
+        let cells = cells.chunks_exact(channels);
+        if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
+            // The sums stay in registers over all cells.
+            let mut of_lanes = *sums;
+            for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
+                of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
+            }
+            *sums = of_lanes;
+            return;
         }
-        *sums = of_lanes;
-        return;
-    }
-    for cell in cells {
-        sums.iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
+        for cell in cells {
+            sums.iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use super::activation::{Activation, activate, by_activation, descend};
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
-use crate::kernel::level::{dispatch, multiply_add};
+use crate::kernel::level::{for_each_level, multiply_add};
 
 const NAME: &str = "batch_norm";
 
@@ -156,31 +156,28 @@ fn folded(sums: &[f32], channels: usize) -> impl Iterator<Item = (usize, f64)> +
     sums.iter().enumerate().map(move |(k, &s)| (k % channels, f64::from(s)))
 }
 
-#[inline(always)]
-fn moments_generic<const FUSED: bool>(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) {
-    mean.fill(0.0);
-    square.fill(0.0);
-    let rows = (block.len() / channels) as f32;
-    let length = mean.len();
-    for chunk in block.chunks(length) {
-        mean.iter_mut().zip(chunk).for_each(|(m, &x)| *m += x);
-    }
-    for k in channels..length {
-        mean[k % channels] += mean[k];
-    }
-    for k in 0..length {
-        mean[k] = if k < channels { mean[k] / rows } else { mean[k - channels] };
-    }
-    for chunk in block.chunks(length) {
-        for ((s, &m), &x) in square.iter_mut().zip(&*mean).zip(chunk) {
-            *s = multiply_add::<FUSED>(x - m, x - m, *s);
+for_each_level! {
+    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of the centred values.
+    fn block_moments(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) {
+        mean.fill(0.0);
+        square.fill(0.0);
+        let rows = (block.len() / channels) as f32;
+        let length = mean.len();
+        for chunk in block.chunks(length) {
+            mean.iter_mut().zip(chunk).for_each(|(m, &x)| *m += x);
+        }
+        for k in channels..length {
+            mean[k % channels] += mean[k];
+        }
+        for k in 0..length {
+            mean[k] = if k < channels { mean[k] / rows } else { mean[k - channels] };
+        }
+        for chunk in block.chunks(length) {
+            for ((s, &m), &x) in square.iter_mut().zip(&*mean).zip(chunk) {
+                *s = multiply_add::<FUSED>(x - m, x - m, *s);
+            }
         }
     }
-}
-
-dispatch! {
-    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of the centred values.
-    fn block_moments(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) = moments_generic
 }
 
 #[inline(always)]
@@ -192,20 +189,10 @@ fn normalise_with<const FUSED: bool, const A: u8>(input: &[f32], scale: &[f32], 
     }
 }
 
-#[inline(always)]
-fn normalise_generic<const FUSED: bool>(
-    activation: Activation,
-    input: &[f32],
-    scale: &[f32],
-    shift: &[f32],
-    output: &mut [f32],
-) {
-    by_activation!(activation, normalise_with::<FUSED>(input, scale, shift, output))
-}
-
-dispatch! {
-    fn normalise(activation: Activation, input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32])
-        = normalise_generic
+for_each_level! {
+    fn normalise(activation: Activation, input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32]) {
+        by_activation!(activation, normalise_with::<FUSED>(input, scale, shift, output))
+    }
 }
 
 #[inline(always)]
@@ -227,51 +214,31 @@ fn sums_with<const FUSED: bool, const A: u8>(
     }
 }
 
-#[inline(always)]
-fn sums_generic<const FUSED: bool>(
-    activation: Activation,
-    input: &[f32],
-    constants: [&[f32]; 3],
-    gradient: &mut [f32],
-    sum: &mut [f32],
-    product: &mut [f32],
-) {
-    by_activation!(activation, sums_with::<FUSED>(input, constants, gradient, sum, product))
-}
-
-dispatch! {
+for_each_level! {
     /// Replaces the gradient of the output by the one before the activation and adds it, and its product with the
     /// centred input, to the sums of each channel.
     fn gradient_sums(
         activation: Activation, input: &[f32], constants: [&[f32]; 3], gradient: &mut [f32],
         sum: &mut [f32], product: &mut [f32],
-    ) = sums_generic
-}
-
-#[inline(always)]
-fn input_gradient_generic<const FUSED: bool>(
-    input: &[f32],
-    mean: &[f32],
-    scale: &[f32],
-    slope: &[f32],
-    offset: &[f32],
-    gradient: &mut [f32],
-) {
-    let length = mean.len();
-    let (scale, slope, offset) = (&scale[..length], &slope[..length], &offset[..length]);
-    for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
-        for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
-            let centred = multiply_add::<FUSED>(x - mean[k], slope[k], offset[k]);
-            *g = multiply_add::<FUSED>(*g, scale[k], centred);
-        }
+    ) {
+        by_activation!(activation, sums_with::<FUSED>(input, constants, gradient, sum, product))
     }
 }
 
-dispatch! {
+for_each_level! {
     /// `gradient = gradient scale + (input - mean) slope + offset`.
     fn input_gradient(
         input: &[f32], mean: &[f32], scale: &[f32], slope: &[f32], offset: &[f32], gradient: &mut [f32],
-    ) = input_gradient_generic
+    ) {
+        let length = mean.len();
+        let (scale, slope, offset) = (&scale[..length], &slope[..length], &offset[..length]);
+        for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
+            for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
+                let centred = multiply_add::<FUSED>(x - mean[k], slope[k], offset[k]);
+                *g = multiply_add::<FUSED>(*g, scale[k], centred);
+            }
+        }
+    }
 }
 
 impl BatchNorm {

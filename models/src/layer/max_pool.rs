@@ -9,7 +9,7 @@ use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
-use crate::kernel::level::dispatch;
+use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "max_pool2d";
@@ -123,15 +123,12 @@ impl Feature {
     }
 }
 
-dispatch! {
+for_each_level! {
     /// Replaces values by larger ones; a NaN counts as larger than all, and stays.
-    fn keep_larger(values: &[f32], best: &mut [f32]) = keep_larger_generic
-}
-
-#[inline(always)]
-fn keep_larger_generic<const FUSED: bool>(values: &[f32], best: &mut [f32]) {
-    for (best, &value) in best.iter_mut().zip(values) {
-        *best = if (value > *best) | value.is_nan() { value } else { *best };
+    fn keep_larger(values: &[f32], best: &mut [f32]) {
+        for (best, &value) in best.iter_mut().zip(values) {
+            *best = if (value > *best) | value.is_nan() { value } else { *best };
+        }
     }
 }
 
@@ -154,48 +151,42 @@ fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usi
     (best, winner)
 }
 
-#[inline(always)]
-fn pick_generic<const FUSED: bool>(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) {
-    let channels = best.len();
-    for first in (0..channels).step_by(LANES) {
-        let lanes = LANES.min(channels - first);
-        let (values, winners) = if lanes == LANES {
-            pick_lanes(input, window, channels, first)
-        } else {
-            let mut rest = [0.0; 225 * LANES];
-            let mut cells = [(0, 0); 225];
-            for (index, &(k, cell)) in window.iter().enumerate() {
-                rest[index * LANES..][..lanes].copy_from_slice(&input[cell * channels + first..][..lanes]);
-                cells[index] = (k, index);
-            }
-            pick_lanes(&rest, &cells[..window.len()], LANES, 0)
-        };
-        best[first..first + lanes].copy_from_slice(&values[..lanes]);
-        for (to, &k) in winner[first..first + lanes].iter_mut().zip(&winners) {
-            *to = k as u8;
-        }
-    }
-}
-
-dispatch! {
+for_each_level! {
     /// The largest value of each channel over the cells of a window, and its index in the window.
-    fn pick(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) = pick_generic
-}
-
-#[inline(always)]
-fn spread_generic<const FUSED: bool>(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) {
-    let channels = gradient.len();
-    for &(k, cell) in window {
-        let sums = &mut map[cell * channels..(cell + 1) * channels];
-        for ((sum, &g), &winner) in sums.iter_mut().zip(gradient).zip(winners) {
-            *sum += if winner == k { g } else { 0.0 };
+    fn pick(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) {
+        let channels = best.len();
+        for first in (0..channels).step_by(LANES) {
+            let lanes = LANES.min(channels - first);
+            let (values, winners) = if lanes == LANES {
+                pick_lanes(input, window, channels, first)
+            } else {
+                let mut rest = [0.0; 225 * LANES];
+                let mut cells = [(0, 0); 225];
+                for (index, &(k, cell)) in window.iter().enumerate() {
+                    rest[index * LANES..][..lanes].copy_from_slice(&input[cell * channels + first..][..lanes]);
+                    cells[index] = (k, index);
+                }
+                pick_lanes(&rest, &cells[..window.len()], LANES, 0)
+            };
+            best[first..first + lanes].copy_from_slice(&values[..lanes]);
+            for (to, &k) in winner[first..first + lanes].iter_mut().zip(&winners) {
+                *to = k as u8;
+            }
         }
     }
 }
 
-dispatch! {
+for_each_level! {
     /// Adds each channel's gradient to the largest cell of the window.
-    fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) = spread_generic
+    fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) {
+        let channels = gradient.len();
+        for &(k, cell) in window {
+            let sums = &mut map[cell * channels..(cell + 1) * channels];
+            for ((sum, &g), &winner) in sums.iter_mut().zip(gradient).zip(winners) {
+                *sum += if winner == k { g } else { 0.0 };
+            }
+        }
+    }
 }
 
 impl Operation for MaxPool {

@@ -9,7 +9,7 @@ use candle_core::{Result, bail};
 use super::feature::{Affine, Feature, fold};
 use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{Block, LANES};
-use crate::kernel::level::{dispatch, multiply_add};
+use crate::kernel::level::{for_each_level, multiply_add};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
 use crate::kernel::winograd::{Finish, Winograd};
@@ -126,19 +126,14 @@ fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
     }
 }
 
-dispatch! {
+for_each_level! {
     /// Computes a pooled row from four padded rows of a single channel. Each cell is read once for a window.
-    fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) = single_generic
-}
-
-#[inline(always)]
-fn single_generic<const FUSED: bool>(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
-    let line = padded.len() / 4;
-    let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[k * line..(k + 1) * line]);
-    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(init.as_chunks::<LANES>().0);
-    for (group, (weight, init)) in groups.enumerate() {
-        let lanes = LANES.min(outputs - group * LANES);
-        {
+    fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
+        let line = padded.len() / 4;
+        let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[k * line..(k + 1) * line]);
+        let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(init.as_chunks::<LANES>().0);
+        for (group, (weight, init)) in groups.enumerate() {
+            let lanes = LANES.min(outputs - group * LANES);
             for (column, output) in output.chunks_exact_mut(outputs).enumerate() {
                 let patch: [&[f32; 4]; 4] = lines.map(|line| line[2 * column..].first_chunk().unwrap_or(&[0.0; 4]));
                 let mut sums = [*init; 4];

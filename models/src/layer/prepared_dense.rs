@@ -8,7 +8,7 @@ use candle_core::{Result, bail};
 use super::activation::{Activation, in_place};
 use super::feature::Feature;
 use crate::kernel::KernelLevel;
-use crate::kernel::level::dispatch;
+use crate::kernel::level::for_each_level;
 
 /// Outputs that are summed at once, in registers.
 const LANES: usize = 32;
@@ -77,24 +77,21 @@ impl PreparedDense {
     }
 }
 
-dispatch! {
+for_each_level! {
     /// One row of outputs, before the activation.
-    fn row(input: &[f32], weight: &[f32], bias: &[f32], output: &mut [f32]) = row_generic
-}
-
-#[inline(always)]
-fn row_generic<const FUSED: bool>(input: &[f32], weight: &[f32], bias: &[f32], output: &mut [f32]) {
-    let groups = weight.chunks_exact(input.len() * LANES).zip(bias.as_chunks::<LANES>().0);
-    for ((weight, bias), output) in groups.zip(output.chunks_mut(LANES)) {
-        let mut sums: [f64; LANES] = bias.map(f64::from);
-        for (&x, weight) in input.iter().zip(weight.as_chunks::<LANES>().0) {
-            let x = f64::from(x);
-            for lane in 0..LANES {
-                let w = f64::from(weight[lane]);
-                // The product of two f32 is exact in f64: fused or not, the same bits.
-                sums[lane] = if FUSED { x.mul_add(w, sums[lane]) } else { x * w + sums[lane] };
+    fn row(input: &[f32], weight: &[f32], bias: &[f32], output: &mut [f32]) {
+        let groups = weight.chunks_exact(input.len() * LANES).zip(bias.as_chunks::<LANES>().0);
+        for ((weight, bias), output) in groups.zip(output.chunks_mut(LANES)) {
+            let mut sums: [f64; LANES] = bias.map(f64::from);
+            for (&x, weight) in input.iter().zip(weight.as_chunks::<LANES>().0) {
+                let x = f64::from(x);
+                for lane in 0..LANES {
+                    let w = f64::from(weight[lane]);
+                    // The product of two f32 is exact in f64: fused or not, the same bits.
+                    sums[lane] = if FUSED { x.mul_add(w, sums[lane]) } else { x * w + sums[lane] };
+                }
             }
+            output.iter_mut().zip(sums).for_each(|(output, sum)| *output = sum as f32);
         }
-        output.iter_mut().zip(sums).for_each(|(output, sum)| *output = sum as f32);
     }
 }
