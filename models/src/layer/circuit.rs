@@ -24,6 +24,18 @@ pub fn circuit(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> 
     apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }
 
+/// Expectations `[row][qubit]` of any circuit at inputs of the same shape.
+pub(crate) fn run_circuit(circuit: &Circuit, theta: &[f64], call: u64, x: &[f32], output: &mut [f32]) -> Result<()> {
+    let qubits = circuit.qubits();
+    let rows = x.par_chunks_exact(qubits).zip(output.par_chunks_exact_mut(qubits)).enumerate();
+    rows.try_for_each(|(row, (x, output))| {
+        let expectations = circuit.expectations(&widen(x), theta, Draw { call, row: row as u64 })?;
+        output.iter_mut().zip(expectations).for_each(|(output, v)| *output = v as f32);
+        Ok(())
+    })
+    .map_err(failed)
+}
+
 fn failed(error: CircuitError) -> Error {
     Error::wrap(error)
 }
@@ -55,10 +67,6 @@ impl CircuitLayer {
         }
     }
 
-    fn draw(&self, row: usize) -> Draw {
-        Draw { call: self.call, row: row as u64 }
-    }
-
     fn expectations(&self, input: &[f32], theta: &[f32]) -> Result<Vec<f32>> {
         let mut result = vec![0.0f32; input.len()];
         if let Some(trained) = self.trained(theta) {
@@ -67,14 +75,7 @@ impl CircuitLayer {
             pieces.for_each(|(input, result)| expectations_of_rows(&trained, input, result));
             return Ok(result);
         }
-        let (qubits, theta) = (self.circuit.qubits(), widen(theta));
-        let rows = input.par_chunks_exact(qubits).zip(result.par_chunks_exact_mut(qubits)).enumerate();
-        rows.try_for_each(|(row, (x, result))| {
-            let expectations = self.circuit.expectations(&widen(x), &theta, self.draw(row))?;
-            result.iter_mut().zip(expectations).for_each(|(result, v)| *result = v as f32);
-            Ok(())
-        })
-        .map_err(failed)?;
+        run_circuit(&self.circuit, &widen(theta), self.call, input, &mut result)?;
         Ok(result)
     }
 
@@ -95,7 +96,8 @@ impl CircuitLayer {
             rows.zip(by_input.par_chunks_exact_mut(qubits))
                 .enumerate()
                 .map(|(row, ((x, g), by_input))| {
-                    let (by_x, by_theta) = self.circuit.gradients(&widen(x), &theta, &widen(g), self.draw(row))?;
+                    let draw = Draw { call: self.call, row: row as u64 };
+                    let (by_x, by_theta) = self.circuit.gradients(&widen(x), &theta, &widen(g), draw)?;
                     by_input.iter_mut().zip(by_x).for_each(|(to, v)| *to = v as f32);
                     Ok(by_theta)
                 })
@@ -131,9 +133,10 @@ impl Operation for CircuitLayer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::layer::tests::{flat, same_bits, var};
     use crate::quantum::{self, CircuitSpec, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
     use crate::random::stream;
-    use candle_core::{Device, Var};
+    use candle_core::Device;
     use rand::Rng;
     use std::f32::consts::PI;
 
@@ -150,21 +153,10 @@ mod tests {
         (0..count).map(|_| rng.random_range(low..high)).collect()
     }
 
-    fn var(values: Vec<f32>, shape: &[usize]) -> Var {
-        Var::from_tensor(&Tensor::from_vec(values, shape, &Device::Cpu).expect("tensor")).expect("variable")
-    }
-
-    fn flat(tensor: &Tensor) -> Vec<f32> {
-        tensor.flatten_all().and_then(|t| t.to_vec1()).expect("f32")
-    }
-
     /// Output and gradients of a weighted sum of it.
-    fn run(circuit: &Circuit, x: Vec<f32>, theta: Vec<f32>, weights: &[f32], call: u64) -> [Vec<f32>; 3] {
+    fn run(circuit: &Circuit, x: &[f32], theta: &[f32], weights: &[f32], call: u64) -> [Vec<f32>; 3] {
         let shape = [x.len() / circuit.qubits(), circuit.qubits()];
-        let (input, theta) = (var(x, &shape), {
-            let count = theta.len();
-            var(theta, &[count])
-        });
+        let (input, theta) = (var(x, &shape), var(theta, &[theta.len()]));
         let out = super::circuit(&input, &theta, circuit, call).expect("forward");
         let weights = Tensor::from_slice(weights, &shape, &Device::Cpu).expect("tensor");
         let grads = (&out * weights).and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
@@ -179,21 +171,21 @@ mod tests {
         for batch in [1, 2, 31, 32, 33, 1025, 3000] {
             let (x, theta) = (numbers(2 * batch, "x", 0.0, PI), numbers(4, "theta", -PI, PI));
             let weights = numbers(2 * batch, "weights", -1.0, 1.0);
-            let [out, by_x, by_theta] = run(&paper, x.clone(), theta.clone(), &weights, 0);
+            let [out, by_x, by_theta] = run(&paper, &x, &theta, &weights, 0);
             let angles = [theta[0], theta[1], theta[2], theta[3]].map(f64::from);
             let mut want_theta = [0.0; 4];
             for (row, x) in x.chunks(2).enumerate() {
                 let point = quantum::circuit([x[0], x[1]].map(f64::from), angles);
                 let w = [weights[2 * row], weights[2 * row + 1]].map(f64::from);
-                for (got, want) in out[2 * row..].iter().zip([point.zi, point.iz]) {
+                for (got, want) in out[2 * row..].iter().zip(point.expectations) {
                     assert!((f64::from(*got) - want).abs() < 6e-8, "{x:?}: {got} {want}");
                 }
                 for (k, got) in by_x[2 * row..].iter().take(2).enumerate() {
-                    let want = w[0] * point.zi_grad_x[k] + w[1] * point.iz_grad_x[k];
+                    let want = w[0] * point.by_x[0][k] + w[1] * point.by_x[1][k];
                     assert!((f64::from(*got) - want).abs() < 6e-8 * want.abs() + 1e-13, "{x:?}: {got} {want}");
                 }
                 for (k, sum) in want_theta.iter_mut().enumerate() {
-                    *sum += w[0] * point.zi_grad_theta[k] + w[1] * point.iz_grad_theta[k];
+                    *sum += w[0] * point.by_theta[0][k] + w[1] * point.by_theta[1][k];
                 }
             }
             for (got, want) in by_theta.iter().zip(want_theta) {
@@ -214,7 +206,7 @@ mod tests {
             let x = numbers(qubits * batch, "x", 0.0, PI);
             let theta = numbers(circuit.angle_count(), "theta", -PI, PI);
             let weights = numbers(qubits * batch, "weights", -1.0, 1.0);
-            let [out, by_x, by_theta] = run(&circuit, x.clone(), theta.clone(), &weights, 0);
+            let [out, by_x, by_theta] = run(&circuit, &x, &theta, &weights, 0);
             let loss = |x: &[f64], theta: &[f64]| -> f64 {
                 let rows = x.chunks(qubits).map(|x| state_vector::run(&circuit, x, theta).expect("run").expectations());
                 rows.flatten().zip(&weights).map(|(z, w)| z * f64::from(*w)).sum()
@@ -244,7 +236,7 @@ mod tests {
     #[test]
     fn shots_differ_by_call_and_by_row_and_can_be_had_again() {
         let measured = ready(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
-        let (x, theta) = (var(vec![1.0; 6], &[3, 2]), var(vec![0.5; 4], &[4]));
+        let (x, theta) = (var(&[1.0; 6], &[3, 2]), var(&[0.5; 4], &[4]));
         let of = |call| flat(&circuit(&x, &theta, &measured, call).expect("forward"));
         let first = of(0);
         assert_ne!(first, of(1));
@@ -267,16 +259,10 @@ mod tests {
             ];
             for (spec, batch) in specs {
                 let circuit = ready(spec);
-                let on = |threads: usize| {
-                    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-                    let x = numbers(circuit.qubits() * batch, "x", 0.0, PI);
-                    let weights = numbers(circuit.qubits() * batch, "weights", -1.0, 1.0);
-                    pool.install(|| run(&circuit, x, numbers(circuit.angle_count(), "theta", -PI, PI), &weights, 7))
-                };
-                let one = on(1);
-                for threads in [2, 3, 5] {
-                    assert_eq!(on(threads), one, "{threads} threads");
-                }
+                let x = numbers(circuit.qubits() * batch, "x", 0.0, PI);
+                let weights = numbers(circuit.qubits() * batch, "weights", -1.0, 1.0);
+                let theta = numbers(circuit.angle_count(), "theta", -PI, PI);
+                same_bits(&format!("{circuit:?}"), || run(&circuit, &x, &theta, &weights, 7));
             }
         }
 
@@ -291,14 +277,14 @@ mod tests {
                 for bad in [f32::NAN, f32::INFINITY] {
                     let mut x = numbers(12, "x", 0.0, PI);
                     x[5] = bad;
-                    let [out, by_x, by_theta] = run(&ready(spec.clone()), x, vec![0.3; 4], &[1.0; 12], 0);
+                    let [out, by_x, by_theta] = run(&ready(spec.clone()), &x, &[0.3; 4], &[1.0; 12], 0);
                     for (k, (out, by_x)) in out.iter().zip(&by_x).enumerate() {
                         assert_eq!(out.is_nan(), k / 2 == 2, "{spec:?} {k} {out}");
                         assert_eq!(by_x.is_nan(), k / 2 == 2, "{spec:?} {k} {by_x}");
                     }
                     assert!(by_theta.iter().any(|v| v.is_nan()));
                 }
-                let out = run(&ready(spec), vec![1.0; 4], vec![f32::NAN; 4], &[1.0; 4], 0);
+                let out = run(&ready(spec), &[1.0; 4], &[f32::NAN; 4], &[1.0; 4], 0);
                 assert!(out.iter().flatten().all(|v| v.is_nan()));
             }
         }
@@ -306,12 +292,12 @@ mod tests {
         /// Far outside the range that the vector sines reduce.
         #[test]
         fn enormous_inputs_are_still_angles() {
-            let x = vec![1e30f32, 2.0, 1e5, 4e4, 1.0, 2.0];
-            let [out, by_x, _] = run(&ready(CircuitSpec::default()), x.clone(), vec![0.3; 4], &[1.0; 6], 0);
+            let x = [1e30f32, 2.0, 1e5, 4e4, 1.0, 2.0];
+            let [out, by_x, _] = run(&ready(CircuitSpec::default()), &x, &[0.3; 4], &[1.0; 6], 0);
             for (row, x) in x.chunks(2).enumerate() {
                 let point = quantum::circuit([f64::from(x[0]), f64::from(x[1])], [f64::from(0.3f32); 4]);
-                assert!((f64::from(out[2 * row]) - point.zi).abs() < 6e-8);
-                let want = point.zi_grad_x[0] + point.iz_grad_x[0];
+                assert!((f64::from(out[2 * row]) - point.expectations[0]).abs() < 6e-8);
+                let want = point.by_x[0][0] + point.by_x[1][0];
                 assert!((f64::from(by_x[2 * row]) - want).abs() <= 1e-6 * want.abs().max(1.0));
             }
         }
@@ -327,7 +313,7 @@ mod tests {
             for said in [said(&[5, 2], 6), said(&[5, 3], 4), said(&[3], 6)] {
                 assert!(said.contains("expected input [batch, 3] and 6 angles"), "{said}");
             }
-            assert_eq!(run(&circuit, vec![], vec![0.0; 6], &[], 0)[2], [0.0; 6]);
+            assert_eq!(run(&circuit, &[], &[0.0; 6], &[], 0)[2], [0.0; 6]);
         }
     }
 }

@@ -60,6 +60,7 @@ pub(crate) use average_pool::bin;
 pub use backward::backward;
 pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch_norm};
 pub use circuit::circuit;
+pub(crate) use circuit::run_circuit;
 pub use conv_relu_pool::conv_relu_pool;
 pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;

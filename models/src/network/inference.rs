@@ -7,17 +7,16 @@
 //! are numbered by row). They agree with `run.rs` within rounding.
 
 use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
 
 use super::graph::{INPUT, Layer, Node, Value};
 use super::instance::Network;
 use super::parameters::Normalisation;
 use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
+    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense, run_circuit,
     scaled_sigmoid_of, with_values,
 };
-use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, features};
+use crate::quantum::{Circuit, Trained, expectations_of_rows, features};
 
 /// Number of values that one task processes in a step without sums.
 const CHUNK: usize = 1 << 14;
@@ -441,7 +440,11 @@ impl Step {
                 output.reshape(input.dims());
                 expectations_of_rows(trained, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
             }
-            Kernel::Circuit { circuit, theta } => run_circuit(circuit, theta, input(0)?, output)?,
+            Kernel::Circuit { circuit, theta } => {
+                let input = input(0)?;
+                output.reshape(input.dims());
+                run_circuit(circuit, theta, 0, input.values(), output.values_mut())?;
+            }
             Kernel::Trigonometric => trigonometric(input(0)?, output),
             Kernel::Concatenate => concatenate(input(0)?, input(1)?, output),
         }
@@ -472,21 +475,6 @@ fn standardise(mean: &[f32], factor: &[f32], output: &mut Feature) -> Result<()>
         row.iter_mut().zip(constants).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
     }
     Ok(())
-}
-
-/// Runs a circuit on each row.
-fn run_circuit(circuit: &Circuit, theta: &[f64], input: &Feature, output: &mut Feature) -> Result<()> {
-    output.reshape(input.dims());
-    let width: usize = input.dims()[1..].iter().product();
-    let rows = input.values().par_chunks_exact(width).zip(output.values_mut().par_chunks_exact_mut(width));
-    rows.enumerate()
-        .try_for_each(|(row, (x, result))| {
-            let x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
-            let expectations = circuit.expectations(&x, theta, Draw { call: 0, row: row as u64 })?;
-            result.iter_mut().zip(expectations).for_each(|(result, v)| *result = v as f32);
-            Ok(())
-        })
-        .map_err(|error: CircuitError| candle_core::Error::wrap(error))
 }
 
 fn trigonometric(input: &Feature, output: &mut Feature) {

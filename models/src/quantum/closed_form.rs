@@ -15,20 +15,14 @@ use std::f64::consts::PI;
 use super::sin_cos;
 
 /// Expectations of the circuit at one point and all their gradients.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CircuitPoint {
-    /// `<ZI>`: Z on qubit 1.
-    pub zi: f64,
-    /// `<IZ>`: Z on qubit 0.
-    pub iz: f64,
-    /// `d<ZI>/dtheta`.
-    pub zi_grad_theta: [f64; 4],
-    /// `d<IZ>/dtheta`.
-    pub iz_grad_theta: [f64; 4],
-    /// `d<ZI>/dx`.
-    pub zi_grad_x: [f64; 2],
-    /// `d<IZ>/dx`.
-    pub iz_grad_x: [f64; 2],
+    /// `[<ZI>, <IZ>]`: Z on qubit 1 and Z on qubit 0.
+    pub expectations: [f64; 2],
+    /// `[observable][angle]`
+    pub by_theta: [[f64; 4]; 2],
+    /// `[observable][input]`
+    pub by_x: [[f64; 2]; 2],
 }
 
 /// Coefficients of the features a, b, c, d, e in `[<ZI>, <IZ>]`.
@@ -69,14 +63,10 @@ impl Trained {
     /// [`circuit`] at input `x`.
     pub fn circuit(&self, x: [f64; 2]) -> CircuitPoint {
         let (features, by_x) = features(x);
-        let [zi, iz] = self.coefficients;
         CircuitPoint {
-            zi: dot(&zi, &features),
-            iz: dot(&iz, &features),
-            zi_grad_theta: self.by_angle.map(|[zi, _]| dot(&zi, &features)),
-            iz_grad_theta: self.by_angle.map(|[_, iz]| dot(&iz, &features)),
-            zi_grad_x: by_x.map(|f| dot(&zi, &f)),
-            iz_grad_x: by_x.map(|f| dot(&iz, &f)),
+            expectations: self.coefficients.map(|c| dot(&c, &features)),
+            by_theta: [0, 1].map(|o| self.by_angle.map(|by| dot(&by[o], &features))),
+            by_x: self.coefficients.map(|c| by_x.map(|f| dot(&c, &f))),
         }
     }
 

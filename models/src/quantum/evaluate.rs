@@ -136,8 +136,8 @@ impl Circuit {
             let point = closed_form::circuit([x0, x1], [t0, t1, t2, t3]);
             return Ok(Jacobian {
                 expectations,
-                by_theta: vec![point.zi_grad_theta.to_vec(), point.iz_grad_theta.to_vec()],
-                by_x: vec![point.zi_grad_x.to_vec(), point.iz_grad_x.to_vec()],
+                by_theta: point.by_theta.map(|row| row.to_vec()).to_vec(),
+                by_x: point.by_x.map(|row| row.to_vec()).to_vec(),
             });
         }
         if !are_finite(x, theta) {

@@ -481,8 +481,8 @@ mod hard_cases {
             }
         }
         assert!(super::super::shots::estimate(&[0.5, f64::NAN], 9, &mut stream(1, "bad", 0))[0].is_nan());
-        assert!(circuit([f64::NAN, 1.0], [0.1; 4]).zi.is_nan());
-        assert!(circuit([f64::INFINITY, 1.0], [0.1; 4]).iz.is_nan());
+        assert!(circuit([f64::NAN, 1.0], [0.1; 4]).expectations[0].is_nan());
+        assert!(circuit([f64::INFINITY, 1.0], [0.1; 4]).expectations[1].is_nan());
     }
 
     /// One shot is an outcome: every expectation is +1 or -1, every derivative by a turned gate 0 or +-1.

@@ -19,8 +19,7 @@ const BATCH: usize = 256;
 pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     let x: Vec<[f32; 2]> = (0..BATCH).map(|k| [(0.37 * k as f64 % PI) as f32, (1.91 * k as f64 % PI) as f32]).collect();
     let theta = [0.4, -1.2, 2.0, 0.7];
-    let exact: Vec<[f64; 2]> =
-        x.iter().map(|x| circuit(x.map(f64::from), theta)).map(|point| [point.zi, point.iz]).collect();
+    let exact: Vec<[f64; 2]> = x.iter().map(|x| circuit(x.map(f64::from), theta).expectations).collect();
     let rms = |of: &dyn Fn(usize) -> [f64; 2]| {
         let square: f64 =
             (0..BATCH).map(|k| exact[k].iter().zip(of(k)).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sum();

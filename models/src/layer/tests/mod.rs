@@ -15,7 +15,7 @@ fn random(count: usize, purpose: &str) -> Vec<f32> {
     (0..count).map(|_| rng.random_range(-1.0..1.0)).collect()
 }
 
-fn var(values: &[f32], shape: &[usize]) -> Var {
+pub(super) fn var(values: &[f32], shape: &[usize]) -> Var {
     Var::from_tensor(&Tensor::from_slice(values, shape, &Device::Cpu).expect("tensor")).expect("var")
 }
 
@@ -23,7 +23,7 @@ fn to_f64(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
-fn flat(tensor: &Tensor) -> Vec<f32> {
+pub(super) fn flat(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().expect("flat").to_vec1().expect("f32")
 }
 
@@ -86,7 +86,7 @@ fn channel_last<T: Copy>(values: &[T], channels: usize, cells: usize) -> Vec<T> 
 }
 
 /// Asserts that a computation gives the same bits on any number of threads.
-fn same_bits<const N: usize>(what: &str, run: impl Fn() -> [Vec<f32>; N] + Sync) {
+pub(super) fn same_bits<const N: usize>(what: &str, run: impl Fn() -> [Vec<f32>; N] + Sync) {
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
         let bits = |values: Vec<f32>| -> Vec<u32> { values.into_iter().map(f32::to_bits).collect() };

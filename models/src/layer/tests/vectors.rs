@@ -1,48 +1,26 @@
 //! Layers on vectors, against their formulas and finite differences.
 
-use candle_core::{Device, Tensor, Var};
-use rand::Rng;
+use super::*;
 
-use super::{flat, to_f64};
-use crate::layer::{add, backward, concatenate, scaled_sigmoid, standardise, trigonometric};
-use crate::random::stream;
-
-fn var(rows: usize, columns: usize, what: &str) -> Var {
-    let mut rng = stream(7, what, 0);
-    let values: Vec<f32> = (0..rows * columns).map(|_| rng.random_range(-2.0..2.0)).collect();
-    Var::from_tensor(&Tensor::from_vec(values, (rows, columns), &Device::Cpu).expect("tensor")).expect("variable")
+fn vector(rows: usize, columns: usize, what: &str) -> Var {
+    let values: Vec<f32> = random(rows * columns, what).iter().map(|v| 2.0 * v).collect();
+    var(&values, &[rows, columns])
 }
 
-/// Gradient of a weighted sum of the outputs by one input, beside central differences of the formula in f64.
+/// Output, and the gradient of its weighted sum by one input, beside the formula and its central differences.
 fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: &dyn Fn(&[f64]) -> Vec<f64>) {
     let x = to_f64(&flat(input));
     let out = output(input.as_tensor());
-    for (a, b) in flat(&out).iter().zip(formula(&x)) {
-        assert!((f64::from(*a) - b).abs() < 1e-5 * b.abs().max(1.0), "{layer}: {a} {b}");
-    }
-    let mut rng = stream(8, layer, 0);
-    let weights: Vec<f32> = (0..out.elem_count()).map(|_| rng.random_range(-1.0..1.0)).collect();
-    let weighted = Tensor::from_vec(weights.clone(), out.shape(), &Device::Cpu).expect("tensor");
-    let loss = (out * weighted).and_then(|t| t.sum_all()).expect("loss");
-    let found = flat(backward(&loss).expect("backward").get(input).expect("gradient"));
-    for (k, found) in found.iter().enumerate() {
-        let at = |by: f64| {
-            let mut moved = x.clone();
-            moved[k] += by;
-            formula(&moved).iter().zip(&weights).map(|(y, &w)| y * f64::from(w)).sum::<f64>()
-        };
-        let expected = (at(1e-5) - at(-1e-5)) / 2e-5;
-        assert!(
-            (f64::from(*found) - expected).abs() < 2e-5 * expected.abs().max(1.0),
-            "{layer} {k}: {found} {expected}"
-        );
-    }
+    close(layer, &flat(&out), &formula(&x), 3e-6);
+    let weights = random(out.elem_count(), layer);
+    let [found] = gradients(&out, &weights, [input]);
+    close(layer, &found, &differences(&x, |x| weighted_sum(&formula(x), &to_f64(&weights))), 1e-5);
 }
 
 #[test]
 fn outputs_and_gradients_are_those_of_the_formulas() {
     let pi = std::f64::consts::PI;
-    let x = var(3, 2, "x");
+    let x = vector(3, 2, "x");
     check("scaled_sigmoid", &x, &|x| scaled_sigmoid(x, 0.0).expect("scaled_sigmoid"), &|x| {
         x.iter().map(|u| pi / (1.0 + (-u).exp())).collect()
     });
@@ -58,7 +36,7 @@ fn outputs_and_gradients_are_those_of_the_formulas() {
         };
         x.chunks_exact(2).flat_map(row).collect()
     });
-    let other = var(3, 2, "other");
+    let other = vector(3, 2, "other");
     let y = to_f64(&flat(&other));
     check("add", &x, &|x| add(x, &other).expect("add"), &|x| x.iter().zip(&y).map(|(a, b)| a + b).collect());
     check("concatenate", &x, &|x| concatenate(x, &other).expect("concatenate"), &|x| {
@@ -69,7 +47,7 @@ fn outputs_and_gradients_are_those_of_the_formulas() {
 /// The penalty of the scaled sigmoid is the gradient of its weight times the mean square, and no part of the output.
 #[test]
 fn the_penalty_is_a_gradient_alone() {
-    let x = var(4, 2, "x");
+    let x = vector(4, 2, "x");
     let gradient = |penalty: f32| {
         let loss = scaled_sigmoid(&x, penalty).and_then(|t| t.sum_all()).expect("loss");
         (flat(&loss)[0], flat(backward(&loss).expect("backward").get(&x).expect("gradient")))
@@ -102,7 +80,7 @@ mod hard_cases {
 
     #[test]
     fn shapes_that_do_not_fit_are_named() {
-        let (a, b) = (var(2, 3, "a"), var(3, 2, "b"));
+        let (a, b) = (vector(2, 3, "a"), vector(3, 2, "b"));
         assert!(add(&a, &b).expect_err("shapes").to_string().contains("[2, 3] and [3, 2]"));
         assert!(concatenate(&a, &b).expect_err("rows").to_string().contains("[2, 3], [3, 2]"));
         assert!(trigonometric(&a).expect_err("width").to_string().contains("[2, 3]"));
