@@ -73,6 +73,12 @@ fn gradients<const N: usize>(output: &Tensor, upstream: &[f32], variables: [&Var
     })
 }
 
+/// Gradient of the sum of squares of an output.
+fn gradients_of_squares<const N: usize>(output: &Tensor, variables: [&Var; N]) -> [Vec<f32>; N] {
+    let found = output.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
+    variables.map(|v| flat(found.get(v).expect("gradient")))
+}
+
 fn weighted_sum(values: &[f64], weights: &[f64]) -> f64 {
     values.iter().zip(weights).map(|(v, w)| v * w).sum()
 }
@@ -146,8 +152,7 @@ fn gradients_do_not_depend_on_whether_the_input_needs_one() {
             );
             let run = |input_gradient| {
                 let out = conv_relu_pool(&input, &weight, &bias, input_gradient, level).expect("forward");
-                let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
-                [&weight, &bias].map(|v| flat(grads.get(v).expect("gradient")))
+                gradients_of_squares(&out, [&weight, &bias])
             };
             let (with, without) = (run(InputGradient::Needed), run(InputGradient::Unused));
             close("dw", &without[0], &to_f64(&with[0]), 1e-5);
@@ -262,8 +267,7 @@ mod hard_cases {
             let out = adaptive_average_pool(&out, 2, 4).expect("pool");
             let (fw, fb) = (var(&random(5 * 256, "fw"), &[5, 256]), var(&random(5, "fb"), &[5]));
             let out = linear(&out, &fw, &fb, KernelLevel::detect()).expect("linear");
-            let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
-            [&input, &w, &b, &fw, &fb].map(|v| flat(grads.get(v).expect("gradient")))
+            gradients_of_squares(&out, [&input, &w, &b, &fw, &fb])
         });
     }
 
