@@ -44,7 +44,7 @@ pub struct Smoothing {
     pub temperature: f64,
     /// Weight in the answer of the newest frame's own evidence beside what the filter holds, 0 to 1: it says more of the present than
     /// frames before it do. What the filter holds does not depend on it. 0 if absent.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "crate::is_default")]
     pub newest: f64,
 }
 
@@ -89,15 +89,10 @@ fn is_one(value: &f64) -> bool {
     *value == 1.0
 }
 
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
-}
-
 impl Default for Smoothing {
     /// Settings close to those with the best log loss on the answers of room-hqnn to the ladder (fixtures/ladder,
     /// `evaluate --ladder --fit-smoothing`). With them, the filter is no worse than single frames on any rung where
     /// most frames are right. More weight of the newest frame has a better log loss, but the answers flicker.
-    /// newest frame has a better log loss and answers that flicker.
     fn default() -> Self {
         Smoothing { dwell_s: 3.4, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.0, newest: 0.3 }
     }

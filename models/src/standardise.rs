@@ -108,10 +108,6 @@ impl MapReference {
         self.bound(&mut cells);
         Cow::Owned(cells)
     }
-
-    fn is_absolute(&self) -> bool {
-        *self == MapReference::Absolute
-    }
 }
 
 /// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is scratch
@@ -168,7 +164,7 @@ pub(crate) fn echo_share(power: f32) -> f32 {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Standardisation {
     /// Reference of 0 dB.
-    #[serde(default, skip_serializing_if = "MapReference::is_absolute")]
+    #[serde(default, skip_serializing_if = "crate::is_default")]
     pub reference: MapReference,
     /// Mean of all cells, dB.
     pub mean_db: f64,

@@ -134,24 +134,15 @@ impl SplitBy {
             SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
         }
     }
-
-    /// Name in files.
-    pub fn label(self) -> &'static str {
-        match self {
-            SplitBy::Sequence => "sequence",
-            SplitBy::Subject => "subject",
-            SplitBy::Scene => "scene",
-            SplitBy::Seed => "seed",
-        }
-    }
-
-    pub(super) fn is_sequence(&self) -> bool {
-        *self == SplitBy::Sequence
-    }
 }
 
 impl std::fmt::Display for SplitBy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.label())
+        f.write_str(match self {
+            SplitBy::Sequence => "sequence",
+            SplitBy::Subject => "subject",
+            SplitBy::Scene => "scene",
+            SplitBy::Seed => "seed",
+        })
     }
 }

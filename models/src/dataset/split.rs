@@ -32,7 +32,7 @@ pub struct SplitSpec {
     /// Share for test.
     pub test: f64,
     /// Kind of group that stays whole, besides sequences, which always do.
-    #[serde(skip_serializing_if = "SplitBy::is_sequence")]
+    #[serde(skip_serializing_if = "crate::is_default")]
     pub by: SplitBy,
     /// Sequence whose group alone is the test split, regardless of the rows and of `test`: for leave-one-out evaluation of few
     /// recordings.

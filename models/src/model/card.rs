@@ -49,7 +49,7 @@ pub struct ModelCard {
     /// Kind of the network.
     pub network: NetworkKind,
     /// Layers behind the latent of the HQNN or of descriptors.
-    #[serde(default, skip_serializing_if = "is_default_head")]
+    #[serde(default, skip_serializing_if = "crate::is_default")]
     pub head: Head,
     /// Classes in the order of the probabilities.
     pub classes: Vec<Occupancy>,
@@ -211,10 +211,6 @@ impl ModelCard {
         let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
         check(positive && is_finite, "constants", "finite means, sigmas and temperature above zero".to_owned(), found)
     }
-}
-
-fn is_default_head(head: &Head) -> bool {
-    *head == Head::default()
 }
 
 fn paper_pooled() -> [usize; 2] {

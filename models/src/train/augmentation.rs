@@ -45,13 +45,13 @@ pub struct Augmentation {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub echo_gain_db: Option<[f32; 2]>,
     /// Largest relative stretch or compression of ranges about range zero. It imitates another range step.
-    #[serde(skip_serializing_if = "is_default")]
+    #[serde(skip_serializing_if = "crate::is_default")]
     pub range_stretch: f32,
     /// Most range bins by which the map is shifted either way; vacated bins become noise. It imitates another position in the room.
-    #[serde(skip_serializing_if = "is_default")]
+    #[serde(skip_serializing_if = "crate::is_default")]
     pub range_shift_bins: usize,
     /// Largest relative stretch or compression of velocities about zero Doppler. It imitates faster and slower people.
-    #[serde(skip_serializing_if = "is_default")]
+    #[serde(skip_serializing_if = "crate::is_default")]
     pub velocity_stretch: f32,
     /// Addition of weak slow echoes. It imitates cables, curtains and desks that sway in real rooms.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -377,10 +377,6 @@ fn flip_doppler(map: &mut [f32], doppler: usize) {
     for row in map.chunks_exact_mut(doppler) {
         if doppler.is_multiple_of(2) { row[1..].reverse() } else { row.reverse() }
     }
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 
 #[cfg(test)]
