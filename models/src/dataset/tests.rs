@@ -295,7 +295,9 @@ mod hard_cases {
                 // The last line end may be missing, and a manifest may have no rows.
                 let may_open =
                     name != "maps-00000.npy" && length + 1 == whole.len() || name == "manifest.jsonl" && length == 0;
-                assert!(Dataset::open(&path).is_err() || may_open, "{name}: {length}");
+                let error = Dataset::open(&path).err().map(|error| error.to_string());
+                assert!(error.is_some() || may_open, "{name}: {length}");
+                assert!(name != "maps-00000.npy" || error.is_some_and(|error| error.contains(name)), "{length}");
             }
             std::fs::write(&file, &whole).expect("write");
         }
@@ -369,38 +371,25 @@ mod hard_cases {
     fn damage_is_named_with_its_file() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("set");
-        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
-        for frame in 0..4 {
-            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
-        }
-        writer.finish().expect("finish");
+        let [(_, head_json), (_, rows), (_, whole)] = small(&path);
         let shard = path.join("maps-00000.npy");
-        let whole = std::fs::read(&shard).expect("read");
-
         let mut flipped = whole.clone();
         *flipped.last_mut().expect("byte") ^= 1;
         std::fs::write(&shard, &flipped).expect("write");
         let error = Dataset::open(&path).expect("lengths agree").verify().expect_err("changed").to_string();
-        assert!(error.contains("maps-00000.npy") && error.contains("map 3"), "{error}");
+        assert!(error.contains("maps-00000.npy") && error.contains("map 2"), "{error}");
 
-        for length in [0, 5, 60, whole.len() - 1] {
-            std::fs::write(&shard, &whole[..length]).expect("write");
-            let error = Dataset::open(&path).expect_err("truncated").to_string();
-            assert!(error.contains("maps-00000.npy"), "{error}");
-        }
         std::fs::write(&shard, &whole).expect("write");
 
         let manifest = path.join("manifest.jsonl");
-        let rows = std::fs::read_to_string(&manifest).expect("read");
+        let rows = String::from_utf8(rows).expect("text");
         std::fs::write(&manifest, rows.replacen("\"one\"", "\"seven\"", 1)).expect("write");
         let error = Dataset::open(&path).expect_err("no such class").to_string();
         assert!(error.contains("manifest.jsonl, line 1") && error.contains("seven"), "{error}");
-        std::fs::write(&manifest, &rows[..rows.len() / 2]).expect("write");
-        assert!(Dataset::open(&path).is_err());
         std::fs::write(&manifest, rows).expect("write");
 
         let head = path.join("dataset.json");
-        let text = std::fs::read_to_string(&head).expect("read");
+        let text = String::from_utf8(head_json).expect("text");
         std::fs::write(&head, text.replace("\"format_version\": 1", "\"format_version\": 99")).expect("write");
         let error = Dataset::open(&path).expect_err("newer").to_string();
         std::fs::write(&head, text.replace("\"two\"", "\"crowd\"")).expect("write");

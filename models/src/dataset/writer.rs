@@ -158,14 +158,12 @@ impl DatasetWriter {
         let path = self.temporary.join("manifest.jsonl");
         self.manifest.flush().map_err(DatasetError::io(&path, "writing"))?;
         self.manifest.get_ref().sync_all().map_err(DatasetError::io(&path, "writing"))?;
-        let path = self.temporary.join("dataset.json");
         let text = serde_json::to_string_pretty(&self.header).map_err(|source| DatasetError::Json {
-            path: path.clone(),
+            path: self.temporary.join("dataset.json"),
             line: 1,
             source,
         })?;
-        let write = || File::create(&path).and_then(|mut f| f.write_all((text + "\n").as_bytes()).and(f.sync_all()));
-        write().map_err(DatasetError::io(&path, "writing"))?;
+        self.add_file("dataset.json", (text + "\n").as_bytes())?;
         let lock = self.temporary.join(LOCK);
         fs::remove_file(&lock).map_err(DatasetError::io(&lock, "removing"))?;
         sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
