@@ -80,24 +80,15 @@ pub(super) fn name(job: &Job) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spec::Variant;
     use super::*;
-    use crate::train::TrainSpec;
 
     fn study(variants: &[&str], seeds: u64, label_fractions: &[f64]) -> StudySpec {
-        let variant = |name: &&str| Variant { name: (*name).to_owned(), network: None, head: None, transposed: None };
-        StudySpec {
-            title: "Small".to_owned(),
-            remarks: Vec::new(),
-            variants: variants.iter().map(variant).collect(),
-            seeds: (0..seeds).collect(),
-            label_fractions: label_fractions.to_vec(),
-            learning_rates: Vec::new(),
-            snr_db: Vec::new(),
-            target: 0.9,
-            leave_one_recording_out: false,
-            train: TrainSpec::default(),
-        }
+        let variants: Vec<_> = variants.iter().map(|name| serde_json::json!({ "name": name })).collect();
+        let seeds: Vec<u64> = (0..seeds).collect();
+        let spec = serde_json::json!({
+            "title": "Small", "variants": variants, "seeds": seeds, "label_fractions": label_fractions
+        });
+        serde_json::from_value(spec).expect("a spec")
     }
 
     /// Every job is of one shard, and every shard has as many of the large networks as the others, or one more.
