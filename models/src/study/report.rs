@@ -342,20 +342,14 @@ impl Report {
             return Ok(());
         }
         writeln!(out, "## Gaussian noise on the test maps\n\nIn brackets the paper's.\n")?;
-        let heads: Vec<String> = ratios.iter().map(|ratio| format!("{ratio:+} dB")).collect();
-        writeln!(out, "| network | {} |\n|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+        write_row(out, "network", ratios.iter().map(|ratio| format!("{ratio:+} dB")))?;
+        writeln!(out, "|---|{}", "---|".repeat(ratios.len()))?;
         for cell in self.whole() {
-            let paper = PAPER_NOISE.iter().find(|(name, _)| *name == cell.variant);
-            let told: Vec<String> = cell
-                .noisy
-                .iter()
-                .map(|(ratio, interval)| {
-                    let index = PAPER_SNR_DB.iter().position(|known| known == ratio);
-                    let theirs = paper.zip(index).and_then(|((_, values), index)| values.get(index));
-                    format!("{}{}", short(*interval), theirs.map_or(String::new(), |v| format!(" ({v:.3})")))
-                })
-                .collect();
-            writeln!(out, "| {} | {} |", cell.variant, told.join(" | "))?;
+            let told = cell.noisy.iter().map(|&(ratio, interval)| {
+                let paper = of_paper(&PAPER_NOISE, &PAPER_SNR_DB, &cell.variant, ratio);
+                format!("{}{}", short(interval), paper.map_or(String::new(), |v| format!(" ({v:.3})")))
+            });
+            write_row(out, &cell.variant, told)?;
         }
         writeln!(out)
     }
@@ -368,8 +362,8 @@ impl Report {
             return Ok(());
         }
         writeln!(out, "## Shares of the training maps\n\nIn brackets the paper's.\n")?;
-        let heads: Vec<String> = shares.iter().map(|share| format!("{:.0} %", 100.0 * share)).collect();
-        writeln!(out, "| network | {} |\n|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+        write_row(out, "network", shares.iter().map(|share| format!("{:.0} %", 100.0 * share)))?;
+        writeln!(out, "|---|{}", "---|".repeat(shares.len()))?;
         let mut names: Vec<&str> = Vec::new();
         for cell in &self.cells {
             if !names.contains(&cell.variant.as_str()) {
@@ -377,18 +371,13 @@ impl Report {
             }
         }
         for name in names {
-            let paper = PAPER_FRACTIONS.iter().find(|(known, _)| *known == name);
-            let told: Vec<String> = shares
-                .iter()
-                .map(|share| {
-                    let cell = self.cells.iter().find(|c| c.variant == name && c.label_fraction == *share);
-                    let index = PAPER_SHARES.iter().position(|known| known == share);
-                    let theirs = paper.zip(index).and_then(|((_, values), index)| values.get(index));
-                    let ours = short(cell.and_then(|cell| cell.test));
-                    format!("{ours}{}", theirs.map_or(String::new(), |v| format!(" ({v:.2})")))
-                })
-                .collect();
-            writeln!(out, "| {name} | {} |", told.join(" | "))?;
+            let told = shares.iter().map(|&share| {
+                let cell = self.cells.iter().find(|c| c.variant == name && c.label_fraction == share);
+                let paper = of_paper(&PAPER_FRACTIONS, &PAPER_SHARES, name, share);
+                let ours = short(cell.and_then(|cell| cell.test));
+                format!("{ours}{}", paper.map_or(String::new(), |v| format!(" ({v:.2})")))
+            });
+            write_row(out, name, told)?;
         }
         writeln!(out)
     }
@@ -408,20 +397,17 @@ impl Report {
                 out,
                 "Balanced accuracy of the models of all labels, on maps of sequences that they have not seen.\n"
             )?;
-            let heads: Vec<&str> = of_group.iter().map(|condition| condition.name.as_str()).collect();
-            writeln!(out, "| network | test split | {} |\n|---|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+            write_row(out, "network | test split", of_group.iter().map(|condition| condition.name.clone()))?;
+            writeln!(out, "|---|---|{}", "---|".repeat(of_group.len()))?;
             for cell in self.whole() {
-                let told: Vec<String> = of_group
-                    .iter()
-                    .map(|condition| {
-                        let of_network = condition.cells.iter().find(|other| other.variant == cell.variant);
-                        short(of_network.and_then(|other| other.balanced_accuracy))
-                    })
-                    .collect();
-                writeln!(out, "| {} | {} | {} |", cell.variant, short(cell.test), told.join(" | "))?;
+                let told = of_group.iter().map(|condition| {
+                    let of_network = condition.cells.iter().find(|other| other.variant == cell.variant);
+                    short(of_network.and_then(|other| other.balanced_accuracy))
+                });
+                write_row(out, &format!("{} | {}", cell.variant, short(cell.test)), told)?;
             }
-            let maps: Vec<String> = of_group.iter().map(|condition| condition.maps.to_string()).collect();
-            writeln!(out, "| maps | | {} |\n", maps.join(" | "))?;
+            write_row(out, "maps |", of_group.iter().map(|condition| condition.maps.to_string()))?;
+            writeln!(out)?;
         }
         Ok(())
     }
@@ -471,6 +457,17 @@ impl Report {
         }
         Ok(())
     }
+}
+
+/// Writes a row of a table.
+fn write_row(out: &mut String, name: &str, cells: impl Iterator<Item = String>) -> std::fmt::Result {
+    writeln!(out, "| {name} | {} |", cells.collect::<Vec<_>>().join(" | "))
+}
+
+/// Number of the paper for a network in the column of `key`, if it has one.
+fn of_paper<const N: usize>(table: &[(&str, [f64; N])], keys: &[f64; N], network: &str, key: f64) -> Option<f64> {
+    let (_, values) = table.iter().find(|(name, _)| *name == network)?;
+    Some(values[keys.iter().position(|known| *known == key)?])
 }
 
 /// Formats an optional number; `-` if it is absent.
