@@ -18,7 +18,7 @@ pub(crate) fn graph() -> Graph {
     let mut g = Graph::default();
     let (mut value, mut inputs) = (INPUT, 1);
     for (index, outputs) in CHANNELS.into_iter().enumerate() {
-        let geometry = ConvGeometry { stride: 1, padding: 1, groups: 1 };
+        let geometry = ConvGeometry::dense(1, 1);
         let k = index + 1;
         value = g.add(
             format!("conv{k}"),

@@ -210,9 +210,6 @@ fn state_vector_multiplications(circuit: &CircuitSpec) -> usize {
 impl Layer {
     /// Size of the result; `None` if the layer cannot read such a value.
     fn size(&self, first: Size, second: Option<Size>) -> Option<Size> {
-        let window = |length: usize, kernel: usize, stride: usize, padding: usize| {
-            (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1)
-        };
         match (self, first) {
             (Layer::Descriptors, Size::Map { rows, columns, channels: 1 }) if rows > 0 && columns > 0 => {
                 Some(Size::Vector(DESCRIPTORS))
@@ -227,13 +224,13 @@ impl Layer {
             (Layer::Convolution { inputs, outputs, kernel, geometry, .. }, Size::Map { rows, columns, channels })
                 if channels == *inputs =>
             {
-                let rows = window(rows, *kernel, geometry.stride, geometry.padding)?;
-                let columns = window(columns, *kernel, geometry.stride, geometry.padding)?;
+                let rows = geometry.output_length(rows, *kernel)?;
+                let columns = geometry.output_length(columns, *kernel)?;
                 Some(Size::Map { rows, columns, channels: *outputs })
             }
             (Layer::MaxPool { kernel, stride, padding }, Size::Map { rows, columns, channels }) => {
-                let rows = window(rows, *kernel, *stride, *padding)?;
-                let columns = window(columns, *kernel, *stride, *padding)?;
+                let window = ConvGeometry::dense(*stride, *padding);
+                let (rows, columns) = (window.output_length(rows, *kernel)?, window.output_length(columns, *kernel)?);
                 Some(Size::Map { rows, columns, channels })
             }
             (Layer::AveragePool { rows, columns }, Size::Map { channels, .. }) => {

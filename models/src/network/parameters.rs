@@ -50,13 +50,12 @@ impl Parameters {
     /// # Errors
     /// A tensor operation failed.
     pub fn initialise(graph: &Graph, seed: u64, attempt: u64) -> Result<Self> {
-        let start = |declaration: &Declaration| {
+        let start = |declaration: &Declaration, count: usize| {
             let mut rng = stream(seed, &declaration.name, attempt);
-            let count = declaration.shape.iter().product::<usize>();
-            Some(match declaration.start {
+            Ok::<Vec<f32>, candle_core::Error>(match declaration.start {
                 Start::Uniform(bound) => (0..count).map(|_| rng.random_range(-bound..bound)).collect(),
                 Start::Normal(sigma) => {
-                    let normal = Normal::new(0.0f32, sigma).ok()?;
+                    let normal = Normal::new(0.0f32, sigma).map_err(candle_core::Error::wrap)?;
                     (0..count).map(|_| normal.sample(&mut rng)).collect()
                 }
                 Start::Constant(value) => vec![value; count],
@@ -71,26 +70,17 @@ impl Parameters {
     /// # Errors
     /// An array is missing or has another length.
     pub fn from_values(graph: &Graph, values: &BTreeMap<String, Vec<f32>>) -> Result<Self> {
-        let start = |declaration: &Declaration| match values.get(&declaration.name) {
-            None if is_transient(&declaration.name) => Some(vec![0.0; declaration.shape.iter().product()]),
-            found => found.cloned(),
-        };
-        let parameters = Self::build(graph, start)?;
-        parameters.set_statistics(values)?;
+        let parameters = Self::build(graph, |_, count| Ok(vec![0.0; count]))?;
+        parameters.set_values(values)?;
         Ok(parameters)
     }
 
-    fn build(graph: &Graph, start: impl Fn(&Declaration) -> Option<Vec<f32>>) -> Result<Self> {
+    /// Builds parameters whose values `start` gives by declaration and number.
+    fn build(graph: &Graph, start: impl Fn(&Declaration, usize) -> Result<Vec<f32>>) -> Result<Self> {
         let mut list = Vec::new();
         for declaration in graph.declarations() {
-            let Declaration { name, shape, .. } = &declaration;
-            let Some(values) = start(&declaration) else {
-                candle_core::bail!("parameter {name} {shape:?} is missing");
-            };
-            if values.len() != shape.iter().product::<usize>() {
-                candle_core::bail!("parameter {name} has {} values, expected {shape:?}", values.len());
-            }
-            let variable = Var::from_tensor(&Tensor::from_vec(values, shape.as_slice(), &Device::Cpu)?)?;
+            let values = start(&declaration, declaration.shape.iter().product())?;
+            let variable = Var::from_tensor(&Tensor::from_vec(values, declaration.shape, &Device::Cpu)?)?;
             list.push(Parameter { name: declaration.name, variable });
         }
         let index = list.iter().enumerate().map(|(k, parameter)| (parameter.name.clone(), k)).collect();
@@ -187,7 +177,10 @@ impl Parameters {
     pub fn set_values(&self, values: &BTreeMap<String, Vec<f32>>) -> Result<()> {
         for Parameter { name, variable } in &self.list {
             match values.get(name) {
-                Some(numbers) => variable.set(&Tensor::from_slice(numbers, variable.shape(), &Device::Cpu)?)?,
+                Some(numbers) if numbers.len() == variable.elem_count() => self.set_numbers(name, numbers)?,
+                Some(numbers) => {
+                    candle_core::bail!("parameter {name} has {} values, expected {:?}", numbers.len(), variable.dims());
+                }
                 None if is_transient(name) => {}
                 None => candle_core::bail!("parameter {name} is missing"),
             }

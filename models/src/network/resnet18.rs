@@ -38,7 +38,7 @@ fn basic_block(g: &mut Graph, name: &str, inputs: usize, outputs: usize, stride:
 }
 
 fn conv(g: &mut Graph, name: &str, inputs: usize, outputs: usize, kernel: usize, stride: usize, from: Value) -> Value {
-    let geometry = ConvGeometry { stride, padding: kernel / 2, groups: 1 };
+    let geometry = ConvGeometry::dense(stride, kernel / 2);
     g.add(name, Layer::Convolution { inputs, outputs, kernel, geometry, bias: false }, &[from])
 }
 

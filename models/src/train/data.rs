@@ -271,7 +271,7 @@ fn fraction_by_class(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use radome_dsp::{RdmSpec, Waveform, WaveformRequest};
     use rand::Rng;
     use rand_distr::{Distribution, Normal};
@@ -283,22 +283,26 @@ mod tests {
 
     const SIZE: usize = 16;
 
-    /// Maps of noise, of all classes.
-    fn noise() -> Dataset {
-        let waveform =
-            WaveformRequest { samples_per_chirp: 2 * SIZE, chirps_per_frame: SIZE, ..WaveformRequest::paper() };
-        let waveform = Waveform::realise(waveform).expect("waveform");
+    /// Maps `size x size` of all classes, of which the first `train` are trained on.
+    pub fn made_up(size: usize, count: usize, train: usize, mut cell: impl FnMut() -> f32) -> Dataset {
+        let request =
+            WaveformRequest { samples_per_chirp: 2 * size, chirps_per_frame: size, ..WaveformRequest::paper() };
+        let waveform = Waveform::realise(request).expect("waveform");
         let header = DatasetHeader::new(waveform, RdmSpec::paper()).expect("header");
-        let mut rng = stream(2, "cells", 0);
-        let maps = (0..36).map(|index| {
+        let maps = (0..count).map(|index| {
             let label = Occupancy::from_index(index % 3).expect("class");
             let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
-            row.split = Some(if index < 24 { Split::Train } else { Split::Validation });
-            let db = (0..header.shape.cells()).map(|_| -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10()).collect();
+            row.split = Some(if index < train { Split::Train } else { Split::Validation });
+            let db = (0..header.shape.cells()).map(|_| cell()).collect();
             (header.rdm(db, 0), row)
         });
         let maps = maps.collect();
         Dataset::from_maps(header, maps).expect("dataset")
+    }
+
+    fn noise() -> Dataset {
+        let mut rng = stream(2, "cells", 0);
+        made_up(SIZE, 36, 24, || -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10())
     }
 
     fn load(dataset: &Dataset, augmentation: Augmentation, most_db: Option<f32>) -> Data {

@@ -48,27 +48,14 @@ fn memory_bytes() -> Option<u64> {
 
 #[cfg(test)]
 mod hard_cases {
-    use radome_dsp::{Occupancy, RdmSpec, Waveform, WaveformRequest};
-
+    use super::super::data::tests::made_up;
     use super::*;
-    use crate::dataset::{DatasetHeader, Domain, ManifestRow, Split};
     use crate::network::NetworkKind;
 
     const SIZE: usize = 64;
 
     fn dataset() -> Dataset {
-        let request =
-            WaveformRequest { samples_per_chirp: 2 * SIZE, chirps_per_frame: SIZE, ..WaveformRequest::paper() };
-        let waveform = Waveform::realise(request).expect("waveform");
-        let header = DatasetHeader::new(waveform, RdmSpec::paper()).expect("header");
-        let maps = (0..40u64).map(|index| {
-            let label = Occupancy::from_index(index as usize % 3).expect("class");
-            let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
-            row.split = Some(if index < 32 { Split::Train } else { Split::Validation });
-            (header.rdm(vec![0.0; header.shape.cells()], 0), row)
-        });
-        let maps = maps.collect();
-        Dataset::from_maps(header, maps).expect("dataset")
+        made_up(SIZE, 40, 32, || 0.0)
     }
 
     /// ResNet-18 has 11 million parameters, of which training keeps four arrays, and its first layer alone has 64 channels of a
