@@ -12,6 +12,8 @@ use radome_models::quantum::{
 };
 use radome_models::{layer, quantum};
 
+const BATCH: usize = 32;
+
 /// Seconds of one run of `f`: the least of 20 means over 10 ms each.
 fn seconds(mut f: impl FnMut()) -> f64 {
     let mut least = f64::INFINITY;
@@ -29,11 +31,6 @@ fn seconds(mut f: impl FnMut()) -> f64 {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The pool must be configured before its first use.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
-    measure()
-}
-
-fn measure() -> Result<(), Box<dyn std::error::Error>> {
-    const BATCH: usize = 32;
     let x: Vec<[f32; 2]> = (0..BATCH).map(|k| [0.09 * k as f32, 3.0 - 0.08 * k as f32]).collect();
     let theta = [0.4f32, -1.2, 2.0, 0.7];
     let cotangents = vec![[0.3f32, -0.5]; BATCH];

@@ -3,7 +3,8 @@
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-const CLASSES: usize = Occupancy::ALL.len();
+/// Number of classes.
+pub(crate) const CLASSES: usize = Occupancy::ALL.len();
 
 /// Counts `[truth][prediction]`.
 pub(crate) type Confusion = [[u64; CLASSES]; CLASSES];

@@ -1,11 +1,10 @@
 //! Occupancy filter: a causal filter over probabilities of single frames.
 
-use radome_dsp::Occupancy;
 use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-const CLASSES: usize = Occupancy::ALL.len();
+use crate::metrics::CLASSES;
 
 /// Least probability of a class in a frame, so that no single frame excludes a class.
 const LEAST_PROBABILITY: f64 = 1e-4;
@@ -274,6 +273,7 @@ fn product(a: &Matrix, b: &Matrix) -> Matrix {
 
 #[cfg(test)]
 mod tests {
+    use radome_dsp::Occupancy;
     use rand::Rng;
 
     use super::*;
@@ -354,10 +354,8 @@ mod tests {
         for (interval_s, weight) in [(0.1, 0.1), (0.5, 0.5), (1.0, 1.0), (7.0, 1.0)] {
             let frame = [0.2f32, 0.5, 0.3];
             let p = OccupancyFilter::new(still, interval_s).update(0.0, frame);
-            let expected = frame.map(|q| f64::from(q).powf(weight));
-            let norm: f64 = expected.iter().sum();
-            for (p, expected) in p.iter().zip(expected) {
-                assert!((f64::from(*p) - expected / norm).abs() < 1e-6, "{interval_s} s: {p}");
+            for (p, expected) in p.iter().zip(normalised(frame.map(|q| f64::from(q).powf(weight)))) {
+                assert!((f64::from(*p) - expected).abs() < 1e-6, "{interval_s} s: {p}");
             }
         }
     }
@@ -378,9 +376,8 @@ mod tests {
             let still = Smoothing { dwell_s: 1e9, ..read };
             let frame = [0.2f32, 0.5, 0.3];
             let p = OccupancyFilter::new(still, interval_s).update(0.0, frame);
-            let expected = frame.map(|q| f64::from(q).powf(0.15));
-            let norm: f64 = expected.iter().sum();
-            assert!(p.iter().zip(expected).all(|(p, e)| (f64::from(*p) - e / norm).abs() < 1e-6), "{p:?}");
+            let expected = normalised(frame.map(|q| f64::from(q).powf(0.15)));
+            assert!(p.iter().zip(expected).all(|(p, e)| (f64::from(*p) - e).abs() < 1e-6), "{p:?}");
         }
         let by_time = r#"{"dwell_s":60.0,"unseen_share":0.0,"unseen_s":1.0,"independent_s":1.0}"#;
         assert_eq!(serde_json::from_str::<Smoothing>(by_time).expect("old settings"), SLOW);
@@ -432,10 +429,9 @@ mod tests {
             let frame = raw.map(|p| p / raw.iter().sum::<f32>());
             let time_s = 0.1 * f64::from(number);
             let (without, with) = (without.update(time_s, frame), with.update(time_s, frame));
-            let expected: [f64; 3] = std::array::from_fn(|k| f64::from(without[k]) * f64::from(frame[k]).powf(NEWEST));
-            let norm: f64 = expected.iter().sum();
-            for (found, expected) in with.iter().zip(expected) {
-                assert!((f64::from(*found) - expected / norm).abs() < 1e-5, "{number}: {with:?}");
+            let expected = std::array::from_fn(|k| f64::from(without[k]) * f64::from(frame[k]).powf(NEWEST));
+            for (found, expected) in with.iter().zip(normalised(expected)) {
+                assert!((f64::from(*found) - expected).abs() < 1e-5, "{number}: {with:?}");
             }
         }
     }

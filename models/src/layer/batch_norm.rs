@@ -99,12 +99,12 @@ impl RunningStatistics {
     }
 
     /// Moves the running statistics towards a batch of `count` values for each channel, whose variance is biased.
-    fn update(&self, mean: &[f32], variance: &[f32], count: usize) {
+    fn update(&self, batch: &Moments, count: usize) {
         let momentum = self.constants.momentum;
         let unbiased = count as f32 / (count as f32 - 1.0);
         let mut moments = self.shared.write().unwrap_or_else(|poisoned| poisoned.into_inner());
-        moments.mean.iter_mut().zip(mean).for_each(|(r, &m)| *r = (1.0 - momentum) * *r + momentum * m);
-        let variances = moments.variance.iter_mut().zip(variance);
+        moments.mean.iter_mut().zip(&batch.mean).for_each(|(r, &m)| *r = (1.0 - momentum) * *r + momentum * m);
+        let variances = moments.variance.iter_mut().zip(&batch.variance);
         variances.for_each(|(r, &v)| *r = (1.0 - momentum) * *r + momentum * v * unbiased);
     }
 }
@@ -262,7 +262,7 @@ impl BatchNorm {
     }
 
     /// Mean and biased variance of each channel, in f64 over blocks (Chan, Golub and LeVeque, 1979).
-    fn moments(&self, input: &[f32], channels: usize) -> (Vec<f32>, Vec<f32>) {
+    fn moments(&self, input: &[f32], channels: usize) -> Moments {
         let block = (BLOCK / channels).max(1) * channels;
         let pattern = repeated(&vec![0.0; channels]).len();
         let partials: Vec<(usize, Vec<f32>, Vec<f32>)> = input
@@ -286,7 +286,7 @@ impl BatchNorm {
             count = total;
         }
         let variance = square.iter().map(|s| (s / count) as f32).collect();
-        (mean.iter().map(|&m| m as f32).collect(), variance)
+        Moments { mean: mean.iter().map(|&m| m as f32).collect(), variance }
     }
 }
 
@@ -299,11 +299,8 @@ impl Operation for BatchNorm {
         let channels = self.channels(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let count = input.values.len() / channels;
-        let (mean, variance) = match self.mode {
-            BatchNormMode::Evaluation => {
-                let Moments { mean, variance } = self.statistics.moments();
-                (mean, variance)
-            }
+        let Moments { mean, variance } = match self.mode {
+            BatchNormMode::Evaluation => self.statistics.moments(),
             BatchNormMode::Training if count < 2 => {
                 bail!(
                     "{NAME}: expected more than one value for each channel in training, got input {:?}: a single value \
@@ -312,9 +309,9 @@ impl Operation for BatchNorm {
                 );
             }
             BatchNormMode::Training => {
-                let (mean, variance) = self.moments(input.values, channels);
-                self.statistics.update(&mean, &variance, count);
-                (mean, variance)
+                let moments = self.moments(input.values, channels);
+                self.statistics.update(&moments, count);
+                moments
             }
         };
         let epsilon = f64::from(self.statistics.constants.epsilon);

@@ -1,9 +1,8 @@
 //! Entry of a model card on the adaptation of the model.
 
-use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-const CLASSES: usize = Occupancy::ALL.len();
+use crate::metrics::CLASSES;
 
 /// Balanced accuracies over recordings, frame by frame and behind the occupancy filter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

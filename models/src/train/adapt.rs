@@ -25,9 +25,10 @@ use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
 
 use crate::dataset::{Dataset, Split, SplitSpec};
+use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value};
-use recording::{CLASSES, MOST_FRAMES};
+use recording::MOST_FRAMES;
 use tail::{Confusions, Tail, empty_strength, last_node, shows_people};
 
 mod error;

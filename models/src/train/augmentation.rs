@@ -14,6 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::error::{TrainError, check_setting};
+use crate::metrics::CLASSES;
 use crate::random::stream;
 use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
 
@@ -27,8 +28,6 @@ const MOST_BINS: usize = 256;
 const MOST_SWAY_DB: f32 = 60.0;
 /// Largest number of draws of a map of another sequence.
 const TRIES: usize = 16;
-/// Number of classes.
-const CLASSES: usize = radome_dsp::Occupancy::ALL.len();
 
 /// Settings of the changes made to a training map each time it is used; none by default.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

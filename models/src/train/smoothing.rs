@@ -121,8 +121,8 @@ mod tests {
     use rand::Rng;
 
     use super::*;
+    use crate::metrics::CLASSES;
 
-    const CLASSES: usize = Occupancy::ALL.len();
     /// Probability of the class that a frame says to be the truth.
     const RIGHT: f64 = 0.5;
 

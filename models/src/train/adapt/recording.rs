@@ -2,7 +2,8 @@
 
 use radome_dsp::Occupancy;
 
-pub(super) const CLASSES: usize = Occupancy::ALL.len();
+use crate::metrics::CLASSES;
+
 /// Longest time that a frame counts for, s. A frame counts for the time since the frame before it, as in the occupancy
 /// filter.
 const INDEPENDENT_S: f64 = 1.0;

@@ -4,9 +4,9 @@ use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
 
 use super::error::AdaptError;
-use super::recording::{AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES};
+use super::recording::{AdaptFrame, AdaptRecording, MOST_FRAMES};
 use crate::layer::{backward, softmax};
-use crate::metrics::{Confusion, Metrics, add_confusion, most_probable};
+use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion, most_probable};
 use crate::model::Scores;
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
