@@ -30,19 +30,21 @@ fn batch_norm_agrees_with_the_reference_and_with_finite_differences() {
         let forward = |x: &[f64], w: &[f64], b: &[f64]| -> Vec<f64> {
             reference::batch_norm(x, w, b, epsilon).0.into_iter().map(|v| activated(act, v)).collect()
         };
-        let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
         let (_, mean, variance) = reference::batch_norm(&xd, &wd, &bd, epsilon);
         for level in KernelLevel::ALL {
             let constants = BatchNormConstants { epsilon: epsilon as f32, momentum: 0.1 };
             let statistics = RunningStatistics::new(channels, constants);
             let (input, weight, bias) = (var(&x, &dims), var(&w, &[channels]), var(&b, &[channels]));
-            let run = |mode| batch_norm(&input, &weight, &bias, &statistics, mode, act, level).expect("forward");
-            let out = run(BatchNormMode::Training);
-            close("output", &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
-            let got = gradients(&out, &upstream, [&input, &weight, &bias]);
-            close("dx", &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
-            close("dw", &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
-            close("db", &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
+            let check = |mode: BatchNormMode, forward: &dyn Fn(&[f64], &[f64], &[f64]) -> Vec<f64>| {
+                let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
+                let out = batch_norm(&input, &weight, &bias, &statistics, mode, act, level).expect("forward");
+                close(&format!("output, {mode:?}"), &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
+                let got = gradients(&out, &upstream, [&input, &weight, &bias]);
+                close(&format!("dx, {mode:?}"), &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
+                close(&format!("dw, {mode:?}"), &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
+                close(&format!("db, {mode:?}"), &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
+            };
+            check(BatchNormMode::Training, &forward);
             // PyTorch: a tenth of the way, and the running variance is unbiased.
             let n = (count / channels) as f64;
             let want: Vec<f64> = mean.iter().map(|m| 0.1 * m).collect();
@@ -61,13 +63,7 @@ fn batch_norm_agrees_with_the_reference_and_with_finite_differences() {
                 };
                 x.iter().enumerate().map(normal).map(|v| activated(act, v)).collect()
             };
-            let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
-            let out = run(BatchNormMode::Evaluation);
-            close("evaluated", &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
-            let got = gradients(&out, &upstream, [&input, &weight, &bias]);
-            close("evaluated dx", &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
-            close("evaluated dw", &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
-            close("evaluated db", &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
+            check(BatchNormMode::Evaluation, &forward);
         }
     }
 }
