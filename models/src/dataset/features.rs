@@ -137,16 +137,15 @@ pub fn features(dataset: &Dataset, indices: &[usize]) -> Result<Features, Featur
             of_class[row.label.index()].push(map);
         }
     }
-    let mut noise_lsb = vec![f64::NAN; range];
     let one_lsb = one_lsb(dataset)?;
     let quiet: Vec<&MapFeatures> = match of_class[Occupancy::Empty.index()].as_slice() {
         [] => of_class.iter().flatten().collect(),
         empty => empty.iter().collect(),
     };
-    for (bin, lsb) in noise_lsb.iter_mut().enumerate() {
+    let noise_of = |bin: usize| {
         let powers = quiet.iter().filter_map(|map| map.noise.get(bin).copied()).collect();
-        *lsb = Spread::of(powers).map_or(f64::NAN, |spread| (spread.median / one_lsb).sqrt());
-    }
+        Spread::of(powers).map_or(f64::NAN, |spread| (spread.median / one_lsb).sqrt())
+    };
     let classes = Occupancy::ALL.into_iter().filter(|class| maps[class.index()] > 0);
     let classes = classes.map(|class| {
         let seen = &of_class[class.index()];
@@ -166,7 +165,7 @@ pub fn features(dataset: &Dataset, indices: &[usize]) -> Result<Features, Featur
             speed_m_per_s: of_people(|map| map.speed_m_per_s),
         }
     });
-    Ok(Features { noise_lsb, classes: classes.collect() })
+    Ok(Features { noise_lsb: (0..range).map(noise_of).collect(), classes: classes.collect() })
 }
 
 fn db(power: f64) -> f64 {

@@ -59,9 +59,7 @@ impl Circuit {
         let mut probabilities = if self.spec.noise.is_depolarising() {
             noise::probabilities(self, angles)
         } else {
-            let mut work = Workspace::new(self);
-            work.run(self, angles);
-            work.probabilities()
+            Workspace::run(self, angles).probabilities()
         };
         noise::read_out(&mut probabilities, self.spec.noise.readout_flip);
         probabilities
@@ -166,9 +164,7 @@ impl Circuit {
         if self.spec.noise.is_depolarising() {
             return noise::gradient(self, angles, &read);
         }
-        let mut work = Workspace::new(self);
-        work.run(self, angles);
-        work.gradient(self, angles, &read)
+        Workspace::run(self, angles).gradient(self, angles, &read)
     }
 
     /// Derivatives as hardware measures them, `[observable][gate]`.

@@ -23,31 +23,28 @@ pub(super) struct Workspace {
 }
 
 impl Workspace {
-    pub(super) fn new(circuit: &Circuit) -> Self {
+    /// Runs the circuit.
+    pub(super) fn run(circuit: &Circuit, angles: &[f64]) -> Self {
         let length = 2 << circuit.qubits();
-        Workspace {
+        let mut work = Workspace {
             qubits: circuit.qubits(),
             state: vec![0.0; length],
             adjoint: Vec::new(),
             scratch: vec![0.0; length],
             phases: vec![0.0; length],
-        }
+        };
+        forward(&mut work, circuit, angles);
+        work
     }
 
-    /// Runs the circuit.
-    pub(super) fn run(&mut self, circuit: &Circuit, angles: &[f64]) {
-        forward(self, circuit, angles);
-    }
-
-    /// Probability of each outcome, after [`Workspace::run`].
+    /// Probability of each outcome.
     pub(super) fn probabilities(&self) -> Vec<f64> {
         let (re, im) = self.state.split_at(self.state.len() / 2);
         re.iter().zip(im).map(|(re, im)| re * re + im * im).collect()
     }
 
-    /// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`. It reverts the state, so it is
-    /// called once after [`Workspace::run`].
-    pub(super) fn gradient(&mut self, circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
+    /// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`.
+    pub(super) fn gradient(mut self, circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
         let mut weights = vec![cotangent.iter().sum::<f64>()];
         for g in cotangent.iter().rev() {
             let ones: Vec<f64> = weights.iter().map(|w| w - 2.0 * g).collect();
@@ -56,7 +53,7 @@ impl Workspace {
         self.adjoint =
             self.state.chunks(weights.len()).flat_map(|part| part.iter().zip(&weights)).map(|(a, w)| a * w).collect();
         let mut gradient = vec![0.0; angles.len()];
-        backward(self, circuit, angles, &mut gradient);
+        backward(&mut self, circuit, angles, &mut gradient);
         gradient
     }
 }

@@ -10,7 +10,7 @@ use crate::train::EpochReport;
 pub const FAILED_BELOW: f64 = 0.45;
 
 /// One training and its evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// Name of the variant.
     pub variant: String,
@@ -26,7 +26,7 @@ pub struct Job {
 }
 
 /// Outcome of a job.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
     /// The job.
     pub job: Job,

@@ -390,20 +390,9 @@ impl<'a> Study<'a> {
         let network = spec.network_spec();
         let mut outcome = Outcome {
             job: job.clone(),
-            error: None,
-            training: 0.0,
-            validation: None,
-            test: None,
-            noisy: Vec::new(),
-            epochs_to_target: None,
-            seconds_to_target: None,
-            curve: Vec::new(),
-            training_seconds: 0.0,
-            training_cost: Cost::default(),
-            label_cost: Cost::default(),
-            latency_ms: 0.0,
             parameters: network.parameter_count(),
             multiply_adds: network.multiply_adds(rows, columns),
+            ..Outcome::default()
         };
         let meter = Meter::start();
         let trained = match self.train_or_restart(job, &spec, tell) {
