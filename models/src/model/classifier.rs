@@ -183,9 +183,10 @@ impl Classifier {
         shape: RdmShape,
         sequence: u64,
     ) -> Result<Vec<f32>, ClassifyError> {
-        self.check_unlabelled()?;
-        self.check_sequence(db, shape, sequence)?;
-        self.input(db, shape, None)
+        if self.card.standardisation.needs_labels() {
+            return Err(ClassifyError::NeedsLabels);
+        }
+        self.input(db, shape, sequence, None)
     }
 
     /// Returns the model; `None` for ONNX files.
@@ -202,9 +203,8 @@ impl Classifier {
     /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails or
     /// puts out a number that is not finite.
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
-        self.check_unlabelled()?;
-        self.check_sequence(&map.db, map.shape, map.sequence)?;
-        self.run(&map.db, map.shape, None)
+        let input = self.unlabelled_input(&map.db, map.shape, map.sequence)?;
+        self.run(&map.db, &input)
     }
 
     /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take
@@ -213,40 +213,14 @@ impl Classifier {
     /// # Errors
     /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
-        self.check_sequence(db, shape, row.frame)?;
-        self.run(db, shape, Some((&row.scene, row.label)))
+        let input = self.input(db, shape, row.frame, Some((&row.scene, row.label)))?;
+        self.run(db, &input)
     }
 
-    fn check_unlabelled(&self) -> Result<(), ClassifyError> {
-        if self.card.standardisation.needs_labels() { Err(ClassifyError::NeedsLabels) } else { Ok(()) }
-    }
-
-    fn expected_shape(&self) -> RdmShape {
-        let card = &self.card;
-        let [_, rows, columns] = card.input_shape;
-        let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
-        RdmShape { rx: 1, doppler, range }
-    }
-
-    fn check_sequence(&self, db: &[f32], got: RdmShape, sequence: u64) -> Result<(), ClassifyError> {
-        let expected = self.expected_shape();
-        if got != expected || db.len() != expected.cells() {
-            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
-        }
-        match db.iter().position(|v| !v.is_finite()) {
-            Some(first) => {
-                let cells = db.iter().filter(|v| !v.is_finite()).count();
-                Err(ClassifyError::NonFinite { sequence, cells, first })
-            }
-            None => Ok(()),
-        }
-    }
-
-    /// Probabilities of a map that passed the checks.
-    fn run(&mut self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
-        let input = self.input(db, shape, of)?;
+    /// Probabilities of a map by the network's input for it.
+    fn run(&mut self, db: &[f32], input: &[f32]) -> Result<[f32; 3], ClassifyError> {
         let [_, rows, columns] = self.card.input_shape;
-        let logits = self.engine.logits(&input, rows, columns)?;
+        let logits = self.engine.logits(input, rows, columns)?;
         let probabilities = softmax(&logits, self.card.temperature);
         match probabilities.as_slice() {
             &[p, q, r] if [p, q, r].iter().all(|v| v.is_finite()) => Ok([p as f32, q as f32, r as f32]),
@@ -255,11 +229,27 @@ impl Classifier {
     }
 
     /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
-    fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Vec<f32>, ClassifyError> {
-        let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
-        let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
-        self.card.standardisation.apply(&mut input, shape.doppler, of);
-        Ok(if self.card.is_transposed() { transposed(&input, shape.doppler) } else { input })
+    fn input(
+        &self,
+        db: &[f32],
+        got: RdmShape,
+        sequence: u64,
+        of: Option<(&str, Occupancy)>,
+    ) -> Result<Vec<f32>, ClassifyError> {
+        let card = &self.card;
+        let [_, rows, columns] = card.input_shape;
+        let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
+        let expected = RdmShape { rx: 1, doppler, range };
+        let fitting = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
+        let Some(mut input) = fitting else {
+            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
+        };
+        if let Some(first) = db.iter().position(|v| !v.is_finite()) {
+            let cells = db.iter().filter(|v| !v.is_finite()).count();
+            return Err(ClassifyError::NonFinite { sequence, cells, first });
+        }
+        card.standardisation.apply(&mut input, doppler, of);
+        Ok(if card.is_transposed() { transposed(&input, doppler) } else { input })
     }
 }
 
