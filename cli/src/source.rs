@@ -286,7 +286,7 @@ fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
-    match Detected::open_at(address, options.waveform.as_ref())? {
+    match Detected::open(address, options.waveform.as_ref())? {
         Detected::Mcu7(board, left) => {
             let Some(waveform) = options.to_program().or(left.as_ref()) else {
                 bail!(

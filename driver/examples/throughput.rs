@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pace = if times > 0.0 { Pace::RealTime(times) } else { Pace::AsFastAsRead };
     let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
     let board = EmulatedBoard::spawn(Box::new(Same { waveform: waveform.clone(), next: 0 }), options)?;
-    let mut stream = Mcu7Board::open(board.path())?.start(&waveform)?;
+    let mut stream = Mcu7Board::open(board.address())?.start(&waveform)?;
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut received, mut lost) = (0, 0);
     let (start, start_thread) = (Instant::now(), thread_time()?);

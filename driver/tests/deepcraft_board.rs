@@ -420,7 +420,7 @@ mod hard_cases {
                     let mut frame = Frame::zeroed(w.shape());
                     while stream.next_frame(&mut frame).expect("lines") != SourceEvent::Frame {}
                 }
-                _ => drop(radome_driver::Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts")),
+                _ => drop(radome_driver::Mcu7Board::open(board.address()).expect("opens").start(&w).expect("starts")),
             }
         }
     }

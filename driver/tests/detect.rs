@@ -10,7 +10,7 @@ fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
         let board = board(&w, 20, kind, &[]);
-        let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
+        let Detected::Mcu7(_, left) = Detected::open(board.address(), None).expect("answers") else {
             panic!("another kind of board");
         };
         let left = left.expect("programmed");
@@ -23,7 +23,7 @@ fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
 fn a_psoc_kit_tells_what_it_is_set_to() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
     let board = board(&w, 20, Kind::Deepcraft, &[]);
-    let Detected::Deepcraft(client) = Detected::open(board.path(), None).expect("answers") else {
+    let Detected::Deepcraft(client) = Detected::open(board.address(), None).expect("answers") else {
         panic!("another kind of board");
     };
     let left = client.configured_waveform().expect("a waveform");
@@ -37,7 +37,7 @@ fn a_psoc_kit_tells_what_it_is_set_to() {
 fn a_board_that_prints_is_heard_from_its_first_frame_on() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let board = board(&w, 20, Kind::Esp32, &[]);
-    let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+    let Detected::Esp32(mut stream) = Detected::open(board.address(), None).expect("speaks") else {
         panic!("another kind of board");
     };
     assert_eq!(stream.waveform(), &w);
@@ -59,9 +59,9 @@ mod hard_cases {
     fn a_board_that_prints_can_be_opened_again() {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, 20, Kind::Esp32, &[]);
-        drop(Detected::open(board.path(), None).expect("speaks"));
+        drop(Detected::open(board.address(), None).expect("speaks"));
         std::thread::sleep(std::time::Duration::from_millis(50));
-        let Detected::Esp32(mut stream) = Detected::open(board.path(), Some(&w)).expect("speaks") else {
+        let Detected::Esp32(mut stream) = Detected::open(board.address(), Some(&w)).expect("speaks") else {
             panic!("another kind of board");
         };
         assert_eq!(stream.next_frame(&mut Frame::zeroed(w.shape())).expect("frame"), SourceEvent::Frame);
@@ -72,7 +72,7 @@ mod hard_cases {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, 20, Kind::Esp32, &[Fault::Stall(0)]);
         // The board prints its banner and waveform but no frame.
-        let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+        let Detected::Esp32(mut stream) = Detected::open(board.address(), None).expect("speaks") else {
             panic!("another kind of board");
         };
         let error = stream.next_frame(&mut Frame::zeroed(w.shape())).expect_err("silent");
@@ -82,7 +82,7 @@ mod hard_cases {
     #[test]
     fn a_foreign_chip_is_named_whoever_asks() {
         let board = board(&waveform(&[1], 16, 32, 0.05), 20, Kind::Mcu7V4, &[Fault::ForeignChip(0x504)]);
-        let error = Detected::open(board.path(), None).err().expect("refused");
+        let error = Detected::open(board.address(), None).err().expect("refused");
         assert!(matches!(error, BoardError::OtherChip { chip: "BGT60ATR24C", .. }), "{error}");
     }
 }

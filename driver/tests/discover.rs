@@ -200,7 +200,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
         let candidate = candidate_at(&machine, &board);
         let state = ask(&candidate, false);
         // The port is busy while another client holds it.
-        let held = radome_driver::Mcu7Board::open(board.path());
+        let held = radome_driver::Mcu7Board::open(board.address());
         assert!(held.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
         state
     };
@@ -236,7 +236,7 @@ fn ports_of_unknown_devices_are_asked_in_every_protocol_if_that_is_wanted() {
 
 /// Waveform that the chip holds for the next client.
 fn left(board: &EmulatedBoard) -> Option<Waveform> {
-    let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
+    let Detected::Mcu7(_, left) = Detected::open(board.address(), None).expect("answers") else {
         panic!("another kind of board")
     };
     left
@@ -251,11 +251,11 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
         let board = common::board(&waveform, 1000, kind, &[]);
         // Opening without starting resets the chip, so that the waveform below cannot be the emulator's initial one.
-        let opened = Mcu7Board::open(board.path()).expect("opens");
+        let opened = Mcu7Board::open(board.address()).expect("opens");
         let identity = opened.identity().clone();
         drop(opened);
         assert_eq!(left(&board), None);
-        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
         drop(stream);

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{
-    BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board, Pace,
+    Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board,
+    Pace,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
@@ -74,14 +75,13 @@ fn frames_of_any_shape_arrive_bit_exact() {
 }
 
 #[test]
-fn identity_and_registers_are_read_as_from_the_real_board() {
+fn the_identity_is_read_as_from_the_real_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
-    let mut client = Mcu7Board::open(board.path()).expect("opens");
-    let identity = client.identity().clone();
-    assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0251));
+    let client = Mcu7Board::open(board.address()).expect("opens");
+    let identity = client.identity();
+    assert_eq!((identity.vendor_id, identity.product_id, identity.chip_id), (0x058B, 0x0251, 0x303));
     assert_eq!((identity.chip.as_str(), identity.firmware_version.as_str()), ("BGT60TR13C", "2.9.0"));
-    assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
 }
 
 /// Asserts that the client uses version 3 with a board that refuses the codes of version 4.
@@ -102,10 +102,10 @@ fn boards_of_protocol_3_measure_as_well() {
 fn stream_can_be_stopped_and_started_again() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
-    let client = start_and_stop(Mcu7Board::open(board.path()).expect("opens"), &waveform);
+    let client = start_and_stop(Mcu7Board::open(board.address()).expect("opens"), &waveform);
     // Dropping a running stream leaves a board that can be opened again.
     drop(client.start(&waveform).expect("starts"));
-    Mcu7Board::open(board.path()).expect("opens again");
+    Mcu7Board::open(board.address()).expect("opens again");
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
     let source = Box::new(Pattern::new(own.clone(), u64::MAX));
     let feed = Feed::of_any_waveform(source, |waveform, _| Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))));
     let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
-    let mut client = Mcu7Board::open(board.path()).expect("opens");
+    let mut client = Mcu7Board::open(board.address()).expect("opens");
     for (antennas, chirps, samples, interval_s) in
         [(&[1u8, 2, 3][..], 8, 64, 0.1), (&[1, 2, 3], 16, 32, 0.1), (&[2], 8, 64, 0.05), (&[1, 3], 4, 128, 0.05)]
     {
@@ -182,7 +182,7 @@ fn a_source_that_is_repeated_begins_again() {
     let (source, again) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
     let feed = Feed::reopenable(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
     let board = EmulatedBoard::spawn(feed, EmulatorOptions { repeat: true, ..options(&[]) }).expect("spawns");
-    let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts");
+    let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&w).expect("starts");
     let mut frame = Frame::zeroed(w.shape());
     let mut expected = frame.clone();
     for sequence in 0..40 {
@@ -351,7 +351,7 @@ mod hard_cases {
         let source = Pattern::new(own.clone(), u64::MAX);
         let board = EmulatedBoard::spawn(Box::new(source), options(&[])).expect("spawns");
         let other = waveform(&[1, 2, 3], 16, 64, 0.1);
-        let client = Mcu7Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&other).expect("answered as by a real board");
         let mut frame = Frame::zeroed(other.shape());
         let error = stream.next_frame(&mut frame).expect_err("no frames");
@@ -376,7 +376,7 @@ mod hard_cases {
             }
         });
         let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
-        let mut client = Mcu7Board::open(board.path()).expect("opens");
+        let mut client = Mcu7Board::open(board.address()).expect("opens");
         for (chirps, frames) in [(16, false), (8, true), (16, false), (4, true), (8, true)] {
             let wanted = waveform(&[1, 2, 3], chirps, 64, 0.1);
             let mut frame = Frame::zeroed(wanted.shape());
@@ -407,7 +407,7 @@ mod hard_cases {
             });
             let taken = boards.iter().filter(|board| matches!(board, Err(EmulatorError::LinkTaken { .. }))).count();
             assert_eq!((boards.iter().filter(|board| board.is_ok()).count(), taken), (1, 7));
-            Mcu7Board::open(&link).expect("the one that has it");
+            Mcu7Board::open(&Address::Serial(link.clone())).expect("the one that has it");
             drop(boards);
             assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
         }
@@ -430,14 +430,14 @@ mod hard_cases {
         let open = |fault| {
             let source = Pattern::new(waveform(&[1], 8, 64, 0.1), 1);
             let board = EmulatedBoard::spawn(Box::new(source), options(&[fault])).expect("spawns");
-            Mcu7Board::open(board.path()).err().expect("refused")
+            Mcu7Board::open(board.address()).err().expect("refused")
         };
         assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
         assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
         assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
         let error = open(Fault::WrongVersion(5)).to_string();
         assert!(error.contains("protocol 5.0"), "{error}");
-        let missing = Mcu7Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
+        let missing = Mcu7Board::open(&Address::Serial("/dev/no-such-port".into())).err().expect("absent");
         assert!(missing.to_string().contains("/dev/no-such-port"));
     }
 
@@ -445,7 +445,7 @@ mod hard_cases {
     fn a_silent_board_is_a_stall_not_a_hang() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 2)), options(&[])).expect("spawns");
-        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
@@ -465,6 +465,6 @@ mod hard_cases {
         std::io::Write::write_all(&mut port, &[0xC1, 0x80, 0, 0, 0, 0, 0x20, 0, 0x12, 0x34]).expect("writes");
         std::thread::sleep(Duration::from_millis(50));
         drop(port);
-        Mcu7Board::open(board.path()).expect("answers");
+        Mcu7Board::open(board.address()).expect("answers");
     }
 }

@@ -58,7 +58,7 @@ fn is_told(error: &SourceError) {
 fn a_board_on_a_serial_port_or_with_bulk_transfers() {
     for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
         is_told(&lost(kind, |board, waveform| {
-            let client = Mcu7Board::open_at(board.address()).expect("opens");
+            let client = Mcu7Board::open(board.address()).expect("opens");
             Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
         }));
     }
@@ -125,7 +125,7 @@ fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
 fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_stopped() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut board = EmulatedBoard::spawn(failing(false), options(Kind::Mcu7V4, folder.path())).expect("spawns");
-    let client = Mcu7Board::open(board.path()).expect("opens");
+    let client = Mcu7Board::open(board.address()).expect("opens");
     let mut stream = client.start(board.waveform()).expect("starts");
     let mut frame = Frame::zeroed(board.waveform().shape());
     for _ in 0..5 {
@@ -135,6 +135,6 @@ fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_sto
     assert!(board.failure().is_some_and(|reason| reason.contains("chunk 3 is damaged")), "{:?}", board.failure());
     // The board still answers.
     drop(stream);
-    assert!(Mcu7Board::open(board.path()).is_ok());
+    assert!(Mcu7Board::open(board.address()).is_ok());
     board.stop();
 }

@@ -31,7 +31,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
         let duration = Duration::from_millis(100);
         let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
         let board = board(&waveform, &faults, Some(folder.path()));
-        let client = Mcu7Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, frames[2] as usize + 20, |_| {});
         assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
@@ -42,7 +42,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 fn a_board_that_stalls_is_started_anew() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = board(&waveform, &[Fault::Stall(4)], None);
-    let client = Mcu7Board::open(board.path()).expect("opens");
+    let client = Mcu7Board::open(board.address()).expect("opens");
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
     let gaps = read_frames(&mut stream, 10, |_| {});
     assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
@@ -58,7 +58,7 @@ fn lost_alignment_is_found_by_starting_anew() {
     for by in [1, 2, 3, 5] {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
         let board = board(&waveform, &[fault], None);
-        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let gaps = read_frames(&mut stream, 5, |_| {});
         // A middle packet may be mistaken for another one, but the last packet of its slice may not.
         assert!((1..=2).contains(&gaps.len()), "{gaps:?}");
@@ -84,7 +84,7 @@ mod hard_cases {
     fn packets_in_the_wrong_order_cost_their_frames_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = board(&small, &[Fault::ReorderPacket(3)], None);
-        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&small).expect("starts");
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&small).expect("starts");
         let gaps = read_frames(&mut stream, 8, |_| {});
         assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
     }
@@ -105,7 +105,7 @@ mod hard_cases {
             Fault::DropPacket(200),
         ];
         let board = board(&waveform, &faults, Some(folder.path()));
-        let client = Mcu7Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, 250, |_| {});
         use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
@@ -122,7 +122,7 @@ mod hard_cases {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };
         let board = board(&waveform, &[fault], Some(folder.path()));
-        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         read_frames(&mut stream, 10, |_| {});
         let error = first_error(&mut stream, &waveform);
         assert!(error.to_string().contains("connection broke"), "{error}");

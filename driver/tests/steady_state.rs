@@ -31,7 +31,7 @@ fn the_client_allocates_nothing_per_frame() {
     for (antennas, chirps, samples) in [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 128, 256), (&[3], 3, 33)] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
         let board = board(&waveform, u64::MAX, Kind::default(), &[]);
-        assert_steady(&mut Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts"));
+        assert_steady(&mut Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts"));
     }
 }
 

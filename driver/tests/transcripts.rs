@@ -10,7 +10,7 @@ use std::time::Duration;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
 use radome_driver::protocol::mcu7::{Command, Protocol, Request, SpiWord};
-use radome_driver::{EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
+use radome_driver::{Address, EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::{SerialPort, TTYPort};
 
@@ -206,7 +206,8 @@ fn our_session(transcript: &[Message], protocol: Protocol) -> Vec<Vec<u8>> {
     let waveform = programmed(transcript);
     let board = emulated(waveform.clone(), protocol);
     let tap = Tap::on(&board);
-    let mut stream = Mcu7Board::open(&tap.path).expect("opens").start(&waveform).expect("starts");
+    let client = Mcu7Board::open(&Address::Serial(tap.path.clone())).expect("opens");
+    let mut stream = client.start(&waveform).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     for _ in 0..3 {
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);

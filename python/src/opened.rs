@@ -185,7 +185,7 @@ fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
 }
 
 fn board(address: &Address, options: &Options) -> Outcome<Opened> {
-    match Detected::open_at(address, options.waveform.as_ref())? {
+    match Detected::open(address, options.waveform.as_ref())? {
         Detected::Mcu7(board, left) => {
             let waveform = options.waveform.as_ref().or(left.as_ref());
             let waveform =

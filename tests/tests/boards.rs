@@ -4,6 +4,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
 use radome_tests::{failure, fixture, json_lines, radome, simulate, subcommand};
@@ -137,7 +138,7 @@ mod hard_cases {
 fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     let (_board, port) = emulated_board(&fixture("scenes/corridor.toml"), &[]);
     // Opening the board resets its chip.
-    drop(radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board"));
+    drop(Mcu7Board::open(&Address::Serial((&port).into())).expect("a board"));
     let live = |model: &str, more: &[&str]| {
         let mut command = radome();
         command.args(["live", &format!("serial:{port}"), "--frames", "5", "--json", "--model", model]).args(more);
@@ -215,7 +216,7 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
     desk(60, &fed);
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let (other, _) = other_waveform(folder.path());
-    let client = radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board");
+    let client = Mcu7Board::open(&Address::Serial((&port).into())).expect("a board");
     let mut stream = client.start(&other).expect("a real board starts as well");
     stream.next_frame(&mut Frame::zeroed(other.shape())).expect_err("no frames");
     let said = board.stderr.find(0, "a word", |line| line.contains("sends no frames").then(|| line.to_owned()));
@@ -241,7 +242,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     client.signal("TERM");
     client.wait();
     // The board still answers.
-    radome_driver::Mcu7Board::open(Path::new(&port)).expect("answers");
+    Mcu7Board::open(&Address::Serial((&port).into())).expect("answers");
     assert_eq!(board.stderr.all().iter().filter(|line| line.contains("has ended")).count(), 1);
 
     let (board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);

@@ -20,12 +20,10 @@ const ENOUGH: usize = 256;
 /// Board found on a serial port.
 ///
 /// ```no_run
-/// use std::path::Path;
-///
-/// use radome_driver::Detected;
+/// use radome_driver::{Address, Detected};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
-/// match Detected::open(Path::new("/dev/ttyACM0"), None)? {
+/// match Detected::open(&Address::Serial("/dev/ttyACM0".into()), None)? {
 ///     Detected::Mcu7(board, _) => println!("{}", board.identity().name),
 ///     Detected::Deepcraft(board) => println!("{}", board.identity().name),
 ///     Detected::Esp32(_) => println!("a board that prints its frames"),
@@ -43,28 +41,18 @@ pub enum Detected {
 }
 
 impl Detected {
-    /// Opens a port and detects the board on it. A board that prints its frames has one fixed waveform: `waveform` if
-    /// given, else the one that the board states.
+    /// Opens the board at an address: on a serial port the kind that is detected, on USB the only supported kind. A
+    /// board that prints its frames has one fixed waveform: `waveform` if given, else the one that the board states.
     ///
     /// # Errors
     /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
     /// The requests sent do not harm a board of another protocol.
-    pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
+    pub fn open(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
+        let Address::Serial(path) = address else { return Detected::mcu7(address) };
         if let Some((port, heard)) = printing(path)? {
             return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
         asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board)))
-    }
-
-    /// Opens the board at an address: on a serial port like [`Detected::open`], on USB as the only supported kind.
-    ///
-    /// # Errors
-    /// Those of [`Detected::open`].
-    pub fn open_at(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
-        match address {
-            Address::Serial(port) => Detected::open(port, waveform),
-            Address::Usb(_) => Detected::mcu7(address),
-        }
     }
 
     fn mcu7(address: &Address) -> Result<Detected, BoardError> {

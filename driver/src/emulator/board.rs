@@ -34,7 +34,7 @@ use crate::transport::{Address, UsbAddress};
 /// let source = recording::open(Path::new("night.mcap"))?;
 /// let waveform = source.waveform().clone();
 /// let board = EmulatedBoard::spawn(source, EmulatorOptions::default())?;
-/// let mut stream = Mcu7Board::open_at(board.address())?.start(&waveform)?;
+/// let mut stream = Mcu7Board::open(board.address())?.start(&waveform)?;
 /// let mut frame = Frame::zeroed(waveform.shape());
 /// stream.next_frame(&mut frame)?;
 /// # Ok(())

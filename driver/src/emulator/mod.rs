@@ -2,7 +2,7 @@
 //! [`FrameSource`](radome_dsp::FrameSource), or frames made for the waveform that a client programs ([`Feed`]).
 //!
 //! It answers and sends as the firmware does, so that any client of the board can open [`EmulatedBoard::path`]
-//! ([`Mcu7Board::open_at`](crate::Mcu7Board::open_at) at [`EmulatedBoard::address`]). There are two differences. The
+//! ([`Mcu7Board::open`](crate::Mcu7Board::open) at [`EmulatedBoard::address`]). There are two differences. The
 //! board sends no frames for a waveform that the source does not have ([`EmulatedBoard::refusal`] holds the reason). It
 //! also refuses a slice that would trigger a known firmware bug. Frames that the source itself lacks appear as lost
 //! packets. The size of the board's buffer beyond the chip's FIFO is assumed from its memory (192 KiB).

@@ -62,7 +62,7 @@ impl EmulatedSource {
         let waveform = source.waveform().clone();
         let (sender, truths) = unbounded();
         let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
-        let client = Mcu7Board::open_at(board.address())?;
+        let client = Mcu7Board::open(board.address())?;
         let identity = client.identity().clone();
         Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
     }

@@ -86,7 +86,7 @@ impl Client {
                 Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
             }
             _ => Client::Board(Box::new(
-                Mcu7Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY),
+                Mcu7Board::open(board.address())?.start(&job.waveform)?.with_reconnect(POLICY),
             )),
         })
     }

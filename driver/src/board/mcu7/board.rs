@@ -7,20 +7,17 @@ use radome_dsp::Waveform;
 use super::handshake::{self, Handshake};
 use super::link::Link;
 use crate::board::{BoardError, BoardIdentity};
-use crate::chip::{ChipConfiguration, SpiWord};
-use crate::protocol::mcu7::Command;
+use crate::chip::ChipConfiguration;
 use crate::transport::Address;
 
 /// Radar Baseboard MCU7 that has been identified and does not measure.
 ///
 /// ```no_run
-/// use std::path::Path;
-///
-/// use radome_driver::{Mcu7Board, Reconnect};
+/// use radome_driver::{Address, Mcu7Board, Reconnect};
 /// use radome_dsp::{Frame, FrameSource, Waveform, WaveformRequest};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
-/// let board = Mcu7Board::open(Path::new("/dev/ttyACM0"))?;
+/// let board = Mcu7Board::open(&Address::Serial("/dev/ttyACM0".into()))?;
 /// let waveform = Waveform::realise(WaveformRequest::paper())?;
 /// let mut stream = board.start(&waveform)?.with_reconnect(Reconnect::default());
 /// let mut frame = Frame::zeroed(waveform.shape());
@@ -47,25 +44,17 @@ impl Mcu7Board {
         Handshake::exchange(&mut link)?.identity(&mut link, handshake::read_chip_id)
     }
 
-    /// Opens a serial port, reads the identity of the board and resets the chip, as the vendor's client does.
+    /// Opens a board, reads its identity and resets the chip, as the vendor's client does.
     ///
     /// # Errors
     /// Those of [`Mcu7Board::identity_at`].
-    pub fn open(path: &Path) -> Result<Mcu7Board, BoardError> {
-        Mcu7Board::open_at(&Address::Serial(path.into()))
-    }
-
-    /// Opens a board like [`Mcu7Board::open`], on a serial port or on USB.
-    ///
-    /// # Errors
-    /// Those of [`Mcu7Board::identity_at`].
-    pub fn open_at(address: &Address) -> Result<Mcu7Board, BoardError> {
+    pub fn open(address: &Address) -> Result<Mcu7Board, BoardError> {
         let mut link = Link::open(address)?;
         let handshake = Handshake::exchange(&mut link)?;
         Mcu7Board::reset(link, handshake)
     }
 
-    /// Opens a board like [`Mcu7Board::open_at`], and reads the waveform that the chip was programmed with before;
+    /// Opens a board like [`Mcu7Board::open`], and reads the waveform that the chip was programmed with before;
     /// `None` if it has not been programmed since power-up.
     ///
     /// # Errors
@@ -97,15 +86,5 @@ impl Mcu7Board {
     /// Address under which the board is found when it has been plugged in again.
     pub fn address(&self) -> &Address {
         &self.link.address
-    }
-
-    /// Reads registers one by one; returns 24-bit contents in the order of `addresses`.
-    ///
-    /// # Errors
-    /// An error of the connection, or [`BoardError::Refused`].
-    pub fn read_registers(&mut self, addresses: &[u8]) -> Result<Vec<u32>, BoardError> {
-        let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
-        let answer = self.link.request_ok(&Command::Execute { words, answer: true })?;
-        Ok(answer.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w) & 0xFF_FFFF).collect())
     }
 }

@@ -221,7 +221,7 @@ impl Reconnectable for Mcu7Stream {
     }
 
     fn reopen(&mut self) -> Result<(), BoardError> {
-        let board = Mcu7Board::open_at(&self.address)?;
+        let board = Mcu7Board::open(&self.address)?;
         check_same(&self.path, &self.uuid, board.identity())?;
         self.board = Some(board);
         self.program()?;
