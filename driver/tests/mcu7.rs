@@ -24,7 +24,7 @@ fn session() -> Vec<Command> {
         Command::HardwareReset,
         execute(vec![SpiWord::write(6, 0x100000)], false),
         execute(vec![SpiWord::read(2)], true),
-        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: slice.samples as u16 },
+        Command::ConfigureData { slice_samples: slice.samples as u16 },
         Command::StartData,
         execute(list.into_iter().map(SpiWord::from).collect(), false),
         Command::StopData,

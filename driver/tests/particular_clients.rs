@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use radome_driver::chip::{ChipConfiguration, address, field};
 use radome_driver::protocol::mcu7::{
-    BoardEvent, BoardParser, COMPONENT_AVIAN, Command, DataFormat, Protocol, SliceLayout, SpiWord, Status,
+    BoardEvent, BoardParser, COMPONENT_AVIAN, Command, Protocol, SliceLayout, SpiWord, Status,
 };
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
 use radome_dsp::Waveform;
@@ -177,7 +177,7 @@ fn start_commands(waveform: &Waveform) -> [Command; 3] {
     let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
     let words = configuration.compile().expect("fits").into_iter().map(SpiWord::from).collect();
     [
-        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: slice.samples as u16 },
+        Command::ConfigureData { slice_samples: slice.samples as u16 },
         Command::StartData,
         Command::Execute { words, answer: false },
     ]

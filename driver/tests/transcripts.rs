@@ -309,9 +309,9 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
         "-V3 Execute 38 words",
         // The frame is not a multiple of a slice of 8192 samples, so that frames would arrive later than they are
         // complete.
-        "-V3 ConfigureData { format: Packed12, slice_samples: 8192 }",
+        "-V3 ConfigureData { slice_samples: 8192 }",
         "+V3 HardwareReset",
-        "+V3 ConfigureData { format: Packed12, slice_samples: 6144 }",
+        "+V3 ConfigureData { slice_samples: 6144 }",
         // The list differs in the FIFO level, which equals the slice.
         "-V3 Execute 38 words",
         "+V3 Execute 38 words",

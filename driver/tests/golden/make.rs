@@ -5,8 +5,8 @@ use std::path::Path;
 use radome_driver::board::BoardIdentity;
 use radome_driver::chip::ChipConfiguration;
 use radome_driver::protocol::mcu7::{
-    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataError, DataFormat, FirmwareVersion, Packet, PacketFlags,
-    Protocol, Response, SpiWord, Status,
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataError, FirmwareVersion, Packet, PacketFlags, Protocol,
+    Response, SpiWord, Status,
 };
 use radome_driver::protocol::{ascii, packed12};
 use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
@@ -133,7 +133,7 @@ pub fn commands() -> Vec<Command> {
         Command::HardwareReset,
         Command::Execute { words: vec![SpiWord::write(6, 0x10_0000)], answer: false },
         Command::Execute { words: vec![SpiWord::read(2)], answer: true },
-        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: 6144 },
+        Command::ConfigureData { slice_samples: 6144 },
         Command::DataStatus,
         Command::StartData,
         Command::StopData,

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use radome_driver::protocol::ascii;
 use radome_driver::protocol::mcu7::{
-    BoardInfo, Command, DataFormat, FirmwareVersion, Packet, PacketFlags, Protocol, Response, SpiWord, Status,
+    BoardInfo, Command, FirmwareVersion, Packet, PacketFlags, Protocol, Response, SpiWord, Status,
 };
 use radome_driver::protocol::packed12::pack;
 use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
@@ -42,7 +42,7 @@ fn commands() -> Vec<Command> {
         Command::SetBits { address: 0, mask: 0xC },
         Command::HardwareReset,
         Command::Execute { words, answer: true },
-        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: 6144 },
+        Command::ConfigureData { slice_samples: 6144 },
         Command::DataStatus,
         Command::StartData,
         Command::StopData,

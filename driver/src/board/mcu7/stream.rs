@@ -12,7 +12,7 @@ use crate::board::BoardError;
 use crate::board::host::now_ns;
 use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
-use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
+use crate::protocol::mcu7::{Command, DataError, SliceLayout};
 use crate::transport::Address;
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
@@ -98,7 +98,7 @@ impl Mcu7Stream {
         let link = &mut self.board()?.link;
         link.request_ok(&Command::StopData)?;
         link.request_ok(&Command::HardwareReset)?;
-        link.request_ok(&Command::ConfigureData { format: DataFormat::Packed12, slice_samples })?;
+        link.request_ok(&Command::ConfigureData { slice_samples })?;
         link.request_ok(&Command::StartData)?;
         link.request_ok(&Command::Execute { words, answer: false })?;
         Ok(())

@@ -6,8 +6,8 @@ use crate::chip::{address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{Fault, Shared};
 use crate::protocol::mcu7::{
-    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, Framing, HostEvent,
-    IMPLEMENTATION_AVIAN, Protocol, Request, RequestKind, Response, SliceLayout, SpiWord, Status,
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, Framing, HostEvent, IMPLEMENTATION_AVIAN,
+    Protocol, Request, RequestKind, Response, SliceLayout, SpiWord, Status,
 };
 
 /// Longest board info that version 3 gives in a fixed length.
@@ -148,7 +148,10 @@ impl Requests {
                     }
                 }
             }
-            Command::ConfigureData { format, slice_samples } => self.configure(*format, *slice_samples)?,
+            Command::ConfigureData { slice_samples } => {
+                self.data_started = false;
+                self.slice = Some(SliceLayout { samples: usize::from(*slice_samples), framing: self.framing });
+            }
             Command::DataStatus => answer.extend(u32::from(self.data_started).to_le_bytes()),
             Command::StartData if self.slice.is_none() => return Err(Status::NotConfigured),
             Command::StartData => {
@@ -167,15 +170,6 @@ impl Requests {
             self.write(address.wrapping_add(offset as u8), *value)?;
         }
         if failed { Err(Status::UnexpectedValue) } else { Ok(()) }
-    }
-
-    fn configure(&mut self, format: DataFormat, slice_samples: u16) -> Result<(), Status> {
-        self.data_started = false;
-        if format != DataFormat::Packed12 {
-            return Err(Status::InvalidParameter);
-        }
-        self.slice = Some(SliceLayout { samples: usize::from(slice_samples), framing: self.framing });
-        Ok(())
     }
 
     fn write(&mut self, address: u8, value: u32) -> Result<(), Status> {

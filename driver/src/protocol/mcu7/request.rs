@@ -12,6 +12,8 @@ pub const REQUEST_HEADER_LENGTH: usize = 8;
 const BOARD: u8 = 0x80;
 const COMPONENT: u8 = 0x20;
 const DATA: u8 = 0x0D;
+/// Format of data with two codes in three bytes.
+const PACKED_12: u8 = 0x10;
 
 /// Direction of a request's payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -139,24 +141,6 @@ pub enum DecodeError {
     Crc,
 }
 
-/// Packing of samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DataFormat {
-    /// Two codes in three bytes.
-    Packed12,
-    /// One code in two bytes, little-endian.
-    Raw16,
-}
-
-impl DataFormat {
-    fn code(self) -> u8 {
-        match self {
-            DataFormat::Packed12 => 0x10,
-            DataFormat::Raw16 => 0x02,
-        }
-    }
-}
-
 /// Meaning of a request: the part of the protocol that this program uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[allow(missing_docs, reason = "each variant says what its fields are")]
@@ -189,8 +173,9 @@ pub enum Command {
     InterruptLevel,
     /// SPI words, sent verbatim; `answer` says whether the response is to hold the answers of the chip.
     Execute { words: Vec<SpiWord>, answer: bool },
-    /// Configures how the FIFO is read: an even number of codes in a slice. Stops a running acquisition.
-    ConfigureData { format: DataFormat, slice_samples: u16 },
+    /// Configures how the FIFO is read: an even number of codes in a slice, two in three bytes. Stops a running
+    /// acquisition.
+    ConfigureData { slice_samples: u16 },
     /// Flags of the data channel.
     DataStatus,
     /// Starts reading slices.
@@ -266,8 +251,8 @@ impl Command {
                 let request = write(COMPONENT, avian, EXECUTE, payload);
                 Request { kind: if *answer { Transfer } else { Write }, ..request }
             }
-            Command::ConfigureData { format, slice_samples } => {
-                let mut payload = vec![format.code(), 0, 0, 0, 0, 0, 0, 0];
+            Command::ConfigureData { slice_samples } => {
+                let mut payload = vec![PACKED_12, 0, 0, 0, 0, 0, 0, 0];
                 payload.extend(FIFO_ADDRESS.to_le_bytes());
                 payload.extend(slice_samples.to_le_bytes());
                 write(DATA, 1, 0, payload)
@@ -339,14 +324,11 @@ impl Command {
 fn decode_data_configuration(payload: &[u8]) -> Result<Command, Status> {
     let (properties, readouts) = payload.split_first_chunk::<8>().ok_or(Status::InvalidSize)?;
     let &[a0, a1, c0, c1] = readouts else { return Err(Status::InvalidSize) };
-    let format = match properties[0] {
-        0x10 | 0xFF => DataFormat::Packed12,
-        0x02 => DataFormat::Raw16,
-        _ => return Err(Status::InvalidParameter),
-    };
     let slice_samples = u16::from_le_bytes([c0, c1]);
-    if u16::from_le_bytes([a0, a1]) != FIFO_ADDRESS || slice_samples == 0 || !slice_samples.is_multiple_of(2) {
+    let is_packed = matches!(properties[0], PACKED_12 | 0xFF);
+    let is_of_fifo = u16::from_le_bytes([a0, a1]) == FIFO_ADDRESS;
+    if !is_packed || !is_of_fifo || slice_samples == 0 || !slice_samples.is_multiple_of(2) {
         return Err(Status::InvalidParameter);
     }
-    Ok(Command::ConfigureData { format, slice_samples })
+    Ok(Command::ConfigureData { slice_samples })
 }

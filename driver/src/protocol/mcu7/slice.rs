@@ -8,7 +8,7 @@ use crate::protocol::packed12::packed_length;
 /// Bytes of the board's clock at the end of a slice.
 pub const TIMESTAMP_LENGTH: usize = 8;
 
-/// Slice in Packed12 with timestamp, which determines the sizes of its packets.
+/// Slice of packed codes with timestamp, which determines the sizes of its packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SliceLayout {
     /// Codes in a slice, even.
