@@ -291,10 +291,7 @@ proptest! {
 
     #[test]
     fn requests_round_trip(device in -1..100i32, id: i32, tag: i32, blob in prop::collection::vec(any::<u8>(), 0..99)) {
-        let values = [
-            Value::Int(id), Value::Float(id as f32), Value::Bool(tag > 0), Value::OneOf(tag), Value::Blob(blob),
-            Value::Text("a".into()), Value::Password("b".into()),
-        ];
+        let values = [Value::OneOf(tag), Value::Blob(blob)];
         let options = values.map(|value| OptionValue { option_id: id, value: Some(value) }).to_vec();
         for command in [
             Command::Capabilities(CapabilitiesRequest { device, tag }),

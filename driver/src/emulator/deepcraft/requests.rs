@@ -297,7 +297,6 @@ impl Requests {
             unit: "???".into(),
             current_frame: self.current_frame as i32,
             frames_dropped: self.dropped,
-            ..StreamConfig::default()
         }
     }
 

@@ -145,7 +145,7 @@ pub mod data_type {
     pub const S16: i32 = 4;
 }
 
-/// Stream of a device.
+/// Stream of a device. Fields of quantised and fixed-point types are skipped.
 #[derive(Clone, PartialEq, Message)]
 pub struct StreamConfig {
     #[prost(string, tag = "1")]
@@ -172,15 +172,6 @@ pub struct StreamConfig {
     pub current_frame: i32,
     #[prost(int32, tag = "9")]
     pub frames_dropped: i32,
-    /// Scale of quantised types.
-    #[prost(float, tag = "10")]
-    pub scale: f32,
-    /// Offset of quantised types.
-    #[prost(sint64, tag = "11")]
-    pub offset: i64,
-    /// Shift of fixed-point types.
-    #[prost(int32, tag = "12")]
-    pub shift: i32,
 }
 
 /// Axis of a frame.

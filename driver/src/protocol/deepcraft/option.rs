@@ -9,27 +9,17 @@ use prost::{Message, Oneof};
 pub struct OptionValue {
     #[prost(int32, tag = "1")]
     pub option_id: i32,
-    #[prost(oneof = "Value", tags = "2, 3, 4, 5, 6, 7, 8")]
+    /// Value of the option. Types that a radar's options do not have are skipped.
+    #[prost(oneof = "Value", tags = "5, 6")]
     pub value: Option<Value>,
 }
 
 /// Values by type.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Value {
-    #[prost(int32, tag = "2")]
-    Int(i32),
-    #[prost(float, tag = "3")]
-    Float(f32),
-    #[prost(bool, tag = "4")]
-    Bool(bool),
     /// Index into the items of the option.
     #[prost(int32, tag = "5")]
     OneOf(i32),
     #[prost(bytes, tag = "6")]
     Blob(Vec<u8>),
-    #[prost(string, tag = "7")]
-    Text(String),
-    /// A secret.
-    #[prost(string, tag = "8")]
-    Password(String),
 }

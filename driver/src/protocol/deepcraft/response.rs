@@ -11,7 +11,7 @@ use super::option::OptionValue;
 /// Response of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Response {
-    #[prost(oneof = "Answer", tags = "1, 2, 3, 4, 5")]
+    #[prost(oneof = "Answer", tags = "1, 2, 3, 4")]
     pub answer: Option<Answer>,
 }
 
@@ -26,9 +26,6 @@ pub enum Answer {
     Error(ErrorResponse),
     #[prost(message, tag = "4")]
     Data(DataChunk),
-    /// Request of a device for data.
-    #[prost(message, tag = "5")]
-    DataInquire(DataInquire),
 }
 
 /// Capabilities of a board.
@@ -97,18 +94,6 @@ pub struct Timestamp {
     /// Duration; 0 if it is not stated.
     #[prost(int32, tag = "2")]
     pub duration: i32,
-}
-
-/// Request of a device for data.
-#[derive(Clone, PartialEq, Message)]
-pub struct DataInquire {
-    #[prost(int32, tag = "1")]
-    pub device: i32,
-    #[prost(int32, tag = "2")]
-    pub stream: i32,
-    /// Frames wanted.
-    #[prost(int32, tag = "3")]
-    pub frame_count: i32,
 }
 
 impl From<Answer> for Response {
