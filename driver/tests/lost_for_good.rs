@@ -4,10 +4,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use radome_driver::{
-    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Reconnect,
-};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use radome_driver::{BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Kind, Mcu7Board, Reconnect};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent};
 
 use crate::common::{self, Pattern, waveform};
 
@@ -23,12 +21,12 @@ fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
 }
 
 /// Error of a stream whose board of this kind disappears after three frames.
-fn lost(kind: Kind, open: impl FnOnce(&EmulatedBoard, &Waveform) -> Box<dyn FrameSource>) -> SourceError {
+fn lost(kind: Kind) -> SourceError {
     let folder = tempfile::tempdir().expect("a folder");
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let source = Pattern::new(waveform.clone(), u64::MAX);
     let board = EmulatedBoard::spawn(Box::new(source), options(kind, folder.path())).expect("spawns");
-    let mut stream = open(&board, &waveform);
+    let mut stream = common::open(kind, &board, &waveform, POLICY).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let mut frames = 0;
     while frames < 3 {
@@ -49,34 +47,13 @@ fn lost(kind: Kind, open: impl FnOnce(&EmulatedBoard, &Waveform) -> Box<dyn Fram
     }
 }
 
-fn is_told(error: &SourceError) {
-    assert!(matches!(error.downcast_ref(), Some(BoardError::Disconnected { .. })), "{error:?}");
-    assert!(error.to_string().contains("board: the connection broke"), "{error}");
-}
-
 #[test]
-fn a_board_on_a_serial_port_or_with_bulk_transfers() {
-    for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
-        is_told(&lost(kind, |board, waveform| {
-            let client = Mcu7Board::open(board.address()).expect("opens");
-            Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
-        }));
+fn a_board_of_any_kind_ends_its_stream_with_the_broken_connection() {
+    for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk, Kind::Deepcraft, Kind::Esp32] {
+        let error = lost(kind);
+        assert!(matches!(error.downcast_ref(), Some(BoardError::Disconnected { .. })), "{kind:?}: {error:?}");
+        assert!(error.to_string().contains("board: the connection broke"), "{kind:?}: {error}");
     }
-}
-
-#[test]
-fn a_deepcraft_board() {
-    is_told(&lost(Kind::Deepcraft, |board, waveform| {
-        let client = DeepcraftBoard::open(board.path()).expect("opens");
-        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
-    }));
-}
-
-#[test]
-fn a_board_that_prints() {
-    is_told(&lost(Kind::Esp32, |board, waveform| {
-        Box::new(Esp32Stream::open(board.path(), Some(waveform)).expect("opens").with_reconnect(POLICY))
-    }));
 }
 
 /// Source that fails after five frames, by an error or by a panic.

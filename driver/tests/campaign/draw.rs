@@ -7,101 +7,40 @@ use radome_driver::protocol::mcu7::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
 
-/// Random number generator: splitmix64.
-#[derive(Debug, Clone)]
-pub struct Random(pub u64);
+use crate::common::Random;
 
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ z >> 31
-    }
+/// Kinds of boards and their names.
+const BOARDS: [(Board, &str); 5] = [
+    (Board::Mcu7V4, "mcu7-4"),
+    (Board::Mcu7V3, "mcu7-3"),
+    (Board::Mcu7Bulk, "mcu7-bulk"),
+    (Board::Esp32, "esp32"),
+    (Board::Deepcraft, "deepcraft"),
+];
 
-    pub fn below(&mut self, end: u64) -> u64 {
-        self.next() % end.max(1)
-    }
-
-    fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.below(all.len() as u64) as usize]
-    }
+/// Whether the firmware sends frames of this shape, without joining hundreds of them into one message.
+fn takes(board: Board, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
+    let codes = antennas.len() * chirps * samples;
+    board != Board::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Protocol {
-    Mcu7V4,
-    Mcu7V3,
-    Mcu7Bulk,
-    Esp32,
-    Deepcraft,
-}
-
-impl Protocol {
-    pub const ALL: [Protocol; 5] =
-        [Protocol::Mcu7V4, Protocol::Mcu7V3, Protocol::Mcu7Bulk, Protocol::Esp32, Protocol::Deepcraft];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Protocol::Mcu7V4 => "mcu7-4",
-            Protocol::Mcu7V3 => "mcu7-3",
-            Protocol::Mcu7Bulk => "mcu7-bulk",
-            Protocol::Esp32 => "esp32",
-            Protocol::Deepcraft => "deepcraft",
-        }
-    }
-
-    pub fn board(self) -> Board {
-        match self {
-            Protocol::Mcu7V4 => Board::Mcu7V4,
-            Protocol::Mcu7V3 => Board::Mcu7V3,
-            Protocol::Mcu7Bulk => Board::Mcu7Bulk,
-            Protocol::Esp32 => Board::Esp32,
-            Protocol::Deepcraft => Board::Deepcraft,
-        }
-    }
-
-    /// Whether the protocol's messages carry a check sum.
-    pub fn has_checksum(self) -> bool {
-        matches!(self, Protocol::Mcu7V4 | Protocol::Mcu7V3)
-    }
-
-    /// Whether the firmware sends frames of this shape, without joining hundreds of them into one message.
-    fn takes(self, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
-        let codes = antennas.len() * chirps * samples;
-        self != Protocol::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
-    }
-
-    fn slice(self, waveform: &Waveform) -> SliceLayout {
-        let framing = if self == Protocol::Mcu7Bulk { Framing::Bulk } else { Framing::Serial };
-        SliceLayout::for_frame_as(waveform.shape().codes(), framing)
-    }
-
-    /// Length of the protocol's shortest message, bytes.
-    fn shortest_message(self, waveform: &Waveform) -> u64 {
-        let slice = self.slice(waveform);
-        match self {
-            Protocol::Esp32 => 3 * waveform.shape().codes() as u64,
-            Protocol::Deepcraft => 2 * waveform.shape().codes() as u64,
-            _ => slice.payload_length(slice.packets() - 1) as u64 + 8,
-        }
-    }
-
-    /// Number of messages for each frame, possibly a fraction.
-    fn messages(self, waveform: &Waveform) -> f64 {
-        let codes = waveform.shape().codes();
-        let slice = self.slice(waveform);
-        match self {
-            Protocol::Esp32 => 1.0,
-            // A chunk holds the frames that one read of the FIFO completes.
-            Protocol::Deepcraft => (codes as f64 / FIFO_LEVEL_CODES as f64).min(1.0),
-            _ => slice.packets() as f64 * codes as f64 / slice.samples as f64,
+/// Length of the board's shortest message, bytes, and its number of messages for each frame, possibly a fraction.
+fn messages(board: Board, waveform: &Waveform) -> (u64, f64) {
+    let codes = waveform.shape().codes();
+    let framing = if board == Board::Mcu7Bulk { Framing::Bulk } else { Framing::Serial };
+    let slice = SliceLayout::for_frame_as(codes, framing);
+    match board {
+        Board::Esp32 => (3 * codes as u64, 1.0),
+        // A chunk holds the frames that one read of the FIFO completes.
+        Board::Deepcraft => (2 * codes as u64, (codes as f64 / FIFO_LEVEL_CODES as f64).min(1.0)),
+        _ => {
+            let shortest = slice.payload_length(slice.packets() - 1) as u64 + 8;
+            (shortest, slice.packets() as f64 * codes as f64 / slice.samples as f64)
         }
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Drop,
     Double,
@@ -119,40 +58,22 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Kinds, each with its number in ten thousand faults and the largest number for one board.
-    pub const ALL: [(Kind, u64, u64); 13] = [
-        (Kind::Drop, 1200, 40),
-        (Kind::Double, 900, 40),
-        (Kind::Reorder, 900, 40),
-        (Kind::Truncate, 1400, 40),
-        (Kind::Flip, 1800, 40),
-        (Kind::Skip, 900, 20),
-        (Kind::Overflow, 900, 20),
-        (Kind::Stall, 150, 2),
-        (Kind::Unplug, 450, 5),
-        (Kind::SlowHost, 150, 2),
-        (Kind::Version, 100, 1),
-        (Kind::Chip, 100, 1),
-        (Kind::Mixed, 1050, 25),
+    /// Kinds, each with its name, its number in ten thousand faults and the largest number for one board.
+    const ALL: [(Kind, &str, u64, u64); 13] = [
+        (Kind::Drop, "drop", 1200, 40),
+        (Kind::Double, "double", 900, 40),
+        (Kind::Reorder, "reorder", 900, 40),
+        (Kind::Truncate, "truncate", 1400, 40),
+        (Kind::Flip, "flip a bit", 1800, 40),
+        (Kind::Skip, "skip counter", 900, 20),
+        (Kind::Overflow, "overflow", 900, 20),
+        (Kind::Stall, "stall", 150, 2),
+        (Kind::Unplug, "unplug", 450, 5),
+        (Kind::SlowHost, "slow host", 150, 2),
+        (Kind::Version, "wrong version", 100, 1),
+        (Kind::Chip, "foreign chip", 100, 1),
+        (Kind::Mixed, "all at once", 1050, 25),
     ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::Drop => "drop",
-            Kind::Double => "double",
-            Kind::Reorder => "reorder",
-            Kind::Truncate => "truncate",
-            Kind::Flip => "flip a bit",
-            Kind::Skip => "skip counter",
-            Kind::Overflow => "overflow",
-            Kind::Stall => "stall",
-            Kind::Unplug => "unplug",
-            Kind::SlowHost => "slow host",
-            Kind::Version => "wrong version",
-            Kind::Chip => "foreign chip",
-            Kind::Mixed => "all at once",
-        }
-    }
 
     /// Whether the board loses power or stops sending for a while, so that only the host's clock can count the lost
     /// frames.
@@ -165,8 +86,10 @@ impl Kind {
 #[derive(Debug, Clone)]
 pub struct Job {
     pub seed: u64,
-    pub protocol: Protocol,
+    pub board: Board,
     pub kind: Kind,
+    /// Names of the board and of the kind of fault.
+    pub names: (&'static str, &'static str),
     pub waveform: Waveform,
     pub faults: Vec<Fault>,
     /// Number of source frames to reach.
@@ -187,13 +110,11 @@ const SHAPES: [(&[u8], usize, usize); 9] = [
     (&[1], 67, 67),
 ];
 
-fn waveform(random: &mut Random, protocol: Protocol, kind: Kind) -> Waveform {
+fn waveform(random: &mut Random, board: Board, kind: Kind) -> Waveform {
     let (antennas, chirps, samples) = match kind {
         // Frames large enough to fill the board's memory soon.
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
-        _ => {
-            std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|shape| protocol.takes(*shape)).expect("one of them")
-        }
+        _ => std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|s| takes(board, *s)).expect("one of them"),
     };
     let request = WaveformRequest {
         rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
@@ -249,11 +170,12 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
     }
 }
 
-/// Job with this number of faults, drawn from the seed.
-fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
+/// Faults of this kind and number, the waveform of their board, and the number of source frames to reach, drawn from
+/// the seed.
+fn draw(seed: u64, board: Board, kind: Kind, faults: u64) -> (Waveform, Vec<Fault>, u64) {
     let mut random = Random(seed);
-    let waveform = waveform(&mut random, protocol, kind);
-    let messages = protocol.messages(&waveform);
+    let waveform = waveform(&mut random, board, kind);
+    let (shortest, messages) = messages(board, &waveform);
     // The data in a port's buffer are lost when its board is unplugged, so that some frames must pass first.
     let apart = match kind {
         Kind::Unplug => (40.0 + 6.0 * messages) as u64,
@@ -264,28 +186,29 @@ fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     let mut all = Vec::new();
     for _ in 0..faults {
         packet += 1 + random.below(apart) + if kind == Kind::Mixed { 0 } else { apart / 2 };
-        all.push(fault(&mut random, kind, packet, (messages, protocol.shortest_message(&waveform))));
+        all.push(fault(&mut random, kind, packet, (messages, shortest)));
     }
     let frames = (packet as f64 / messages) as u64 + 10;
-    Job { seed, protocol, kind, waveform, faults: all, frames }
+    (waveform, all, frames)
 }
 
-/// Jobs with this number of faults in total, divided evenly among the protocols.
+/// Jobs with this number of faults in total, divided evenly among the boards.
 pub fn jobs(seed: u64, faults: u64) -> Vec<Job> {
     let mut random = Random(seed);
     let mut jobs = Vec::new();
-    for protocol in Protocol::ALL {
-        for (kind, weight, at_most) in Kind::ALL {
-            if protocol == Protocol::Esp32 && kind == Kind::Version {
+    for (board, board_name) in BOARDS {
+        for (kind, kind_name, weight, at_most) in Kind::ALL {
+            if board == Board::Esp32 && kind == Kind::Version {
                 // An ESP32 does not report a protocol version.
                 continue;
             }
-            let mut left = (weight * faults).div_ceil(10_000 * Protocol::ALL.len() as u64);
+            let mut left = (weight * faults).div_ceil(10_000 * BOARDS.len() as u64);
             while left > 0 {
                 let now = left.min(at_most);
-                let job = job(random.next(), protocol, kind, now);
+                let (seed, names) = (random.next(), (board_name, kind_name));
+                let (waveform, faults, frames) = draw(seed, board, kind, now);
                 left -= now;
-                jobs.push(job);
+                jobs.push(Job { seed, board, kind, names, waveform, faults, frames });
             }
         }
     }

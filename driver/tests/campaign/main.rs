@@ -8,6 +8,8 @@
 //!
 //! `tests/long faults` runs the long campaign, with `RADOME_FAULTS` and `RADOME_SEED`.
 
+#[path = "../common/mod.rs"]
+mod common;
 mod draw;
 mod play;
 mod report;

@@ -3,20 +3,11 @@
 
 use std::time::{Duration, Instant};
 
-use radome_driver::{
-    BoardError, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Mcu7Board,
-    Mcu7Stream, Pace, Reconnect,
-};
+use radome_driver::{BoardError, EmulatedBoard, EmulatorOptions, Fault, Kind as Board, Pace};
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
-use crate::draw::{Job, Kind, Protocol, Random};
-
-/// Reconnection policy with a patience for slow machines.
-const POLICY: Reconnect = Reconnect {
-    first_wait: Duration::from_millis(10),
-    longest_wait: Duration::from_millis(50),
-    give_up_after: Duration::from_secs(60),
-};
+use crate::common::{POLICY, Random, open};
+use crate::draw::{Job, Kind};
 
 /// Endless source of frames. The first two codes of a frame are its number, the others resemble noise.
 struct Source {
@@ -68,35 +59,14 @@ pub struct Outcome {
     pub failures: Vec<String>,
 }
 
-enum Client {
-    Board(Box<Mcu7Stream>),
-    Lines(Box<Esp32Stream>),
-    Deepcraft(Box<DeepcraftStream>),
-}
-
-impl Client {
-    fn open(job: &Job, board: &EmulatedBoard) -> Result<Self, BoardError> {
-        Ok(match job.protocol {
-            Protocol::Esp32 => {
-                let stream = Esp32Stream::open(board.path(), Some(&job.waveform))?;
-                Client::Lines(Box::new(stream.with_reconnect(POLICY)))
-            }
-            Protocol::Deepcraft => {
-                let stream = DeepcraftBoard::open(board.path())?.start(&job.waveform)?;
-                Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
-            }
-            _ => Client::Board(Box::new(
-                Mcu7Board::open(board.address())?.start(&job.waveform)?.with_reconnect(POLICY),
-            )),
-        })
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        match self {
-            Client::Board(stream) => stream.next_frame(frame),
-            Client::Lines(stream) => stream.next_frame(frame),
-            Client::Deepcraft(stream) => stream.next_frame(frame),
-        }
+impl Outcome {
+    pub fn add(&mut self, other: &Outcome) {
+        self.injected += other.injected;
+        self.delivered += other.delivered;
+        self.lost += other.lost;
+        self.wrong += other.wrong;
+        self.undetectable += other.undetectable;
+        self.not_resumed += other.not_resumed;
     }
 }
 
@@ -105,7 +75,7 @@ pub fn play(job: &Job) -> Outcome {
     let source = Source { seed: job.seed, waveform: job.waveform.clone(), next: 0 };
     let options = EmulatorOptions {
         pace: if job.kind == Kind::SlowHost { Pace::RealTime(1.0) } else { Pace::AsFastAsRead },
-        kind: job.protocol.board(),
+        kind: job.board,
         faults: job.faults.clone(),
         // A unique link, since the terminal number of a closed board is soon reused by another board.
         link: Some(folder.path().join("board")),
@@ -116,10 +86,10 @@ pub fn play(job: &Job) -> Outcome {
     // On a busy machine even a healthy board may answer late, or close before its answer is read.
     let attempt = || {
         std::thread::sleep(Duration::from_millis(5));
-        Client::open(job, &board)
+        open(job.board, &board, &job.waveform, POLICY)
     };
     let mut attempts = std::iter::repeat_with(attempt).take(100);
-    let is_late = |client: &Result<Client, BoardError>| {
+    let is_late = |client: &Result<Box<dyn FrameSource>, BoardError>| {
         use BoardError::{Absent, Disconnected, NoAnswer, Open};
         matches!(client, Err(NoAnswer { .. } | Disconnected { .. } | Open { .. } | Absent { .. }))
     };
@@ -129,8 +99,8 @@ pub fn play(job: &Job) -> Outcome {
         (Kind::Version | Kind::Chip, Err(BoardError::Deepcraft { .. })) => {}
         // Reads of an absent chip give all ones or all zeros.
         (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
-            if job.protocol != Protocol::Esp32 => {}
-        (Kind::Version | Kind::Chip, Ok(_)) if job.protocol != Protocol::Esp32 => {
+            if job.board != Board::Esp32 => {}
+        (Kind::Version | Kind::Chip, Ok(_)) if job.board != Board::Esp32 => {
             outcome.failures.push("a board that is not ours was driven".into());
         }
         (_, Ok(client)) => {
@@ -162,7 +132,7 @@ fn packet(fault: &Fault) -> u64 {
 /// Checks the events of a client, frame by frame.
 struct Check<'a> {
     job: &'a Job,
-    client: Client,
+    client: Box<dyn FrameSource>,
     outcome: &'a mut Outcome,
     /// Number that the next frame or gap must have.
     next_sequence: u64,
@@ -180,11 +150,11 @@ struct Check<'a> {
 }
 
 impl<'a> Check<'a> {
-    fn new(job: &'a Job, client: Client, outcome: &'a mut Outcome) -> Self {
+    fn new(job: &'a Job, client: Box<dyn FrameSource>, outcome: &'a mut Outcome) -> Self {
         // A printing board (ESP32) numbers its frames itself, so that a skipped counter skips frames. Packet counters
         // do not.
         let skips = job.faults.iter().map(|fault| match fault {
-            Fault::SkipCounter { by, .. } if job.protocol == Protocol::Esp32 => u64::from(*by),
+            Fault::SkipCounter { by, .. } if job.board == Board::Esp32 => u64::from(*by),
             _ => 0,
         });
         Check {
@@ -226,8 +196,8 @@ impl<'a> Check<'a> {
                         // On a machine that is busy for a second, a healthy board looks stalled.
                         let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
                         // One flipped flag turns a bulk packet into a report of the board's failure.
-                        let may_report = self.job.protocol == Protocol::Mcu7Bulk && self.job.kind == Kind::Flip;
-                        let is_known = self.job.protocol == Protocol::Deepcraft
+                        let may_report = self.job.board == Board::Mcu7Bulk && self.job.kind == Kind::Flip;
+                        let is_known = self.job.board == Board::Deepcraft
                             || may_report
                             || self.job.kind.interrupts()
                             || self.may_be_renumbered()
@@ -237,11 +207,11 @@ impl<'a> Check<'a> {
                         }
                         // A printing board restarts when its port is opened, after the lines that it had printed
                         // before.
-                        self.restarts |= was_silent && self.job.protocol == Protocol::Esp32;
+                        self.restarts |= was_silent && self.job.board == Board::Esp32;
                         self.offset = None;
                     }
                     // After damage a DEEPCRAFT board is restarted, and only the host's clock can count the lost frames.
-                    if self.job.protocol == Protocol::Deepcraft {
+                    if self.job.board == Board::Deepcraft {
                         self.offset = None;
                     }
                     self.next_sequence = gap.first_sequence + gap.frames;
@@ -260,7 +230,7 @@ impl<'a> Check<'a> {
 
     /// Whether a flipped digit of a line's number may look like a restart of the firmware.
     fn may_be_renumbered(&self) -> bool {
-        self.job.protocol == Protocol::Esp32 && matches!(self.job.kind, Kind::Flip | Kind::Skip)
+        self.job.board == Board::Esp32 && matches!(self.job.kind, Kind::Flip | Kind::Skip)
     }
 
     fn frame(&mut self, frame: &Frame) {
@@ -274,7 +244,8 @@ impl<'a> Check<'a> {
         if wrong > 0 {
             self.outcome.wrong += wrong;
             // Without a check sum, one changed digit of one code cannot be detected.
-            let may_be = !self.job.protocol.has_checksum() && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
+            let has_checksum = matches!(self.job.board, Board::Mcu7V4 | Board::Mcu7V3);
+            let may_be = !has_checksum && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
             if may_be && wrong == 1 {
                 self.outcome.undetectable += 1;
             } else {

@@ -4,25 +4,21 @@ use std::collections::BTreeMap;
 
 use serde_json::json;
 
-use crate::draw::{Job, Kind, Protocol};
+use crate::draw::Job;
 use crate::play::Outcome;
 
 #[derive(Debug, Default)]
 pub struct Report {
-    rows: BTreeMap<(Protocol, Kind), Outcome>,
+    /// Rows by the names of the board and of the kind of fault.
+    rows: BTreeMap<(&'static str, &'static str), Outcome>,
 }
 
 impl Report {
     pub fn add(&mut self, job: &Job, outcome: Outcome) {
-        let row = self.rows.entry((job.protocol, job.kind)).or_default();
-        row.injected += outcome.injected;
-        row.delivered += outcome.delivered;
-        row.lost += outcome.lost;
-        row.wrong += outcome.wrong;
-        row.undetectable += outcome.undetectable;
-        row.not_resumed += outcome.not_resumed;
-        let name =
-            format!("{} {} (seed {:#x}, {})", job.protocol.name(), job.kind.name(), job.seed, job.waveform.shape());
+        let row = self.rows.entry(job.names).or_default();
+        row.add(&outcome);
+        let (board, kind) = job.names;
+        let name = format!("{board} {kind} (seed {:#x}, {})", job.seed, job.waveform.shape());
         row.failures.extend(outcome.failures.into_iter().map(|what| format!("{name}: {what}")));
     }
 
@@ -47,23 +43,18 @@ impl Report {
         };
         let mut all = Outcome::default();
         for ((protocol, kind), row) in &self.rows {
-            line(protocol.name(), kind.name(), row);
-            all.injected += row.injected;
-            all.delivered += row.delivered;
-            all.lost += row.lost;
-            all.wrong += row.wrong;
-            all.undetectable += row.undetectable;
-            all.not_resumed += row.not_resumed;
+            line(protocol, kind, row);
+            all.add(row);
         }
         line("all", "", &all);
         text
     }
 
     pub fn json(&self, seed: u64) -> serde_json::Value {
-        let row = |((protocol, kind), row): (&(Protocol, Kind), &Outcome)| {
+        let row = |((protocol, kind), row): (&(&str, &str), &Outcome)| {
             json!({
-                "protocol": protocol.name(),
-                "fault": kind.name(),
+                "protocol": protocol,
+                "fault": kind,
                 "injected": row.injected,
                 "frames_delivered": row.delivered,
                 "frames_lost": row.lost,

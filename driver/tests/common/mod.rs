@@ -10,7 +10,8 @@ use std::time::Duration;
 use proptest::prelude::ProptestConfig;
 use radome_driver::protocol::mcu7::Protocol;
 use radome_driver::{
-    EmulatedBoard, EmulatorOptions, Fault, Kind, LabelSpan, Pace, Reconnect, Recorder, RecordingHeader,
+    BoardError, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, LabelSpan, Mcu7Board, Pace,
+    Reconnect, Recorder, RecordingHeader,
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
@@ -54,6 +55,22 @@ pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
 pub fn board(waveform: &Waveform, frames: u64, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
     let source = Pattern::new(waveform.clone(), frames);
     EmulatedBoard::spawn(Box::new(source), options(kind, faults)).expect("spawns")
+}
+
+/// Client of an emulated board of this kind, which reconnects by this policy.
+pub fn open(
+    kind: Kind,
+    board: &EmulatedBoard,
+    waveform: &Waveform,
+    policy: Reconnect,
+) -> Result<Box<dyn FrameSource>, BoardError> {
+    Ok(match kind {
+        Kind::Esp32 => Box::new(Esp32Stream::open(board.path(), Some(waveform))?.with_reconnect(policy)),
+        Kind::Deepcraft => Box::new(DeepcraftBoard::open(board.path())?.start(waveform)?.with_reconnect(policy)),
+        Kind::Mcu7V4 | Kind::Mcu7V3 | Kind::Mcu7Bulk => {
+            Box::new(Mcu7Board::open(board.address())?.start(waveform)?.with_reconnect(policy))
+        }
+    })
 }
 
 /// Records a source with one label.

@@ -9,7 +9,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use common::{Pattern, waveform};
+use common::{Pattern, Random, waveform};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use tempfile::TempDir;
 
@@ -349,7 +349,7 @@ impl Disk {
         let names_done = done.iter().filter(is_name).count();
         let synced = done.iter().rposition(|c| matches!(c, Change::SyncFolder)).unwrap_or(0);
         let names_synced = done.iter().take(synced).filter(is_name).count();
-        let names_kept = names_synced + random.below(names_done - names_synced + 1);
+        let names_kept = names_synced + random.below((names_done - names_synced + 1) as u64) as usize;
         let mut names = 0;
         for (position, change) in done.iter().enumerate() {
             let is_synced =
@@ -407,18 +407,6 @@ fn with_own_numbers(changes: Vec<Change>) -> Vec<Change> {
         }
     }
     changes
-}
-
-/// Random generator (SplitMix64).
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, count: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (mixed >> 33) as usize % count
-    }
 }
 
 /// Simulates power cuts before every operation, in several ways each: fifty times as many where `RADOME_LONG` is set.
