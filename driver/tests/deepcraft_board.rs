@@ -12,22 +12,10 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{POLICY, Pattern, read_frames, waveform};
-
-fn options(faults: &[Fault]) -> EmulatorOptions {
-    EmulatorOptions {
-        pace: Pace::AsFastAsRead,
-        kind: Kind::Deepcraft,
-        faults: faults.to_vec(),
-        // Faults are counted in chunks, whose number must not depend on the time of a request.
-        latency: Duration::ZERO,
-        ..EmulatorOptions::default()
-    }
-}
+use crate::common::{self, POLICY, Pattern, linked, options, read_frames, spawn, waveform};
 
 fn board(waveform: &Waveform, faults: &[Fault]) -> EmulatedBoard {
-    let source = Pattern::new(waveform.clone(), u64::MAX);
-    EmulatedBoard::spawn(Box::new(source), options(faults)).expect("spawns")
+    common::board(waveform, u64::MAX, Kind::Deepcraft, faults)
 }
 
 fn start(board: &EmulatedBoard, waveform: &Waveform) -> DeepcraftStream {
@@ -246,8 +234,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
     let folder = tempfile::tempdir().expect("folder");
     let (w, duration) = (large(), Duration::from_millis(100));
     let faults = [10, 30, 50].map(|packet| Fault::Unplug { packet, duration });
-    let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
-    let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+    let board = spawn(&w, u64::MAX, linked(Kind::Deepcraft, &faults, folder.path()));
     let mut stream = start(&board, &w).with_reconnect(POLICY);
     let gaps = read(&mut stream, 60);
     assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), [GapReason::Disconnected; 3]);
@@ -270,10 +257,9 @@ fn a_board_that_stalls_is_started_anew() {
 fn frames_of_a_slow_stream_come_as_they_are_measured() {
     const FRAMES: u64 = 24;
     let w = small();
-    let source = Pattern::new(w.clone(), FRAMES);
     let faults = [Fault::TruncatePacket { packet: 2, bytes: 999 }];
-    let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&faults) };
-    let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+    let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(Kind::Deepcraft, &faults) };
+    let board = spawn(&w, FRAMES, options);
     let mut stream = start(&board, &w);
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
     let pattern = Pattern::new(w.clone(), 0);
@@ -323,8 +309,7 @@ mod hard_cases {
             Fault::SlowHost { packet: 210, duration: Duration::from_millis(50) },
             Fault::DropPacket(225),
         ];
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
-        let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+        let board = spawn(&w, u64::MAX, linked(Kind::Deepcraft, &faults, folder.path()));
         let mut stream = start(&board, &w).with_reconnect(POLICY);
         let gaps = read(&mut stream, 230);
         use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
@@ -410,8 +395,7 @@ mod hard_cases {
     fn a_board_that_speaks_something_else_is_given_up_and_not_disturbed() {
         let w = small();
         for kind in [Kind::Mcu7V4, Kind::Mcu7V3, Kind::Esp32] {
-            let options = EmulatorOptions { kind, ..options(&[]) };
-            let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+            let board = common::board(&w, u64::MAX, kind, &[]);
             let error = open_error(&board);
             assert!(matches!(error, BoardError::NoAnswer { command: "capabilities", .. }), "{kind:?}: {error}");
             match kind {
@@ -429,9 +413,8 @@ mod hard_cases {
     #[test]
     fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
         let w = small();
-        let source = Pattern::new(w.clone(), u64::MAX);
-        let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&[]) };
-        let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+        let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(Kind::Deepcraft, &[]) };
+        let board = spawn(&w, u64::MAX, options);
         let mut port = raw(&board);
         port.write_all(&[2, 0x1A, 0]).expect("starts");
         // The status between chunks is first active and later ready again.
@@ -486,8 +469,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         let w = large();
         let fault = Fault::Unplug { packet: 10, duration: Duration::from_millis(20) };
-        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
-        let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+        let board = spawn(&w, u64::MAX, linked(Kind::Deepcraft, &[fault], folder.path()));
         let mut stream = start(&board, &w);
         let mut frame = Frame::zeroed(w.shape());
         let error = loop {

@@ -1,13 +1,12 @@
 //! Boards that stay lost, over every transport, and emulated boards whose sources fail. The stream ends with an error
 //! that states the cause, without a regular end and without a hang.
 
-use std::path::Path;
 use std::time::Duration;
 
-use radome_driver::{BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Kind, Mcu7Board, Reconnect};
+use radome_driver::{BoardError, EmulatedBoard, EmulatedSource, Kind, Mcu7Board, Reconnect};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent};
 
-use crate::common::{self, Pattern, waveform};
+use crate::common::{Pattern, linked, open, spawn, waveform};
 
 const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
@@ -15,18 +14,12 @@ const POLICY: Reconnect = Reconnect {
     give_up_after: Duration::from_millis(300),
 };
 
-fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
-    // A unique link, since the terminal number of a closed board is soon reused by another test's board.
-    EmulatorOptions { link: Some(folder.join("board")), ..common::options(kind, &[]) }
-}
-
 /// Error of a stream whose board of this kind disappears after three frames.
 fn lost(kind: Kind) -> SourceError {
     let folder = tempfile::tempdir().expect("a folder");
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let source = Pattern::new(waveform.clone(), u64::MAX);
-    let board = EmulatedBoard::spawn(Box::new(source), options(kind, folder.path())).expect("spawns");
-    let mut stream = common::open(kind, &board, &waveform, POLICY).expect("starts");
+    let board = spawn(&waveform, u64::MAX, linked(kind, &[], folder.path()));
+    let mut stream = open(kind, &board, &waveform, POLICY).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let mut frames = 0;
     while frames < 3 {
@@ -85,7 +78,7 @@ fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
     for panics in [false, true] {
         for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
             let folder = tempfile::tempdir().expect("a folder");
-            let mut source = EmulatedSource::start(failing(panics), options(kind, folder.path())).expect("starts");
+            let mut source = EmulatedSource::start(failing(panics), linked(kind, &[], folder.path())).expect("starts");
             let mut frame = Frame::zeroed(source.waveform().shape());
             for sequence in 0..5 {
                 assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
@@ -101,7 +94,7 @@ fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
 #[test]
 fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_stopped() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut board = EmulatedBoard::spawn(failing(false), options(Kind::Mcu7V4, folder.path())).expect("spawns");
+    let mut board = EmulatedBoard::spawn(failing(false), linked(Kind::Mcu7V4, &[], folder.path())).expect("spawns");
     let client = Mcu7Board::open(board.address()).expect("opens");
     let mut stream = client.start(board.waveform()).expect("starts");
     let mut frame = Frame::zeroed(board.waveform().shape());

@@ -9,11 +9,11 @@ use radome_driver::chip::{ChipConfiguration, address, field};
 use radome_driver::protocol::mcu7::{
     BoardEvent, BoardParser, COMPONENT_AVIAN, Command, Protocol, SliceLayout, SpiWord, Status,
 };
-use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Kind};
 use radome_dsp::Waveform;
 use serialport::TTYPort;
 
-use crate::common::{Pattern, waveform};
+use crate::common::{options, spawn, waveform};
 
 /// Time limit for any answer, far above the need of any machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -195,9 +195,7 @@ fn small() -> Waveform {
 }
 
 fn board(waveform: &Waveform, latency: Duration) -> EmulatedBoard {
-    let source = Pattern::new(waveform.clone(), u64::MAX);
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, latency, ..EmulatorOptions::default() };
-    EmulatedBoard::spawn(Box::new(source), options).expect("spawns")
+    spawn(waveform, u64::MAX, EmulatorOptions { latency, ..options(Kind::default(), &[]) })
 }
 
 /// Waits until the board has noticed more departures of clients than `before`.

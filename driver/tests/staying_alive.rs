@@ -1,21 +1,11 @@
 //! Boards that disconnect, stall and lose alignment: the stream continues, and each loss is counted once.
 
-use std::path::Path;
 use std::time::Duration;
 
-use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, Mcu7Board, Mcu7Stream};
+use radome_driver::{Fault, Kind, Mcu7Board, Mcu7Stream};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
-use crate::common::{POLICY, Pattern, options, read_frames, waveform};
-
-/// Emulated board with an endless source. Its link is in `folder`, since the terminal number of a closed board is soon
-/// reused.
-fn board(waveform: &Waveform, faults: &[Fault], folder: Option<&Path>) -> EmulatedBoard {
-    let link = folder.map(|folder| folder.join("board"));
-    let source = Pattern::new(waveform.clone(), u64::MAX);
-    EmulatedBoard::spawn(Box::new(source), EmulatorOptions { link, ..options(Kind::default(), faults) })
-        .expect("spawns")
-}
+use crate::common::{POLICY, board, linked, read_frames, spawn, waveform};
 
 fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
     gaps.iter().map(|g| g.reason).collect()
@@ -30,7 +20,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
         let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
         let duration = Duration::from_millis(100);
         let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
-        let board = board(&waveform, &faults, Some(folder.path()));
+        let board = spawn(&waveform, u64::MAX, linked(Kind::default(), &faults, folder.path()));
         let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, frames[2] as usize + 20, |_| {});
@@ -41,7 +31,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 #[test]
 fn a_board_that_stalls_is_started_anew() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = board(&waveform, &[Fault::Stall(4)], None);
+    let board = board(&waveform, u64::MAX, Kind::default(), &[Fault::Stall(4)]);
     let client = Mcu7Board::open(board.address()).expect("opens");
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
     let gaps = read_frames(&mut stream, 10, |_| {});
@@ -57,7 +47,7 @@ fn lost_alignment_is_found_by_starting_anew() {
     let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
     for by in [1, 2, 3, 5] {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
-        let board = board(&waveform, &[fault], None);
+        let board = board(&waveform, u64::MAX, Kind::default(), &[fault]);
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let gaps = read_frames(&mut stream, 5, |_| {});
         // A middle packet may be mistaken for another one, but the last packet of its slice may not.
@@ -83,7 +73,7 @@ mod hard_cases {
     #[test]
     fn packets_in_the_wrong_order_cost_their_frames_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let board = board(&small, &[Fault::ReorderPacket(3)], None);
+        let board = board(&small, u64::MAX, Kind::default(), &[Fault::ReorderPacket(3)]);
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&small).expect("starts");
         let gaps = read_frames(&mut stream, 8, |_| {});
         assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
@@ -104,7 +94,7 @@ mod hard_cases {
             Fault::Unplug { packet: 100, duration: Duration::from_millis(50) },
             Fault::DropPacket(200),
         ];
-        let board = board(&waveform, &faults, Some(folder.path()));
+        let board = spawn(&waveform, u64::MAX, linked(Kind::default(), &faults, folder.path()));
         let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, 250, |_| {});
@@ -121,7 +111,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };
-        let board = board(&waveform, &[fault], Some(folder.path()));
+        let board = spawn(&waveform, u64::MAX, linked(Kind::default(), &[fault], folder.path()));
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         read_frames(&mut stream, 10, |_| {});
         let error = first_error(&mut stream, &waveform);

@@ -48,13 +48,29 @@ pub fn cases(count: u32) -> ProptestConfig {
 
 /// Options of an emulated board with these faults that sends as fast as it is read.
 pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
-    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() }
+    EmulatorOptions {
+        pace: Pace::AsFastAsRead,
+        kind,
+        faults: faults.to_vec(),
+        // Faults are counted in messages, whose number must not depend on the time of a request.
+        latency: Duration::ZERO,
+        ..EmulatorOptions::default()
+    }
 }
 
-/// Emulated board with these faults that measures this number of frames of a [`Pattern`].
+/// The same with the board's link in this folder, since the terminal number of a closed board is soon reused.
+pub fn linked(kind: Kind, faults: &[Fault], folder: &Path) -> EmulatorOptions {
+    EmulatorOptions { link: Some(folder.join("board")), ..options(kind, faults) }
+}
+
+/// Emulated board that measures this number of frames of a [`Pattern`].
+pub fn spawn(waveform: &Waveform, frames: u64, options: EmulatorOptions) -> EmulatedBoard {
+    EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), frames)), options).expect("spawns")
+}
+
+/// The same with [`options`] of this kind and these faults.
 pub fn board(waveform: &Waveform, frames: u64, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
-    let source = Pattern::new(waveform.clone(), frames);
-    EmulatedBoard::spawn(Box::new(source), options(kind, faults)).expect("spawns")
+    spawn(waveform, frames, options(kind, faults))
 }
 
 /// Client of an emulated board of this kind, which reconnects by this policy.
