@@ -9,7 +9,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{self, Pattern, board, waveform};
 
 /// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
@@ -26,7 +26,7 @@ pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7
 }
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
-    EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
+    common::options(Kind::default(), faults)
 }
 
 /// Reads to the end; asserts that every frame is the one of its sequence number. Returns the sequence numbers and gaps.
@@ -59,25 +59,32 @@ fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<
 #[test]
 fn frames_of_any_shape_arrive_bit_exact() {
     // The last waveform has an odd number of codes, so that slices and frames share bytes.
+    // In bulk transfers 332 codes would be 512 bytes with header and clock, so that the client requests another slice.
     for (antennas, chirps, samples, frames) in [
         (&[1u8, 2, 3][..], 8, 64, 40),
         (&[1, 2, 3], 128, 256, 12),
         (&[1, 3], 16, 128, 20),
         (&[2], 32, 64, 20),
         (&[1, 2, 3], 1, 8, 50),
+        (&[1], 4, 83, 30),
         (&[3], 3, 33, 60),
     ] {
         let waveform = waveform(antennas, chirps, samples, 0.1);
-        let (sequences, gaps, counts) = stream(&waveform, frames, &[]);
-        assert_eq!((sequences, gaps), ((0..frames).collect(), vec![]), "{}", waveform.shape());
-        assert!(counts.slices > 0 && counts.overflows == 0);
+        let pattern = || Pattern::new(waveform.clone(), frames);
+        for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
+            let mut source = EmulatedSource::start(Box::new(pattern()), common::options(kind, &[])).expect("starts");
+            let (sequences, gaps) = read_all(&mut source, &pattern());
+            assert_eq!((sequences, gaps), ((0..frames).collect(), vec![]), "{kind:?} {}", waveform.shape());
+            let counts = source.board().counts();
+            assert!(counts.slices > 0 && counts.overflows == 0);
+        }
     }
 }
 
 #[test]
 fn the_identity_is_read_as_from_the_real_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
+    let board = board(&waveform, 1, Kind::default(), &[]);
     let client = Mcu7Board::open(board.address()).expect("opens");
     let identity = client.identity();
     assert_eq!((identity.vendor_id, identity.product_id, identity.chip_id), (0x058B, 0x0251, 0x303));
@@ -101,7 +108,7 @@ fn boards_of_protocol_3_measure_as_well() {
 #[test]
 fn stream_can_be_stopped_and_started_again() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
+    let board = board(&waveform, 1000, Kind::default(), &[]);
     let client = start_and_stop(Mcu7Board::open(board.address()).expect("opens"), &waveform);
     // Dropping a running stream leaves a board that can be opened again.
     drop(client.start(&waveform).expect("starts"));
@@ -348,8 +355,7 @@ mod hard_cases {
     #[test]
     fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let source = Pattern::new(own.clone(), u64::MAX);
-        let board = EmulatedBoard::spawn(Box::new(source), options(&[])).expect("spawns");
+        let board = board(&own, u64::MAX, Kind::default(), &[]);
         let other = waveform(&[1, 2, 3], 16, 64, 0.1);
         let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&other).expect("answered as by a real board");
@@ -427,16 +433,17 @@ mod hard_cases {
 
     #[test]
     fn what_is_no_such_board_is_named() {
-        let open = |fault| {
-            let source = Pattern::new(waveform(&[1], 8, 64, 0.1), 1);
-            let board = EmulatedBoard::spawn(Box::new(source), options(&[fault])).expect("spawns");
-            Mcu7Board::open(board.address()).err().expect("refused")
-        };
-        assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
-        assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
-        assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
-        let error = open(Fault::WrongVersion(5)).to_string();
-        assert!(error.contains("protocol 5.0"), "{error}");
+        for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
+            let open = |fault| {
+                let board = board(&waveform(&[1], 8, 64, 0.1), 1, kind, &[fault]);
+                Mcu7Board::open(board.address()).err().expect("refused")
+            };
+            assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
+            assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
+            assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
+            let error = open(Fault::WrongVersion(5)).to_string();
+            assert!(error.contains("protocol 5.0"), "{error}");
+        }
         let missing = Mcu7Board::open(&Address::Serial("/dev/no-such-port".into())).err().expect("absent");
         assert!(missing.to_string().contains("/dev/no-such-port"));
     }
@@ -444,7 +451,7 @@ mod hard_cases {
     #[test]
     fn a_silent_board_is_a_stall_not_a_hang() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 2)), options(&[])).expect("spawns");
+        let board = board(&waveform, 2, Kind::default(), &[]);
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
@@ -460,7 +467,7 @@ mod hard_cases {
     #[test]
     fn garbage_from_the_host_is_survived() {
         let waveform = waveform(&[1], 8, 64, 0.1);
-        let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
+        let board = board(&waveform, 1, Kind::default(), &[]);
         let mut port = std::fs::OpenOptions::new().read(true).write(true).open(board.path()).expect("opens");
         std::io::Write::write_all(&mut port, &[0xC1, 0x80, 0, 0, 0, 0, 0x20, 0, 0x12, 0x34]).expect("writes");
         std::thread::sleep(Duration::from_millis(50));
