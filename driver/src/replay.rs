@@ -19,11 +19,6 @@ impl<S: FrameSource> RealTime<S> {
     pub fn new(source: S, speed: f64) -> Self {
         RealTime { source, speed, start: None }
     }
-
-    /// Returns the source.
-    pub fn into_inner(self) -> S {
-        self.source
-    }
 }
 
 impl<S: FrameSource> FrameSource for RealTime<S> {

@@ -96,8 +96,9 @@ fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_sto
     let folder = tempfile::tempdir().expect("a folder");
     let mut board = EmulatedBoard::spawn(failing(false), linked(Kind::Mcu7V4, &[], folder.path())).expect("spawns");
     let client = Mcu7Board::open(board.address()).expect("opens");
-    let mut stream = client.start(board.waveform()).expect("starts");
-    let mut frame = Frame::zeroed(board.waveform().shape());
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let mut stream = client.start(&waveform).expect("starts");
+    let mut frame = Frame::zeroed(waveform.shape());
     for _ in 0..5 {
         assert_eq!(stream.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
     }

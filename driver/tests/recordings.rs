@@ -237,7 +237,7 @@ fn native_recording_gives_everything_back() {
     assert_eq!((summary.frames, summary.gaps, summary.frames_lost, summary.labels), (25, 1, 2, 2));
     assert_eq!(summary.bytes, std::fs::metadata(&path).expect("there").len());
 
-    let mut reader = McapReader::open(&path).expect("opens").strict(true);
+    let mut reader = McapReader::open(&path).expect("opens");
     assert!(reader.is_complete());
     assert_eq!(reader.frame_count(), Some(25));
     let pattern = truthful(25);
@@ -425,10 +425,6 @@ mod hard_cases {
         }
         assert_eq!(counts.last(), Some(&25));
         assert!(counts.contains(&0) && counts.contains(&10) && counts.contains(&20), "{counts:?}");
-
-        std::fs::write(&cut_path, &whole[..whole.len() / 2]).expect("writes");
-        let (_, error) = readable(&mut McapReader::open(&cut_path).expect("opens").strict(true));
-        assert_contains(&error.expect("strict").to_string(), &["not finished", "byte"]);
     }
 
     /// Asserts that a wrong length in the middle of a finished file is not taken for its end (found by fuzzing).

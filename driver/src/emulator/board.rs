@@ -8,8 +8,6 @@ use std::sync::{Arc, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use radome_dsp::Waveform;
-
 use super::deepcraft::Deepcraft;
 use super::error::EmulatorError;
 use super::esp32::Esp32;
@@ -43,7 +41,6 @@ use crate::transport::{Address, UsbAddress};
 pub struct EmulatedBoard {
     path: PathBuf,
     address: Address,
-    waveform: Waveform,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     /// Claim on the link, which excludes other emulated boards.
@@ -97,7 +94,6 @@ impl EmulatedBoard {
         {
             return Err(EmulatorError::Speed { speed });
         }
-        let waveform = feed.source.waveform().clone();
         let place = place(&options)?;
         let claim = options.link.as_deref().map(port::claim).transpose()?;
         let shared = Arc::new(Shared::default());
@@ -122,7 +118,7 @@ impl EmulatedBoard {
                 wire.shared.dead.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
-        Ok(EmulatedBoard { path, address, waveform, shared, thread: Some(thread), claim })
+        Ok(EmulatedBoard { path, address, shared, thread: Some(thread), claim })
     }
 
     /// Device node to open as a serial port, or folder of the endpoints.
@@ -133,11 +129,6 @@ impl EmulatedBoard {
     /// Address for clients.
     pub fn address(&self) -> &Address {
         &self.address
-    }
-
-    /// Waveform of the source, with which the board is programmed at the start.
-    pub fn waveform(&self) -> &Waveform {
-        &self.waveform
     }
 
     /// Returns whether the source has ended and all of it has been handed to the port.

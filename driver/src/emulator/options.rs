@@ -5,9 +5,6 @@ use std::time::Duration;
 
 use super::faults::Fault;
 
-/// Round-trip time of a request to a board on USB.
-const LATENCY: Duration = Duration::from_micros(1500);
-
 /// Pace of the emulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
@@ -65,7 +62,7 @@ impl Default for EmulatorOptions {
             pace: Pace::RealTime(1.0),
             kind: Kind::default(),
             faults: Vec::new(),
-            latency: LATENCY,
+            latency: Duration::from_micros(1500),
             repeat: false,
             seed: 1,
             link: None,

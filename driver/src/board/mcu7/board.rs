@@ -1,7 +1,5 @@
 //! Radar Baseboard MCU7 on a serial port or on USB.
 
-use std::path::Path;
-
 use radome_dsp::Waveform;
 
 use super::handshake::{self, Handshake};
@@ -76,15 +74,5 @@ impl Mcu7Board {
     /// Identity that the board reports.
     pub fn identity(&self) -> &BoardIdentity {
         &self.identity
-    }
-
-    /// Path of the serial port, or name of the USB device in messages.
-    pub fn path(&self) -> &Path {
-        &self.link.path
-    }
-
-    /// Address under which the board is found when it has been plugged in again.
-    pub fn address(&self) -> &Address {
-        &self.link.address
     }
 }

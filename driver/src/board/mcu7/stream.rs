@@ -71,8 +71,8 @@ impl Mcu7Stream {
         let assembler = Assembler::new(&realised, slice);
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
         let mut stream = Mcu7Stream {
-            path: board.path().to_owned(),
-            address: board.address().clone(),
+            path: board.link.path.clone(),
+            address: board.link.address.clone(),
             uuid: board.identity().uuid.clone(),
             recovery: Recovery::default(),
             last_frame: Instant::now(),

@@ -140,13 +140,6 @@ impl BoardParser {
     pub fn is_waiting(&self) -> bool {
         self.used < self.buffer.len()
     }
-
-    /// Discards everything received.
-    pub fn clear(&mut self) {
-        self.buffer.clear();
-        self.used = 0;
-        self.checked = None;
-    }
 }
 
 /// Decodes a message whose length and CRC have been checked.

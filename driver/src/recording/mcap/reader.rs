@@ -20,7 +20,6 @@ pub struct McapReader {
     /// Labels beside the recording, which replace those in it.
     staged: Result<Option<Vec<LabelSpan>>, RecordingError>,
     header: RecordingHeader,
-    strict: bool,
     index: Index,
     channels: BTreeMap<u16, Topic>,
     body: Vec<u8>,
@@ -76,7 +75,6 @@ impl McapReader {
             records,
             staged,
             header,
-            strict: false,
             index,
             channels,
             body: Vec::new(),
@@ -85,12 +83,6 @@ impl McapReader {
             ended: false,
             wanted: None,
         })
-    }
-
-    /// Makes the end of an unfinished recording an error instead of an end.
-    pub fn strict(mut self, strict: bool) -> Self {
-        self.strict = strict;
-        self
     }
 
     /// Returns whether the recording was finished. An unfinished recording may lack its last chunk.
@@ -284,9 +276,6 @@ impl McapReader {
                     if self.index.complete {
                         let reason = "a record reaches beyond the file, though the recording was finished";
                         return Err(self.records.corrupt(end, reason.into()));
-                    }
-                    if self.strict {
-                        return Err(RecordingError::Unfinished { path: self.records.path.clone(), offset: end });
                     }
                 }
             }
