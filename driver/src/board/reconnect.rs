@@ -62,27 +62,24 @@ impl Reconnect {
     }
 }
 
-/// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no frame
-/// counts as lost.
-#[derive(Debug, Default)]
-struct Outage(Option<(Instant, Instant)>);
-
-impl Outage {
-    /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
-    pub fn noticed(&mut self, last_frame: Instant) -> Instant {
-        match self.0 {
-            Some((before, noticed)) if before == last_frame => noticed,
-            _ => self.0.insert((last_frame, Instant::now())).1,
-        }
-    }
-}
-
 /// Reconnection policy and state of a stream.
 #[derive(Debug, Default)]
 pub(super) struct Recovery {
     /// `None` ends the stream at the first error.
     pub policy: Option<Reconnect>,
-    outage: Outage,
+    /// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no
+    /// frame counts as lost.
+    outage: Option<(Instant, Instant)>,
+}
+
+impl Recovery {
+    /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
+    fn noticed(&mut self, last_frame: Instant) -> Instant {
+        match self.outage {
+            Some((before, noticed)) if before == last_frame => noticed,
+            _ => self.outage.insert((last_frame, Instant::now())).1,
+        }
+    }
 }
 
 /// Stream that can open the connection to its board again.
@@ -113,7 +110,7 @@ pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> 
         let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
         stream.close();
         let last_frame = stream.last_frame();
-        let noticed = stream.recovery().outage.noticed(last_frame);
+        let noticed = stream.recovery().noticed(last_frame);
         let reopen = || {
             // A former attempt may have opened the port and failed later.
             stream.close();
@@ -155,10 +152,10 @@ mod tests {
             let stalled = || BoardError::Stalled { path: "port".into(), waited: Duration::from_secs(31) };
             let last_frame = Instant::now();
             thread::sleep(Duration::from_millis(20));
-            let (mut outage, mut attempts) = (Outage::default(), 0);
+            let (mut recovery, mut attempts) = (Recovery::default(), 0);
             // The port opens each time but no frame comes: the stream must end too.
             let error = loop {
-                let noticed = outage.noticed(last_frame);
+                let noticed = recovery.noticed(last_frame);
                 assert!(noticed >= last_frame + Duration::from_millis(20));
                 let reopen = || {
                     attempts += 1;
@@ -170,7 +167,7 @@ mod tests {
             };
             assert!(attempts > 0 && matches!(error, BoardError::Stalled { .. }), "{attempts} attempts: {error}");
             // The next loss has its own time.
-            assert!(outage.noticed(Instant::now()) > last_frame + Duration::from_millis(20));
+            assert!(recovery.noticed(Instant::now()) > last_frame + Duration::from_millis(20));
         }
 
         #[test]

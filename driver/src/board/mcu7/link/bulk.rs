@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::carrier::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::board::BoardError;
 use crate::protocol::mcu7::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
 use crate::protocol::mcu7::{BoardEvent, Request, RequestKind, Status};

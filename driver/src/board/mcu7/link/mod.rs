@@ -1,19 +1,35 @@
 //! Requests and packets of the MCU7 protocol over a serial port or USB.
 
 mod bulk;
-mod carrier;
 mod serial;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::board::BoardError;
-use crate::protocol::mcu7::{Command, Framing, Protocol, Request, Status};
+use crate::protocol::mcu7::{Command, Framing, Packet, Protocol, Request, Status};
 use crate::transport::{Address, trace};
 use bulk::Bulk;
-use carrier::Failure;
-pub(super) use carrier::Incoming;
 use serial::Serial;
+
+/// Longest time that a board takes to answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+/// Silence after which the rest of a message will not come.
+const SILENCE: Duration = Duration::from_millis(200);
+
+/// Received data.
+pub(super) enum Incoming<'a> {
+    Packet(Packet<'a>),
+    Damaged,
+}
+
+/// Failure of a carrier.
+enum Failure {
+    /// No answer came.
+    NoAnswer,
+    /// The connection broke.
+    Lost(std::io::Error),
+}
 
 enum Carrier {
     Serial(Serial),

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, TTYPort};
 
-use super::carrier::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::board::BoardError;
 use crate::board::host::open_port;
 use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, Status};
