@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use radome_driver::{Address, BoardError, EmulatedSource, Fault, Kind, Mcu7Board, UsbAddress};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+use radome_dsp::{Frame, Gap, GapReason, Waveform};
 
-use crate::common::{POLICY, Pattern, board, options, read_frames, waveform};
+use crate::common::{POLICY, Pattern, board, options, read, read_frames, waveform};
 use crate::emulated_board::start_and_stop;
 
 /// Sequence numbers of frames with the source's codes, those of other frames, and the gaps, up to the end of the
@@ -15,20 +15,15 @@ fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<
     let mut source =
         EmulatedSource::start(Box::new(Pattern::new(waveform.clone(), frames)), options(Kind::Mcu7Bulk, faults))
             .expect("starts");
-    let mut frame = Frame::zeroed(waveform.shape());
-    let mut expected = frame.clone();
-    let (mut good, mut bad, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
-    loop {
-        match source.next_frame(&mut frame).expect("stream") {
-            SourceEvent::Frame => {
-                pattern.fill(frame.sequence, &mut expected);
-                let kind = if frame.codes == expected.codes { &mut good } else { &mut bad };
-                kind.push(frame.sequence);
-            }
-            SourceEvent::Gap(gap) => gaps.push(gap),
-            SourceEvent::End => return (good, bad, gaps),
-        }
-    }
+    let (received, gaps, error) = read(&mut source);
+    assert!(error.is_none(), "{error:?}");
+    let (good, bad): (Vec<Frame>, Vec<Frame>) = received.into_iter().partition(|frame| {
+        let mut expected = frame.clone();
+        pattern.fill(frame.sequence, &mut expected);
+        frame.codes == expected.codes
+    });
+    let numbers = |frames: Vec<Frame>| frames.iter().map(|frame| frame.sequence).collect();
+    (numbers(good), numbers(bad), gaps)
 }
 
 #[test]

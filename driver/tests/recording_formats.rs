@@ -9,15 +9,12 @@ use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
-use crate::common::{cases, waveform};
+use crate::common::{self, cases, waveform};
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");
-    let mut frame = Frame::zeroed(source.waveform().shape());
-    let mut frames = Vec::new();
-    while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
-        frames.push(frame.clone());
-    }
+    let (frames, gaps, error) = common::read(&mut source);
+    assert!(gaps.is_empty() && error.is_none(), "{gaps:?}, {error:?}");
     assert_eq!(source.frame_count(), Some(frames.len() as u64));
     (source.waveform().clone(), frames)
 }
@@ -293,18 +290,12 @@ mod hard_cases {
         let frame_bytes = whole.len() / 3;
         let message = |bytes: &[u8]| {
             std::fs::write(&path, bytes).expect("writes");
-            let mut source = match Recording::open(&path) {
-                Ok(source) => source,
-                Err(error) => return (0, error.to_string()),
-            };
-            let mut frame = Frame::zeroed(source.waveform().shape());
-            let mut count = 0;
-            loop {
-                match source.next_frame(&mut frame) {
-                    Ok(SourceEvent::End) => return (count, "whole".into()),
-                    Ok(_) => count += 1,
-                    Err(error) => return (count, error.to_string()),
+            match Recording::open(&path) {
+                Ok(mut source) => {
+                    let (frames, _, error) = common::read(&mut source);
+                    (frames.len(), error.map_or("whole".into(), |error| error.to_string()))
                 }
+                Err(error) => (0, error.to_string()),
             }
         };
         let (count, said) = message(&whole[..whole.len() - 1]);

@@ -8,7 +8,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{Pattern, read, waveform};
 
 /// Path of the recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {
@@ -16,26 +16,15 @@ fn breathing() -> Option<PathBuf> {
 }
 
 fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {
-    let mut all = Vec::new();
-    let mut frame = Frame::zeroed(source.waveform().shape());
-    while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
-        all.push(frame.clone());
-    }
-    all
+    let (frames, gaps, error) = read(source);
+    assert!(gaps.is_empty() && error.is_none(), "{gaps:?}, {error:?}");
+    frames
 }
 
 /// Number of frames until the source ends or fails, and the error if it failed.
 fn readable(source: &mut dyn FrameSource) -> (u64, Option<SourceError>) {
-    let mut frame = Frame::zeroed(source.waveform().shape());
-    let mut count = 0;
-    loop {
-        match source.next_frame(&mut frame) {
-            Ok(SourceEvent::Frame) => count += 1,
-            Ok(SourceEvent::Gap(_)) => {}
-            Ok(SourceEvent::End) => return (count, None),
-            Err(error) => return (count, Some(error)),
-        }
-    }
+    let (frames, _, error) = read(source);
+    (frames.len() as u64, error)
 }
 
 const CONFIG: &str = r#"{"device_config": {"fmcw_single_shape": {

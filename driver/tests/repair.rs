@@ -5,9 +5,9 @@ use std::path::Path;
 use proptest::prelude::*;
 use radome_driver::recording::mcap::{RepairReport, repair, set_labels};
 use radome_driver::{LabelSpan, McapReader, RecordingError};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+use radome_dsp::{Frame, Gap, GapReason};
 
-use crate::common::{Pattern, cases, waveform};
+use crate::common::{Pattern, cases, read, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
@@ -26,20 +26,14 @@ fn record(path: &Path) -> Vec<u8> {
 fn content(path: &Path) -> (Vec<u64>, Vec<Gap>) {
     let mut source = McapReader::open(path).expect("opens");
     assert!(source.is_complete());
-    let pattern = pattern();
-    let (mut frame, mut expected) = (Frame::zeroed(pattern.waveform.shape()), Frame::zeroed(pattern.waveform.shape()));
-    let (mut numbers, mut gaps) = (Vec::new(), Vec::new());
-    loop {
-        match source.next_frame(&mut frame).expect("reads") {
-            SourceEvent::Frame => {
-                pattern.fill(frame.sequence, &mut expected);
-                assert_eq!(frame, expected);
-                numbers.push(frame.sequence);
-            }
-            SourceEvent::Gap(gap) => gaps.push(gap),
-            SourceEvent::End => return (numbers, gaps),
-        }
+    let (frames, gaps, error) = read(&mut source);
+    assert!(error.is_none(), "{error:?}");
+    for frame in &frames {
+        let mut expected = Frame::zeroed(frame.shape);
+        pattern().fill(frame.sequence, &mut expected);
+        assert_eq!(*frame, expected);
     }
+    (frames.iter().map(|frame| frame.sequence).collect(), gaps)
 }
 
 /// Repairs these bytes; asserts that the input file does not change. A reader of the input must survive it too.
@@ -48,8 +42,7 @@ fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), Recordin
     let (broken, fixed) = (folder.path().join("broken.mcap"), folder.path().join("fixed.mcap"));
     std::fs::write(&broken, bytes).expect("writes");
     if let Ok(mut reader) = McapReader::open(&broken) {
-        let mut frame = Frame::zeroed(reader.waveform().shape());
-        while reader.next_frame(&mut frame).is_ok_and(|event| event != SourceEvent::End) {}
+        read(&mut reader);
     }
     let result = repair(&broken, &fixed);
     assert!(std::fs::read(&broken).expect("reads") == bytes);

@@ -13,7 +13,7 @@ use radome_driver::{
     BoardError, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, LabelSpan, Mcu7Board, Pace,
     Reconnect, Recorder, RecordingHeader,
 };
-use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 pub use self::pattern::*;
 
@@ -87,6 +87,20 @@ pub fn open(
             Box::new(Mcu7Board::open(board.address())?.start(waveform)?.with_reconnect(policy))
         }
     })
+}
+
+/// Frames and gaps until the source ends or fails, and the error if it failed.
+pub fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Vec<Gap>, Option<SourceError>) {
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut frames, mut gaps) = (Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => frames.push(frame.clone()),
+            Ok(SourceEvent::Gap(gap)) => gaps.push(gap),
+            Ok(SourceEvent::End) => return (frames, gaps, None),
+            Err(error) => return (frames, gaps, Some(error)),
+        }
+    }
 }
 
 /// Records a source with one label.
