@@ -230,17 +230,6 @@ fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
 }
 
 #[test]
-fn a_board_that_is_plugged_in_again_goes_on() {
-    let folder = tempfile::tempdir().expect("folder");
-    let (w, duration) = (large(), Duration::from_millis(100));
-    let faults = [10, 30, 50].map(|packet| Fault::Unplug { packet, duration });
-    let board = spawn(&w, u64::MAX, linked(Kind::Deepcraft, &faults, folder.path()));
-    let mut stream = start(&board, &w).with_reconnect(POLICY);
-    let gaps = read(&mut stream, 60);
-    assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), [GapReason::Disconnected; 3]);
-}
-
-#[test]
 fn a_board_that_stalls_is_started_anew() {
     let w = large();
     let board = board(&w, &[Fault::Stall(4)]);

@@ -5,7 +5,7 @@ use std::time::Duration;
 use radome_driver::{Fault, Kind, Mcu7Board, Mcu7Stream};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
 
-use crate::common::{POLICY, board, linked, read_frames, spawn, waveform};
+use crate::common::{POLICY, board, linked, open, read_frames, spawn, waveform};
 
 fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
     gaps.iter().map(|g| g.reason).collect()
@@ -16,13 +16,16 @@ fn a_board_that_is_plugged_in_again_goes_on() {
     let folder = tempfile::tempdir().expect("folder");
     // Unread data are lost with the terminal, so that the board is unplugged rarely enough for frames to arrive in
     // between.
-    for (chirps, samples, packets, frames) in [(8, 64, 1, [100, 300, 500]), (128, 256, 48, [3, 7, 12])] {
+    for (kind, chirps, samples, packets, frames) in [
+        (Kind::Mcu7V4, 8, 64, 1, [100, 300, 500]),
+        (Kind::Mcu7V4, 128, 256, 48, [3, 7, 12]),
+        (Kind::Deepcraft, 32, 128, 1, [10, 30, 50]),
+    ] {
         let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
         let duration = Duration::from_millis(100);
         let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
-        let board = spawn(&waveform, u64::MAX, linked(Kind::default(), &faults, folder.path()));
-        let client = Mcu7Board::open(board.address()).expect("opens");
-        let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
+        let board = spawn(&waveform, u64::MAX, linked(kind, &faults, folder.path()));
+        let mut stream = open(kind, &board, &waveform, POLICY).expect("starts");
         let gaps = read_frames(&mut stream, frames[2] as usize + 20, |_| {});
         assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
     }
