@@ -38,8 +38,8 @@ pub struct Player {
     transport: Transport,
     /// Instant at which this frame time is due. Cleared when the transport changes something.
     clock: Option<(Instant, u64)>,
-    /// Number of the frame that was sought, while those before it come.
-    rolling_to: Option<u64>,
+    /// Number of the frame that was sought, while the frames of its preroll come.
+    preroll_until: Option<u64>,
 }
 
 /// Handle that controls a [`Player`]. Clones control the same player.
@@ -64,7 +64,7 @@ pub struct Playback {
 #[derive(Debug)]
 struct State {
     playback: Playback,
-    sought: Option<Place>,
+    sought: Option<SeekTarget>,
     /// Frames to step forwards, or backwards if negative.
     steps: i64,
     closed: bool,
@@ -76,7 +76,7 @@ struct State {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Place {
+enum SeekTarget {
     Time(f64),
     Frame(u64),
 }
@@ -84,11 +84,11 @@ enum Place {
 /// Next action of the player.
 enum Task {
     Close,
-    Seek(Place),
+    Seek(SeekTarget),
     Step,
     StepBack,
     Play,
-    Roll,
+    Preroll,
 }
 
 impl Transport {
@@ -112,7 +112,7 @@ impl Transport {
     pub fn play(&self) {
         self.order(|state| {
             if state.playback.at_end && state.sought.is_none() {
-                state.sought = Some(Place::Frame(0));
+                state.sought = Some(SeekTarget::Frame(0));
             }
             state.playback.playing = true;
         });
@@ -130,12 +130,12 @@ impl Transport {
 
     /// Goes to the first frame at or after this time on the frames' own clock, s, or to the last one.
     pub fn seek_time_s(&self, time_s: f64) {
-        self.order(|state| (state.sought, state.steps) = (Some(Place::Time(time_s)), 0));
+        self.order(|state| (state.sought, state.steps) = (Some(SeekTarget::Time(time_s)), 0));
     }
 
     /// Goes to the first frame with this number or a later one, or to the last one.
     pub fn seek_frame(&self, sequence: u64) {
-        self.order(|state| (state.sought, state.steps) = (Some(Place::Frame(sequence)), 0));
+        self.order(|state| (state.sought, state.steps) = (Some(SeekTarget::Frame(sequence)), 0));
     }
 
     /// Steps `frames` frames forwards, or backwards if negative, and pauses there.
@@ -178,7 +178,7 @@ impl Player {
         let state =
             State { playback, sought: None, steps: 0, closed: false, touched: false, preroll_s: 0.0, preroll: 0..0 };
         let transport = Transport { shared: Arc::new((Mutex::new(state), Condvar::new())) };
-        Ok(Some(Player { recording, extent, transport, clock: None, rolling_to: None }))
+        Ok(Some(Player { recording, extent, transport, clock: None, preroll_until: None }))
     }
 
     /// Returns the positions of the first and the last frame.
@@ -209,7 +209,7 @@ impl Player {
                     state.steps += 1;
                     return Task::StepBack;
                 }
-                _ if self.rolling_to.is_some() => return Task::Roll,
+                _ if self.preroll_until.is_some() => return Task::Preroll,
                 1.. => {
                     state.steps -= 1;
                     return Task::Step;
@@ -242,35 +242,35 @@ impl Player {
     }
 
     /// Reads the frame at a place.
-    fn find(&mut self, place: Place, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+    fn find(&mut self, place: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         let Extent { first, last } = self.extent;
         match place {
-            Place::Time(time_s) if time_s >= last.time_s() => self.recording.seek_frame(last.sequence)?,
-            Place::Time(time_s) if time_s.is_nan() || time_s <= first.time_s() => {
+            SeekTarget::Time(time_s) if time_s >= last.time_s() => self.recording.seek_frame(last.sequence)?,
+            SeekTarget::Time(time_s) if time_s.is_nan() || time_s <= first.time_s() => {
                 self.recording.seek_frame(first.sequence)?
             }
-            Place::Time(time_s) => self.recording.seek_time_s(time_s)?,
-            Place::Frame(sequence) => self.recording.seek_frame(sequence.min(last.sequence))?,
+            SeekTarget::Time(time_s) => self.recording.seek_time_s(time_s)?,
+            SeekTarget::Frame(sequence) => self.recording.seek_frame(sequence.min(last.sequence))?,
         }
         self.transport.state().playback.at_end = false;
         self.frame_alone(frame)
     }
 
     /// Reads the frame at a place, or the first frame of its preroll.
-    fn seek(&mut self, place: Place, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+    fn seek(&mut self, place: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         let Some(found) = self.find(place, frame)? else { return Ok(None) };
         let preroll_s = self.transport.state().preroll_s;
         if preroll_s > 0.0 {
-            self.find(Place::Time(found.time_s() - preroll_s), frame)?;
+            self.find(SeekTarget::Time(found.time_s() - preroll_s), frame)?;
         }
         // If the recording's clock has restarted, the seek leads to another frame.
         if frame.sequence > found.sequence {
-            self.find(Place::Frame(found.sequence), frame)?;
+            self.find(SeekTarget::Frame(found.sequence), frame)?;
         }
         let mut state = self.transport.state();
         state.preroll = frame.sequence..found.sequence;
         state.playback.position = Some(found);
-        self.rolling_to = (frame.sequence < found.sequence).then_some(found.sequence);
+        self.preroll_until = (frame.sequence < found.sequence).then_some(found.sequence);
         Ok(Some(position(frame)))
     }
 
@@ -280,13 +280,13 @@ impl Player {
         let mut back = 1;
         loop {
             let from = now.saturating_sub(back).max(self.extent.first.sequence);
-            let Some(mut found) = self.find(Place::Frame(from), frame)? else { return Ok(None) };
+            let Some(mut found) = self.find(SeekTarget::Frame(from), frame)? else { return Ok(None) };
             if found.sequence < now || from <= self.extent.first.sequence {
                 // Numbers may be missing in between: the last frame before the current one is taken.
                 while let Some(next) = self.frame_alone(frame)?.filter(|next| next.sequence < now) {
                     found = next;
                 }
-                return self.seek(Place::Frame(found.sequence), frame);
+                return self.seek(SeekTarget::Frame(found.sequence), frame);
             }
             back *= 2;
         }
@@ -357,9 +357,9 @@ impl FrameSource for Player {
                     self.frame_alone(frame)?.inspect(|found| self.transport.state().playback.position = Some(*found))
                 }
                 Task::StepBack => self.step_back(frame)?,
-                Task::Roll => {
+                Task::Preroll => {
                     let found = self.frame_alone(frame)?;
-                    self.rolling_to = self.rolling_to.filter(|to| found.is_some_and(|found| found.sequence < *to));
+                    self.preroll_until = self.preroll_until.filter(|until| found.is_some_and(|f| f.sequence < *until));
                     found
                 }
                 Task::Play => match self.next_of_recording(frame)? {

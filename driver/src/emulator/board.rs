@@ -14,7 +14,7 @@ use super::esp32::Esp32;
 use super::feed::Feed;
 use super::mcu7::Mcu7;
 use super::options::{EmulatorOptions, Kind, Pace};
-use super::port::{self, Place};
+use super::port::{self, HostLine};
 use super::shared::{EmulatorCounts, Shared};
 use super::wire::{Firmware, Wire};
 use crate::protocol::mcu7::{Framing, Protocol};
@@ -72,12 +72,12 @@ fn folder() -> PathBuf {
     std::env::temp_dir().join(format!("radome-board-{}-{next}", std::process::id()))
 }
 
-fn place(options: &EmulatorOptions) -> Result<Place, EmulatorError> {
+fn place(options: &EmulatorOptions) -> Result<HostLine, EmulatorError> {
     match (options.kind, &options.terminal) {
         (Kind::Mcu7Bulk, Some(path)) => Err(EmulatorError::NoTerminal { path: path.clone() }),
-        (Kind::Mcu7Bulk, None) => Ok(Place::Endpoints(options.link.clone().unwrap_or_else(folder))),
-        (_, Some(path)) => Ok(Place::Terminal(path.clone())),
-        (_, None) => Ok(Place::Pseudoterminal { link: options.link.clone() }),
+        (Kind::Mcu7Bulk, None) => Ok(HostLine::Endpoints(options.link.clone().unwrap_or_else(folder))),
+        (_, Some(path)) => Ok(HostLine::Terminal(path.clone())),
+        (_, None) => Ok(HostLine::Pseudoterminal { link: options.link.clone() }),
     }
 }
 
@@ -100,8 +100,8 @@ impl EmulatedBoard {
         let mut firmware = firmware(feed, &options, &shared)?;
         let what = place.description();
         let address = match &place {
-            Place::Pseudoterminal { .. } | Place::Terminal(_) => None,
-            Place::Endpoints(folder) => Some(Address::Usb(UsbAddress::Emulated(folder.clone()))),
+            HostLine::Pseudoterminal { .. } | HostLine::Terminal(_) => None,
+            HostLine::Endpoints(folder) => Some(Address::Usb(UsbAddress::Emulated(folder.clone()))),
         };
         let mut wire = Wire::new(place, &options, shared.clone()).map_err(|source| match &options.link {
             Some(link) if source.kind() == ErrorKind::AlreadyExists => EmulatorError::LinkExists { link: link.clone() },

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use super::chip::Chip;
 use super::sample_source::Slice;
-use super::wire::{Before, Firmware, Wire};
+use super::wire::{FaultAction, Firmware, Wire};
 use super::{EmulatorError, EmulatorOptions, Feed, Shared};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
 use requests::{DEVICE, Requests};
@@ -95,16 +95,16 @@ impl Deepcraft {
         self.sent += frames;
         for before in before {
             match before {
-                Before::Overflow => {
+                FaultAction::Overflow => {
                     self.shared.overflows.fetch_add(1, Ordering::Relaxed);
                     self.codes.drain(..codes);
                     return self.drop_frames(frames as u32);
                 }
-                Before::Stall => {
+                FaultAction::Stall => {
                     self.stalled = true;
                     return;
                 }
-                Before::Skip(by) => self.skip(u32::from(by)),
+                FaultAction::Skip(by) => self.skip(u32::from(by)),
             }
         }
         let layout = ChunkLayout { device: DEVICE, stream: STREAM, frame_codes: self.frame_codes };

@@ -10,7 +10,7 @@ use radome_dsp::WaveformRequest;
 
 use super::chip::Chip;
 use super::sample_source::Slice;
-use super::wire::{Before, Firmware, Wire};
+use super::wire::{FaultAction, Firmware, Wire};
 use super::{EmulatorOptions, Feed, Shared};
 use crate::chip::{ChipConfiguration, RegisterList};
 use crate::protocol::ascii;
@@ -150,15 +150,15 @@ impl Firmware for Esp32 {
         let (packet, before) = wire.next_number();
         for before in before {
             match before {
-                Before::Overflow => {
+                FaultAction::Overflow => {
                     self.chip.overflow();
                     return true;
                 }
-                Before::Stall => {
+                FaultAction::Stall => {
                     self.stalled = true;
                     return false;
                 }
-                Before::Skip(by) => self.skip(u64::from(by)),
+                FaultAction::Skip(by) => self.skip(u64::from(by)),
             }
         }
         if let Some((number, codes)) = self.frames.pop_front() {

@@ -22,9 +22,9 @@ use crate::transport::usb::DeviceSockets;
 /// Most bytes of clients that are read at once while the port checks for clients.
 const MOST_RECEIVED: usize = 65_536;
 
-/// Place of the board's line.
+/// Line of the board to its host.
 #[derive(Debug, Clone)]
-pub(super) enum Place {
+pub(super) enum HostLine {
     /// A new pseudo-terminal, whose far end looks like a serial port.
     Pseudoterminal {
         /// Symbolic link to it.
@@ -36,23 +36,25 @@ pub(super) enum Place {
     Endpoints(PathBuf),
 }
 
-impl Place {
+impl HostLine {
     /// Description for messages.
     pub fn description(&self) -> String {
         match self {
-            Place::Pseudoterminal { link: Some(link) } => format!("a pseudo-terminal with the link {}", link.display()),
-            Place::Pseudoterminal { link: None } => "a pseudo-terminal".into(),
-            Place::Terminal(path) => format!("a line of the terminal {}", path.display()),
-            Place::Endpoints(folder) => format!("sockets in the folder {}", folder.display()),
+            HostLine::Pseudoterminal { link: Some(link) } => {
+                format!("a pseudo-terminal with the link {}", link.display())
+            }
+            HostLine::Pseudoterminal { link: None } => "a pseudo-terminal".into(),
+            HostLine::Terminal(path) => format!("a line of the terminal {}", path.display()),
+            HostLine::Endpoints(folder) => format!("sockets in the folder {}", folder.display()),
         }
     }
 
     /// Opens the line: plugs the board in.
     pub fn open(&self) -> io::Result<Port> {
         match self {
-            Place::Pseudoterminal { .. } => Terminal::new().map(Port::Terminal),
-            Place::Terminal(path) => Terminal::open(path).map(Port::Terminal),
-            Place::Endpoints(folder) => DeviceSockets::bind(folder).map(Port::Endpoints),
+            HostLine::Pseudoterminal { .. } => Terminal::new().map(Port::Terminal),
+            HostLine::Terminal(path) => Terminal::open(path).map(Port::Terminal),
+            HostLine::Endpoints(folder) => DeviceSockets::bind(folder).map(Port::Endpoints),
         }
     }
 }

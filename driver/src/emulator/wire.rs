@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::port::{Place, Port, link, unlink};
+use super::port::{HostLine, Port, link, unlink};
 use super::{EmulatorOptions, Fault, Shared};
 use crate::transport::usb::Setup;
 
@@ -46,7 +46,7 @@ pub(super) trait Firmware {
 /// Line to the host.
 pub(super) struct Wire {
     port: Port,
-    place: Place,
+    place: HostLine,
     faults: Vec<Fault>,
     /// A message to be sent after its successor.
     held: Vec<u8>,
@@ -66,7 +66,7 @@ pub(super) struct Wire {
 
 /// Action of the firmware before a message, by a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Before {
+pub(super) enum FaultAction {
     /// The FIFO overflows instead of the message.
     Overflow,
     /// Nothing is sent until the host starts the board anew.
@@ -77,7 +77,7 @@ pub(super) enum Before {
 
 impl Wire {
     /// Opens the line: plugs the board in.
-    pub fn new(place: Place, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
+    pub fn new(place: HostLine, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
         let wire = Wire {
             port: place.open()?,
             place,
@@ -98,7 +98,7 @@ impl Wire {
 
     fn make_link(&self) -> std::io::Result<()> {
         match &self.place {
-            Place::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
+            HostLine::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
             _ => Ok(()),
         }
     }
@@ -106,24 +106,24 @@ impl Wire {
     /// Removes the link, unless the link of another board has replaced it.
     fn remove_link(&self) -> std::io::Result<()> {
         match &self.place {
-            Place::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
+            HostLine::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
             _ => Ok(()),
         }
     }
 
     /// Returns the number of the next message, and the actions before it. A board that is about to be unplugged does
     /// not send it.
-    pub fn next_number(&mut self) -> (u64, Vec<Before>) {
+    pub fn next_number(&mut self) -> (u64, Vec<FaultAction>) {
         let number = self.shared.packets.fetch_add(1, Ordering::Relaxed);
         let mut before = Vec::new();
         for fault in &self.faults {
             match *fault {
-                Fault::Overflow(n) if n == number => before.push(Before::Overflow),
-                Fault::Stall(n) if n == number => before.push(Before::Stall),
-                Fault::SkipCounter { packet, by } if packet == number => before.push(Before::Skip(by)),
+                Fault::Overflow(n) if n == number => before.push(FaultAction::Overflow),
+                Fault::Stall(n) if n == number => before.push(FaultAction::Stall),
+                Fault::SkipCounter { packet, by } if packet == number => before.push(FaultAction::Skip(by)),
                 Fault::Unplug { packet, duration } if packet == number => {
                     self.unplugged = Some(duration);
-                    before.push(Before::Stall);
+                    before.push(FaultAction::Stall);
                 }
                 Fault::SlowHost { packet, duration } if packet == number => {
                     self.host_reads_from = Some(Instant::now() + duration);
@@ -297,12 +297,12 @@ impl Wire {
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut is_back = None;
         match &self.place {
-            Place::Pseudoterminal { .. } => {
+            HostLine::Pseudoterminal { .. } => {
                 // Opened before the old one is closed, so that it has another name.
                 is_back = Some(self.place.open()?);
                 self.remove_link()?;
             }
-            Place::Terminal(_) | Place::Endpoints(_) => {}
+            HostLine::Terminal(_) | HostLine::Endpoints(_) => {}
         }
         self.port = Port::Gone;
         let end = Instant::now() + duration;
@@ -343,7 +343,7 @@ impl Wire {
     /// Path for the host.
     pub fn path(&self) -> &Path {
         match &self.place {
-            Place::Pseudoterminal { link: Some(link) } => link,
+            HostLine::Pseudoterminal { link: Some(link) } => link,
             _ => self.port.path(),
         }
     }

@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 
 use super::chip::Chip;
 use super::sample_source::Slice;
-use super::wire::{Before, Firmware, Wire};
+use super::wire::{FaultAction, Firmware, Wire};
 use super::{EmulatorOptions, Feed, Shared};
 use crate::protocol::mcu7::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
 use crate::protocol::packed12;
@@ -171,15 +171,15 @@ impl Mcu7 {
         }
         for before in before {
             match before {
-                Before::Overflow => {
+                FaultAction::Overflow => {
                     self.requests.chip.overflow();
                     return self.overflow(wire);
                 }
-                Before::Stall => {
+                FaultAction::Stall => {
                     self.clear();
                     self.requests.stop_by_itself();
                 }
-                Before::Skip(by) => self.counter = self.counter.wrapping_add(by),
+                FaultAction::Skip(by) => self.counter = self.counter.wrapping_add(by),
             }
         }
         let Some(Waiting::Slice(bytes)) = self.buffer.front() else { return };

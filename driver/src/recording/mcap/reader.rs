@@ -28,29 +28,29 @@ pub struct McapReader {
     chunk_offset: u64,
     ended: bool,
     /// Target of a seek, until it is found.
-    wanted: Option<Place>,
+    wanted: Option<SeekTarget>,
 }
 
 /// Target of a seek.
 #[derive(Debug, Clone, Copy)]
-enum Place {
+enum SeekTarget {
     Frame(u64),
     Time { ns: u64 },
 }
 
-impl Place {
+impl SeekTarget {
     fn is_reached(self, position: Position) -> bool {
         match self {
-            Place::Frame(sequence) => position.sequence >= sequence,
-            Place::Time { ns } => position.time_ns >= ns,
+            SeekTarget::Frame(sequence) => position.sequence >= sequence,
+            SeekTarget::Time { ns } => position.time_ns >= ns,
         }
     }
 
     /// Returns whether a gap ends before the frame that is sought, and is therefore not reported.
     fn is_behind(self, gap: &Gap) -> bool {
         match self {
-            Place::Frame(sequence) => gap.frames > 0 && gap.first_sequence.saturating_add(gap.frames) <= sequence,
-            Place::Time { .. } => false,
+            SeekTarget::Frame(sequence) => gap.frames > 0 && gap.first_sequence.saturating_add(gap.frames) <= sequence,
+            SeekTarget::Time { .. } => false,
         }
     }
 }
@@ -146,7 +146,7 @@ impl McapReader {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
-        self.seek(Place::Frame(sequence))
+        self.seek(SeekTarget::Frame(sequence))
     }
 
     /// Seeks the first frame at or after this time, s: see
@@ -155,7 +155,7 @@ impl McapReader {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        self.seek(Place::Time { ns: time_ns(time_s) })
+        self.seek(SeekTarget::Time { ns: time_ns(time_s) })
     }
 
     /// First and last frame: see [`Recording::extent`](crate::recording::Recording::extent).
@@ -184,13 +184,13 @@ impl McapReader {
                 break;
             }
         }
-        self.seek(Place::Frame(0))?;
+        self.seek(SeekTarget::Frame(0))?;
         Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
     /// Seeks the end of the last frame that has not `reached` the place, by bisection over the chunks; each step reads
     /// one chunk.
-    fn seek(&mut self, place: Place) -> Result<(), RecordingError> {
+    fn seek(&mut self, place: SeekTarget) -> Result<(), RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
         // First chunk that starts at the place or behind it; the place is in the chunk before.
@@ -299,7 +299,7 @@ impl McapReader {
                 }
                 Topic::Frame => {
                     // An index that lacks a chunk has led to a place before the one that was asked for.
-                    let is_earlier = |place: Place| frame_position(&data).is_some_and(|at| !place.is_reached(at));
+                    let is_earlier = |place: SeekTarget| frame_position(&data).is_some_and(|at| !place.is_reached(at));
                     if self.wanted.is_some_and(is_earlier) {
                         continue;
                     }
