@@ -289,28 +289,6 @@ proptest! {
         prop_assert_eq!(decoded.tag, tag);
     }
 
-    #[test]
-    fn requests_round_trip(device in -1..100i32, id: i32, tag: i32, blob in prop::collection::vec(any::<u8>(), 0..99)) {
-        let values = [Value::OneOf(tag), Value::Blob(blob)];
-        let options = values.map(|value| OptionValue { option_id: id, value: Some(value) }).to_vec();
-        for command in [
-            Command::Capabilities(CapabilitiesRequest { device, tag }),
-            Command::Configure(ConfigureRequest { device, options, tag }),
-            Command::Start(StartRequest { device }),
-            Command::Stop(StopRequest { device }),
-            Command::WatchdogReset(Empty {}),
-            Command::Reset(Empty {}),
-        ] {
-            let request = Request::from(command);
-            let mut line = Vec::new();
-            request.encode_to(&mut line);
-            let mut parser = MessageParser::new(MAX_REQUEST);
-            parser.push(&line);
-            let message = parser.next_message().expect("whole").expect("short enough");
-            prop_assert_eq!(Request::decode(message).expect("decodes"), request);
-        }
-    }
-
     /// Asserts that the result does not depend on how the bytes are divided into pieces.
     #[test]
     fn pieces_make_no_difference(

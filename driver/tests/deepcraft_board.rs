@@ -229,17 +229,6 @@ fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
     }
 }
 
-#[test]
-fn a_board_that_stalls_is_started_anew() {
-    let w = large();
-    let board = board(&w, &[Fault::Stall(4)]);
-    let mut stream = start(&board, &w).with_reconnect(POLICY);
-    let gaps = read(&mut stream, 10);
-    assert_eq!(gaps.iter().map(|g| (g.first_sequence, g.reason)).collect::<Vec<_>>(), [(4, GapReason::Disconnected)]);
-    // According to the host's clock; the deadline is 1.3 s.
-    assert!(gaps[0].frames >= 12, "{gaps:?}");
-}
-
 /// Asserts that frames of a slow stream arrive as they are measured: silence after a chunk confirms it without a
 /// successor.
 #[test]

@@ -48,11 +48,4 @@ mod hard_cases {
         let reason = error.source().expect("a reason").to_string();
         assert!(reason.contains("512 codes, expected 1024"), "{error}: {reason}");
     }
-
-    #[test]
-    fn a_port_that_is_not_there_is_named() {
-        let w = waveform(&[1], 16, 32, 0.02);
-        let error = Esp32Stream::open(std::path::Path::new("/dev/nowhere"), Some(&w)).err().expect("no such port");
-        assert!(error.to_string().contains("/dev/nowhere"), "{error}");
-    }
 }

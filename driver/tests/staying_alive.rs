@@ -33,14 +33,15 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 
 #[test]
 fn a_board_that_stalls_is_started_anew() {
-    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let board = board(&waveform, u64::MAX, Kind::default(), &[Fault::Stall(4)]);
-    let client = Mcu7Board::open(board.address()).expect("opens");
-    let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
-    let gaps = read_frames(&mut stream, 10, |_| {});
-    assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
-    // According to the host's clock, the first frame after the deadline of 1.3 s has at least number 13.
-    assert!(gaps[0].frames >= 12, "{gaps:?}");
+    for (kind, chirps, samples) in [(Kind::Mcu7V4, 8, 64), (Kind::Deepcraft, 32, 128)] {
+        let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
+        let board = board(&waveform, u64::MAX, kind, &[Fault::Stall(4)]);
+        let mut stream = open(kind, &board, &waveform, POLICY).expect("starts");
+        let gaps = read_frames(&mut stream, 10, |_| {});
+        assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
+        // According to the host's clock, the first frame after the deadline of 1.3 s has at least number 13.
+        assert!(gaps[0].first_sequence == 4 && gaps[0].frames >= 12, "{gaps:?}");
+    }
 }
 
 /// Asserts that a counter that jumps by less than a slice, which gives a packet an impossible position, leads to a
