@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use radome_dsp::Waveform;
 
-use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
+use crate::chip::{RegisterList, address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{EmulatorError, Fault, Shared};
 use crate::protocol::deepcraft::{
@@ -236,10 +236,7 @@ impl Requests {
         match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
             Some(preset) => {
                 let waveform = preset.waveform().map_err(|e| e.to_string())?;
-                let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: FIFO_LEVEL_CODES };
-                let mut registers = configuration.compile().map_err(|e| e.to_string())?;
-                let main = registers.iter_mut().filter(|r| r.address == address::MAIN);
-                main.for_each(|r| r.value &= !main_bits::ALL);
+                let registers = Custom::compile(&waveform).map_err(|e| e.to_string())?.registers;
                 Ok((waveform, registers))
             }
             None => {
