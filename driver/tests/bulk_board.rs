@@ -22,7 +22,7 @@ fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<
         pattern.fill(frame.sequence, &mut expected);
         frame.codes == expected.codes
     });
-    let numbers = |frames: Vec<Frame>| frames.iter().map(|frame| frame.sequence).collect();
+    let numbers = |frames: Vec<Frame>| frames.iter().map(|frame| frame.sequence).collect::<Vec<_>>();
     (numbers(good), numbers(bad), gaps)
 }
 
