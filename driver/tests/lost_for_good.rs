@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use radome_driver::{BoardError, EmulatedBoard, EmulatedSource, Kind, Mcu7Board, Reconnect};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use crate::common::{Pattern, linked, open, spawn, waveform};
 

@@ -156,7 +156,8 @@ mod hard_cases {
             let variant = |k| serde_json::json!({ "name": format!("v{k}"), "network": "hqnn" });
             let variants: Vec<serde_json::Value> = (0..variants).map(variant).collect();
             let (seeds, rates): (Vec<usize>, Vec<f64>) = ((0..seeds).collect(), vec![1e-3; rates]);
-            let spec = serde_json::json!({ "title": "many", "variants": variants, "seeds": seeds, "learning_rates": rates });
+            let spec =
+                serde_json::json!({ "title": "many", "variants": variants, "seeds": seeds, "learning_rates": rates });
             serde_json::from_value(spec).expect("a spec")
         };
         assert!(study(3, 5, 2).check().is_ok());

@@ -177,8 +177,14 @@ fn channel_first(values: &[f32], channels: usize, cells: usize) -> Vec<f64> {
 /// more windows than a task takes. Convolutions and blocks of one input channel have code of their own.
 #[test]
 fn convolutions_by_windows_agree_with_the_reference() {
-    let windows =
-        [(2, 5, 7, 9, 5), (3, 2, 3, 16, 33), (1, 1, 1, 20, 3), (1, 1, 6, 8, 16), (1, 23, 30, 16, 32), (2, 8, 8, 40, 70)];
+    let windows = [
+        (2, 5, 7, 9, 5),
+        (3, 2, 3, 16, 33),
+        (1, 1, 1, 20, 3),
+        (1, 1, 6, 8, 16),
+        (1, 23, 30, 16, 32),
+        (2, 8, 8, 40, 70),
+    ];
     let one_channel = [(2, 8, 6, 1, 16), (1, 7, 5, 1, 20), (3, 2, 3, 1, 3), (1, 30, 21, 1, 32)];
     for (batch, rows, columns, inputs, outputs) in windows.into_iter().chain(one_channel) {
         let (x, w, b) =
