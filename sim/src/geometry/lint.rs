@@ -1,9 +1,8 @@
 //! Detection of mesh defects before simulation.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
-use super::polygon::{doubled_area, sides};
-use super::{Mesh, edges};
+use super::{Mesh, edges, polygon};
 
 /// Least common area of coplanar triangles that is reported, m^2: overlapping surfaces would both be lit.
 pub const LEAST_OVERLAP_M2: f64 = 1e-6;
@@ -75,25 +74,11 @@ fn common_area_m2(mesh: &Mesh, first: u32, second: u32) -> f64 {
     if normal.cross(other).length() > 1e-3 || q.iter().any(|c| (*c - p[0]).dot(normal).abs() > SAME_PLANE_M) {
         return 0.0;
     }
-    let (u, v) = normal.any_orthonormal_pair();
-    let flat = |c: DVec3| DVec2::new((c - p[0]).dot(u), (c - p[0]).dot(v));
-    let mut shape: Vec<DVec2> = q.map(flat).to_vec();
-    let window = p.map(flat);
-    for [from, to] in sides(&window) {
-        let inside = |c: DVec2| (to - from).perp_dot(c - from) * normal.dot(u.cross(v));
-        let mut kept = Vec::with_capacity(shape.len() + 1);
-        for [a, b] in sides(&shape) {
-            let (da, db) = (inside(a), inside(b));
-            if da >= 0.0 {
-                kept.push(a);
-            }
-            if (da > 0.0 && db < 0.0) || (da < 0.0 && db > 0.0) {
-                kept.push(a.lerp(b, da / (da - db)));
-            }
-        }
-        shape = kept;
+    let mut shape = q.to_vec();
+    for [from, to] in polygon::sides(&p) {
+        shape = polygon::clipped(&shape, from, normal.cross(to - from));
     }
-    0.5 * doubled_area(&shape).abs()
+    polygon::area_m2(&shape)
 }
 
 #[cfg(test)]

@@ -36,20 +36,9 @@ pub struct Clearance {
 impl PlanarPolygon {
     /// Makes a polygon from corners that lie in a plane within rounding; the outline determines the direction of the
     /// normal. `None` where they enclose no area.
-    pub fn from_corners(outline: &[DVec3], holes: &[Vec<DVec3>]) -> Option<Self> {
+    pub fn from_corners(outline: &[DVec3]) -> Option<Self> {
         let normal = polygon::normal(outline);
-        let offset_m = polygon::centroid(outline).dot(normal);
-        let mut made = Self::in_plane(outline, normal, offset_m)?;
-        for hole in holes {
-            let mut corners = flattened(hole, normal, offset_m);
-            if polygon::normal(&corners).dot(normal) > 0.0 {
-                corners.reverse();
-            }
-            if !corners.is_empty() {
-                made.holes.push(corners);
-            }
-        }
-        Some(made)
+        Self::in_plane(outline, normal, polygon::centroid(outline).dot(normal))
     }
 
     /// Makes polygons from a plane's outlines: one, unless the plane is not connected. The list is empty if the
@@ -256,15 +245,16 @@ mod tests {
         let map = move |p: DVec3| turn * p + shift;
         let count = rng.random_range(8..40);
         let outline: Vec<DVec3> = star(&mut rng, DVec3::ZERO, [0.5, 2.0], count).into_iter().map(map).collect();
-        let holes: Vec<Vec<DVec3>> = (0..rng.random_range(0..4u32))
+        let mut polygon = PlanarPolygon::from_corners(&outline).expect("an area");
+        polygon.holes = (0..rng.random_range(0..4u32))
             .map(|i| {
                 let angle = TAU * f64::from(i) / 3.0;
                 let count = rng.random_range(5..12);
                 let centre = DVec3::new(angle.cos(), angle.sin(), 0.0) * 0.22;
-                star(&mut rng, centre, [0.04, 0.12], count).into_iter().map(map).collect()
+                star(&mut rng, centre, [0.04, 0.12], count).into_iter().rev().map(map).collect()
             })
             .collect();
-        (PlanarPolygon::from_corners(&outline, &holes).expect("an area"), map)
+        (polygon, map)
     }
 
     fn is_in(point: DVec3, [a, b, c]: [DVec3; 3], normal: DVec3) -> bool {
@@ -353,9 +343,9 @@ mod hard_cases {
     #[test]
     fn what_has_no_area_is_no_polygon() {
         let line = [DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::X * 0.5];
-        assert_eq!(PlanarPolygon::from_corners(&line, &[]), None);
-        assert_eq!(PlanarPolygon::from_corners(&[], &[]), None);
-        assert_eq!(PlanarPolygon::from_corners(&[DVec3::ZERO, DVec3::X, DVec3::NAN], &[]), None);
+        assert_eq!(PlanarPolygon::from_corners(&line), None);
+        assert_eq!(PlanarPolygon::from_corners(&[]), None);
+        assert_eq!(PlanarPolygon::from_corners(&[DVec3::ZERO, DVec3::X, DVec3::NAN]), None);
     }
 
     /// A sliver a tenth of a millimetre wide is a polygon; one of a micrometre is a line.
@@ -363,7 +353,7 @@ mod hard_cases {
     fn slivers_are_polygons_down_to_rounding() {
         let sliver = |width_m: f64| {
             let corners = [DVec3::ZERO, DVec3::X * 3.0, DVec3::new(3.0, width_m, 0.0), DVec3::Y * width_m];
-            PlanarPolygon::from_corners(&corners, &[])
+            PlanarPolygon::from_corners(&corners)
         };
         let thin = sliver(1e-4).expect("an area");
         assert!(thin.contains(DVec3::new(1.0, 5e-5, 0.0)) && !thin.contains(DVec3::new(1.0, 1.5e-4, 0.0)));
@@ -384,7 +374,7 @@ mod hard_cases {
             DVec3::new(2.0, 1.0, 0.0),
             DVec3::new(0.0, 1.0, 0.0),
         ];
-        let square = PlanarPolygon::from_corners(&corners, &[]).expect("an area");
+        let square = PlanarPolygon::from_corners(&corners).expect("an area");
         assert_eq!(square.outline.len(), 4, "{:?}", square.outline);
         assert!((square.area_m2() - 2.0).abs() < 1e-15);
     }

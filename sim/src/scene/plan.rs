@@ -132,7 +132,7 @@ pub(super) fn openings(plan: &PlanFile) -> Vec<Opening<'_>> {
 /// Returns the floor, which faces up.
 fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
     let corners: Vec<DVec3> = corners(plan).into_iter().map(|corner| corner.extend(0.0)).collect();
-    let floor = PlanarPolygon::from_corners(&corners, &[])?;
+    let floor = PlanarPolygon::from_corners(&corners)?;
     Some(if floor.normal.z > 0.0 { floor } else { floor.flipped() })
 }
 
@@ -306,7 +306,7 @@ impl Upright {
     /// Returns a part of the rectangle, which faces to the left of its direction.
     fn part(&self, [from, to, sill, head]: [f64; 4]) -> Option<PlanarPolygon> {
         let corners = [self.at(from, sill), self.at(from, head), self.at(to, head), self.at(to, sill)];
-        PlanarPolygon::from_corners(&corners, &[])
+        PlanarPolygon::from_corners(&corners)
     }
 
     /// Returns the polygons that remain of the rectangle around openings. They face to the left.
@@ -353,7 +353,7 @@ impl Upright {
         let way = shut - hinge;
         let end = hinge + DVec3::new(cosine * way.x - sine * way.y, sine * way.x + cosine * way.y, 0.0);
         let corners = [hinge, hinge.with_z(head), end.with_z(head), end];
-        (PlanarPolygon::from_corners(&corners, &[]), door.open_deg.abs() < 1e-6)
+        (PlanarPolygon::from_corners(&corners), door.open_deg.abs() < 1e-6)
     }
 }
 

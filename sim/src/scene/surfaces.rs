@@ -139,7 +139,7 @@ impl Surfaces {
         let polygons: Vec<PlanarPolygon> = drafts.iter().map(|draft| draft.polygon.clone()).collect();
         let triangles = small.iter().flat_map(|part| part.mesh.all_corners());
         let triangles: Vec<PlanarPolygon> =
-            triangles.filter_map(|corners| PlanarPolygon::from_corners(&corners, &[])).collect();
+            triangles.filter_map(|corners| PlanarPolygon::from_corners(&corners)).collect();
         let index = Index::new(&polygons, &triangles);
         let touches = touches(&polygons, &index);
         let covered_by: Vec<Option<usize>> = (0..polygons.len()).map(|face| cover(&polygons, &index, face)).collect();

@@ -57,7 +57,7 @@ fn box_side([low, high]: [DVec3; 2], axis: usize, is_high: bool) -> Option<Plana
         corner
     };
     let corners = [corner(low[i], low[j]), corner(high[i], low[j]), corner(high[i], high[j]), corner(low[i], high[j])];
-    let polygon = PlanarPolygon::from_corners(&corners, &[])?;
+    let polygon = PlanarPolygon::from_corners(&corners)?;
     Some(if is_high { polygon } else { polygon.flipped() })
 }
 
