@@ -172,23 +172,18 @@ impl Problem {
         Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets }
     }
 
-    /// Integrates over facets with a phase tolerance, then repeatedly with a quarter of their phase deviation until the
-    /// result converges. The last change is the error estimate.
-    fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
-        let at =
-            |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
-        let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
-        let mut coarse = at(4.0 * tolerance_rad);
+    /// Takes finer integrals until the result changes by no more than the tolerance, or until there is no finer one. The
+    /// last change is the error estimate.
+    fn converged(
+        &self,
+        tolerance_db: f64,
+        mut coarse: Integral,
+        mut finer: impl FnMut(&Integral) -> Option<Integral>,
+    ) -> Outcome {
         let mut facets = coarse.facets;
         let mut estimate_db = 0.0;
         for _ in 0..ROUNDS {
-            // Without phase deviation there is nothing to cut: flat faces seen from far are exact.
-            if coarse.bend_rad < STRAIGHT_RAD {
-                break;
-            }
-            // The new tolerance is finer than the previous deviation; otherwise nothing would change.
-            tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
-            let fine = at(tolerance_rad);
+            let Some(fine) = finer(&coarse) else { break };
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
@@ -201,6 +196,22 @@ impl Problem {
         Outcome { facets, ..self.outcome(&coarse, estimate) }
     }
 
+    /// Integrates over facets with a phase tolerance, then repeatedly with a quarter of their phase deviation.
+    fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
+        let at =
+            |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
+        let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
+        self.converged(tolerance_db, at(4.0 * tolerance_rad), |coarse| {
+            // Without phase deviation there is nothing to cut: flat faces seen from far are exact.
+            if coarse.bend_rad < STRAIGHT_RAD {
+                return None;
+            }
+            // The new tolerance is finer than the previous deviation; otherwise nothing would change.
+            tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
+            Some(at(tolerance_rad))
+        })
+    }
+
     /// Sums patches of a wavelength and less, halved until the result converges.
     fn dense(&self, surface: &Surface, tolerance_db: f64) -> Outcome {
         let k = self.setup.wavenumber_per_m();
@@ -209,21 +220,10 @@ impl Problem {
             dense::integrate(surface, k, patch_m, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
         };
         let mut patch_m = 0.5 * self.setup.wavelength_m();
-        let mut coarse = at(patch_m);
-        let mut facets = coarse.facets;
-        let mut estimate_db = f64::INFINITY;
-        for _ in 0..ROUNDS {
+        self.converged(tolerance_db, at(patch_m), |_| {
             patch_m *= 0.5;
-            let fine = at(patch_m);
-            facets += fine.facets;
-            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
-            coarse = fine;
-            // The estimate is NaN if everything is in shadow; finer patches do not change that.
-            if estimate_db <= tolerance_db || estimate_db.is_nan() {
-                break;
-            }
-        }
-        Outcome { facets, ..self.outcome(&coarse, Some(estimate_db).filter(|e| e.is_finite())) }
+            Some(at(patch_m))
+        })
     }
 
     /// Integrates the patches of a skin, whose triangles are cut into four until the result converges.
