@@ -4,6 +4,7 @@
 //! transforms, and the animations of these transforms. All animations of a file form one clip. Curves between keyframes
 //! become straight lines.
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
 
@@ -386,20 +387,13 @@ impl<'d, 'a> Reader<'d, 'a> {
                 let index = |&v: &usize| u32::try_from(v).unwrap_or(u32::MAX);
                 let corners: Vec<u32> =
                     self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(index).collect();
-                let all;
-                let counts: &[usize] = match (&counts, polygons) {
-                    (Some(counts), _) => counts,
-                    (None, true) => {
-                        all = vec![corners.len()];
-                        &all
-                    }
-                    (None, false) => {
-                        all = vec![3; corners.len() / 3];
-                        &all
-                    }
+                let counts = match &counts {
+                    Some(counts) => Cow::Borrowed(counts),
+                    None if polygons => Cow::Owned(vec![corners.len()]),
+                    None => Cow::Owned(vec![3; corners.len() / 3]),
                 };
                 let mut from = 0usize;
-                for &count in counts {
+                for &count in counts.iter() {
                     let polygon = corners.get(from..from.saturating_add(count));
                     let polygon =
                         polygon.ok_or_else(|| self.fault(list, "faces have more corners than there are indices"))?;

@@ -58,13 +58,9 @@ fn add_skin(
 ) -> Result<(), FileError> {
     let first = rig.joints.len();
     let what = format!("skin {}", skin.index());
-    let inverse: Option<Vec<DMat4>> = match skin.inverse_bind_matrices() {
-        Some(accessor) => {
-            let rows = file.rows(&accessor, &format!("inverse bind matrices of {what}"))?;
-            Some(rows.of::<16>().map(|m| DMat4::from_cols_array(&m)).collect())
-        }
-        None => None,
-    };
+    let matrices = skin.inverse_bind_matrices();
+    let rows = matrices.map(|m| file.rows(&m, &format!("inverse bind matrices of {what}"))).transpose()?;
+    let inverse: Option<Vec<DMat4>> = rows.map(|rows| rows.of::<16>().map(|m| DMat4::from_cols_array(&m)).collect());
     for (i, joint) in skin.joints().enumerate() {
         let inverse_bind = match &inverse {
             Some(all) => *all.get(i).ok_or_else(|| {
@@ -78,7 +74,36 @@ fn add_skin(
     for primitive in mesh.primitives() {
         let what = format!("primitive {} of mesh {:?}", primitive.index(), mesh.name().unwrap_or_default());
         let part = file.triangles(&primitive, &what)?;
-        add_primitive(rig, file, &primitive, &what, part, first)?;
+        let count = part.vertices.len();
+        // Seams have a vertex for each side. The check is before weights are read, which take the most memory.
+        if rig.vertices.len().saturating_add(count) > 3 * MOST_TRIANGLES {
+            let problem =
+                format!("with it the skin has more vertices than expected, {} vertices at most", 3 * MOST_TRIANGLES);
+            return Err(FileError::new(&what, problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
+        }
+        let mut weights: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
+        for set in 0.. {
+            let (Some(joints), Some(of)) =
+                (primitive.get(&gltf::Semantic::Joints(set)), primitive.get(&gltf::Semantic::Weights(set)))
+            else {
+                break;
+            };
+            let joints = file.rows(&joints, &format!("joints of {what}"))?;
+            let of = file.rows(&of, &format!("weights of {what}"))?;
+            if joints.numbers.len() != 4 * count || of.numbers.len() != 4 * count {
+                let problem = format!("{count} vertices, but joints or weights for another number");
+                return Err(FileError::new(&what, problem, "bind the mesh to its skeleton anew and export again"));
+            }
+            for (weights, (joints, of)) in weights.iter_mut().zip(joints.of::<4>().zip(of.of::<4>())) {
+                weights.extend(
+                    joints.iter().zip(of).map(|(&joint, weight)| (first.saturating_add(joint as usize), weight)),
+                );
+            }
+        }
+        let start = rig.vertices.len() as u32;
+        rig.vertices.extend(part.vertices);
+        rig.weights.extend(weights);
+        rig.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v.saturating_add(start))));
     }
     Ok(())
 }
@@ -113,45 +138,4 @@ fn clip(file: &GltfFile, animation: &gltf::Animation, number: &[usize]) -> Resul
         clip.tracks.push(Track { node: number[node.index()], between, times_s, values });
     }
     Ok(clip)
-}
-
-fn add_primitive(
-    rig: &mut Rig,
-    file: &GltfFile,
-    primitive: &gltf::Primitive,
-    what: &str,
-    part: crate::geometry::Mesh,
-    first_joint: usize,
-) -> Result<(), FileError> {
-    let count = part.vertices.len();
-    // Seams have a vertex for each side. The check comes before weights are read, since weights take the most memory.
-    if rig.vertices.len().saturating_add(count) > 3 * MOST_TRIANGLES {
-        let problem =
-            format!("with it the skin has more vertices than expected, {} vertices at most", 3 * MOST_TRIANGLES);
-        return Err(FileError::new(what, problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
-    }
-    let mut weights: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
-    for set in 0.. {
-        let (Some(joints), Some(of)) =
-            (primitive.get(&gltf::Semantic::Joints(set)), primitive.get(&gltf::Semantic::Weights(set)))
-        else {
-            break;
-        };
-        let joints = file.rows(&joints, &format!("joints of {what}"))?;
-        let of = file.rows(&of, &format!("weights of {what}"))?;
-        if joints.numbers.len() != 4 * count || of.numbers.len() != 4 * count {
-            let problem = format!("{count} vertices, but joints or weights for another number");
-            return Err(FileError::new(what, problem, "bind the mesh to its skeleton anew and export again"));
-        }
-        for (weights, (joints, of)) in weights.iter_mut().zip(joints.of::<4>().zip(of.of::<4>())) {
-            weights.extend(
-                joints.iter().zip(of).map(|(&joint, weight)| (first_joint.saturating_add(joint as usize), weight)),
-            );
-        }
-    }
-    let start = rig.vertices.len() as u32;
-    rig.vertices.extend(part.vertices);
-    rig.weights.extend(weights);
-    rig.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v.saturating_add(start))));
-    Ok(())
 }
