@@ -101,23 +101,19 @@ impl<'a> Words<'a> {
         Err(self.fault(format!("{word:?}")))
     }
 
-    fn next(&mut self, expected: &str) -> Result<&'a str, BvhError> {
-        let word = self.peek().ok_or_else(|| self.fault(expected))?;
+    /// Takes the next word as what `parse` makes of it.
+    fn next<T>(&mut self, expected: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T, BvhError> {
+        let parsed = self.peek().and_then(parse).ok_or_else(|| self.fault(expected))?;
         self.at += 1;
-        Ok(word)
+        Ok(parsed)
     }
 
     fn number(&mut self, expected: &str) -> Result<f64, BvhError> {
-        let number = self.peek().and_then(|w| w.parse::<f64>().ok()).filter(|n| n.is_finite());
-        let number = number.ok_or_else(|| self.fault(expected))?;
-        self.at += 1;
-        Ok(number)
+        self.next(expected, |word| word.parse().ok().filter(|number: &f64| number.is_finite()))
     }
 
     fn count(&mut self, expected: &str) -> Result<usize, BvhError> {
-        let count = self.peek().and_then(|w| w.parse::<usize>().ok()).ok_or_else(|| self.fault(expected))?;
-        self.at += 1;
-        Ok(count)
+        self.next(expected, |word| word.parse().ok())
     }
 
     fn offset(&mut self) -> Result<DVec3, BvhError> {
@@ -182,7 +178,7 @@ fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
         if open.is_empty() {
             return Ok(joints);
         }
-        match words.next("JOINT, End Site or }")? {
+        match words.next("JOINT, End Site or }", Some)? {
             word if word.eq_ignore_ascii_case("JOINT") => name = joint_name(words),
             word if word.eq_ignore_ascii_case("End") => words.expect("Site")?,
             _ => {
@@ -244,14 +240,8 @@ fn channels(words: &mut Words) -> Result<Vec<Channel>, BvhError> {
         words.at -= 1;
         return Err(words.fault("at most 6 channels"));
     }
-    let mut all = Vec::new();
-    for _ in 0..count {
-        let found = words.peek().and_then(|w| CHANNELS.iter().find(|(name, _)| name.eq_ignore_ascii_case(w)));
-        let channel = found.map(|(_, c)| *c).ok_or_else(|| words.fault("Xposition, Yrotation or the like"))?;
-        words.at += 1;
-        all.push(channel);
-    }
-    Ok(all)
+    let channel = |word: &str| CHANNELS.iter().find(|(name, _)| name.eq_ignore_ascii_case(word)).map(|(_, c)| *c);
+    (0..count).map(|_| words.next("Xposition, Yrotation or the like", channel)).collect()
 }
 
 impl Bvh {

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 
 use super::body::{Build, Frames, Posture, SEGMENTS};
 use super::bvh::{Bvh, parse_bvh};
-use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
+use super::cycle::{Cycle, FootSliding, SAY_CYCLE, Stance, Walk, best_cycle};
 use super::skin::Map;
 use crate::em::specular::Ellipsoid;
 use crate::file_error::FileError;
@@ -74,12 +74,8 @@ impl BodyClip {
             let problem = format!("{}, expected {}", e.problem, e.expected);
             FileError::new(format!("line {}", e.line), problem, "export the clip again as BVH, one line a frame")
         })?;
-        Self::from_bvh(&bvh, up, cycle_s)
-    }
-
-    fn from_bvh(bvh: &Bvh, up: UpAxis, asked: Option<[f64; 2]>) -> Result<Self, FileError> {
-        let sides = [side(bvh, "left", "l")?, side(bvh, "right", "r")?];
-        let rest = upright(bvh, up, None);
+        let sides = [side(&bvh, "left", "l")?, side(&bvh, "right", "r")?];
+        let rest = upright(&bvh, up, None);
         let length = |a: usize, b: usize| rest[a].distance(rest[b]);
         let legs: [f64; 2] =
             [0, 1].map(|s| length(sides[s].thigh, sides[s].shank) + length(sides[s].shank, sides[s].foot));
@@ -88,8 +84,8 @@ impl BodyClip {
             let hint = "check the OFFSETs of the joints of the legs: the skeleton may have been scaled to nothing";
             return Err(FileError::new("HIERARCHY", format!("its legs are {leg} long, expected a length"), hint));
         }
-        let (places, step_s) = sampled(bvh, up)?;
-        let [begin, end] = span(&places, step_s, asked)?;
+        let (places, step_s) = sampled(&bvh, up)?;
+        let [begin, end] = span(&places, step_s, cycle_s)?;
         let count = end - begin;
         let rest_pitch = sides.each_ref().map(|s| pitch(rest[s.toe] - rest[s.foot]));
         let mut poses = closed(&places[begin..=end], &sides, rest_pitch, leg);
@@ -102,8 +98,7 @@ impl BodyClip {
         let stance = Stance::of(&points(&Cycle::through(&poses), count), build.height_m);
         if stance.travel_m.length() < LEAST_TRAVEL * unit_m {
             let problem = format!("feet push {:.2} m in the cycle, expected a walk", stance.travel_m.length());
-            let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
-            return Err(FileError::new("MOTION", problem, hint));
+            return Err(FileError::new("MOTION", problem, SAY_CYCLE));
         }
         // The body faces +x, and the soles rest on the floor.
         let ahead = DMat3::from_rotation_z(-stance.travel_m.y.atan2(stance.travel_m.x));
@@ -247,7 +242,6 @@ fn closed(places: &[Vec<DVec3>], sides: &[Side; 2], rest_pitch: [f64; 2], leg: f
 /// Returns the first and last sample of a cycle.
 fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[usize; 2], FileError> {
     let lasts_s = places.len().saturating_sub(1) as f64 * step_s;
-    let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
     if let Some([a, b]) = asked {
         let [begin, end] = [a, b].map(|t| (t / step_s).round().max(0.0) as usize);
         if a >= 0.0 && b <= lasts_s + 0.5 * step_s && end < places.len() && end >= begin.saturating_add(FEWEST) {
@@ -255,14 +249,14 @@ fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[
         }
         let problem =
             format!("cycle_s is {asked:?}, expected a part of 0 to {lasts_s:.2} s of at least {FEWEST} samples");
-        return Err(FileError::new("MOTION", problem, hint));
+        return Err(FileError::new("MOTION", problem, SAY_CYCLE));
     }
     let [shortest, longest] = CYCLE_S.map(|s| (s / step_s).round() as usize);
     match best_cycle(places, shortest.max(FEWEST), longest) {
         Some((a, b, cost)) if cost < 1.0 => Ok([a, b]),
         _ => {
             let problem = format!("no cycle of steps was found in its {lasts_s:.2} s");
-            Err(FileError::new("MOTION", problem, hint))
+            Err(FileError::new("MOTION", problem, SAY_CYCLE))
         }
     }
 }

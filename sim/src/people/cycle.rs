@@ -16,6 +16,8 @@ const CONTACT: f64 = 0.003;
 const FLIGHT: f64 = 0.0115;
 /// Number of harmonics of a cycle in which the body's speed may follow its feet: up to about 5 Hz.
 const SURGE_HARMONICS: usize = 6;
+/// Hint where a clip's cycle cannot be found.
+pub(super) const SAY_CYCLE: &str = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
 /// Iterations for the spline's coefficients. Each iteration halves the remaining error.
 const ROUNDS: usize = 60;
 
@@ -196,21 +198,24 @@ fn middle_of(rates: &[DVec3]) -> DVec3 {
     DVec3::new(of(0), of(1), 0.0)
 }
 
+/// Places relative to their centroid.
+pub(super) fn centred(places: &[DVec3]) -> Vec<DVec3> {
+    let middle = places.iter().sum::<DVec3>() / places.len().max(1) as f64;
+    places.iter().map(|&place| place - middle).collect()
+}
+
+/// Root mean square of the distances between two lists of places.
+pub(super) fn rms_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
+    let squares: f64 = a.iter().zip(b).map(|(p, q)| p.distance_squared(*q)).sum();
+    (squares / a.len().max(1) as f64).sqrt()
+}
+
 /// Finds the best cycle in a sequence of poses: first and last index, and cost. `places` are joints, `[pose][joint]`,
 /// at even times; `shortest` and `longest` count poses. Two poses are similar if their joints, relative to the
 /// centroid, have similar positions and velocities.
 pub(super) fn best_cycle(places: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
-    let centred: Vec<Vec<DVec3>> = places
-        .iter()
-        .map(|p| {
-            let middle = p.iter().sum::<DVec3>() / p.len().max(1) as f64;
-            p.iter().map(|&place| place - middle).collect()
-        })
-        .collect();
-    let apart = |a: usize, b: usize| -> f64 {
-        let squares: f64 = centred[a].iter().zip(&centred[b]).map(|(p, q)| p.distance_squared(*q)).sum();
-        (squares / centred[a].len().max(1) as f64).sqrt()
-    };
+    let centred: Vec<Vec<DVec3>> = places.iter().map(|p| centred(p)).collect();
+    let apart = |a: usize, b: usize| rms_distance(&centred[a], &centred[b]);
     let last = places.len().checked_sub(1)?;
     let mut best: Option<(usize, usize, f64)> = None;
     for a in 1..last {

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, SEGMENTS};
-use super::cycle::{Cycle, FootSliding, Stance, Walk, best_cycle};
+use super::cycle::{Cycle, FootSliding, SAY_CYCLE, Stance, Walk, best_cycle, centred, rms_distance};
 use super::refine::{BoundMesh, follow, refine};
 use super::rig::{Clip, Rig, mean};
 use super::skin::{Map, Skin};
@@ -95,17 +95,14 @@ impl Actor {
             rig.metres = unit.metres();
         }
         rig.up = options.up.unwrap_or(rig.up);
-        Self::from_rig(&rig, options)
-    }
-
-    fn from_rig(rig: &Rig, options: &ActorOptions) -> Result<Self, FileError> {
+        let rig = &rig;
         let clip = choose(&rig.clips, options.animation.as_deref())?;
         let span = cycle_span(rig, clip, options.cycle_s)?;
         let Sampled { mut poses, mut standing } = sample(rig, clip, span);
         // The pose is rotated upright and scaled to metres.
         let up = |v: DVec3| rig.up.to_z_up(v) * rig.metres;
         let upright = DMat3::from_cols(up(DVec3::X), up(DVec3::Y), up(DVec3::Z));
-        let (_, own) = extent(rig, &standing, upright)?;
+        let own = height(rig, &standing, upright)?;
         let height_m = options.height_m.unwrap_or(own);
         if !(HEIGHTS_M[0]..=HEIGHTS_M[1]).contains(&height_m) {
             let problem = format!("it is {own:.4} m tall, expected {} to {} m", HEIGHTS_M[0], HEIGHTS_M[1]);
@@ -231,7 +228,6 @@ fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileErr
 /// Returns the begin and end of one cycle in a clip, s.
 fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2], FileError> {
     let place = format!("clip {:?}", clip.name);
-    let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
     let Some([begin, end]) = clip.span_s().filter(|[a, b]| b - a > 0.1 && b - a < LONGEST_S) else {
         let problem = format!("it lasts {:?} s, expected 0.1 to {LONGEST_S} s", clip.span_s().map(|[a, b]| b - a));
         return Err(FileError::new(place, problem, "export the frames of the walk, at the right frame rate"));
@@ -241,7 +237,7 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
             Ok([a, b])
         } else {
             let problem = format!("cycle_s is {asked:?}, expected a part of {begin} to {end} s of at least 0.1 s");
-            Err(FileError::new(place, problem, hint))
+            Err(FileError::new(place, problem, SAY_CYCLE))
         };
     }
     let step_s = clip.key_s().clamp(SAMPLE_S, 0.05);
@@ -249,23 +245,23 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
     let time = |k: usize| begin + (end - begin) * k as f64 / count as f64;
     if count.saturating_mul(rig.joints.len()) > MOST_PLACES {
         let problem = format!("it has {} joints over {count} samples, too many to look for a cycle", rig.joints.len());
-        return Err(FileError::new(place, problem, hint));
+        return Err(FileError::new(place, problem, SAY_CYCLE));
     }
     let places: Vec<Vec<DVec3>> = (0..=count).map(|k| rig.pose(&rig.locals(clip, time(k))).0).collect();
-    let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len().max(1) as f64;
-    let spread = |p: &[DVec3]| (p.iter().map(|q| q.distance_squared(middle(p))).sum::<f64>() / p.len() as f64).sqrt();
     let (Some(first), Some(last)) = (places.first(), places.last()) else { return Ok([begin, end]) };
-    let (a, b) = (middle(first), middle(last));
-    let apart: f64 = first.iter().zip(last).map(|(p, q)| (*p - a).distance_squared(*q - b)).sum();
-    let apart = (apart / first.len().max(1) as f64).sqrt();
+    let (first, last) = (centred(first), centred(last));
+    let spread = rms_distance(&first, &vec![DVec3::ZERO; first.len()]);
     // The spread of the joints is about a quarter of the height.
-    if apart < CLOSED * 4.0 * spread(first) {
+    if rms_distance(&first, &last) < CLOSED * 4.0 * spread {
         return Ok([begin, end]);
     }
     let samples = |s: f64| (s * count as f64 / (end - begin)).round() as usize;
     match best_cycle(&places, samples(CYCLE_S[0]).max(4), samples(CYCLE_S[1])) {
         Some((a, b, cost)) if cost < 1.0 => Ok([time(a), time(b)]),
-        _ => Err(FileError::new(place, "its end is not its beginning, and no cycle of steps was found in it", hint)),
+        _ => {
+            let problem = "its end is not its beginning, and no cycle of steps was found in it";
+            Err(FileError::new(place, problem, SAY_CYCLE))
+        }
     }
 }
 
@@ -336,12 +332,12 @@ fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh,
     Ok(rest)
 }
 
-/// Returns the bottom and the height of the skin in a pose.
-fn extent(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<(f64, f64), FileError> {
+/// Returns the height of the skin in a pose.
+fn height(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<f64, FileError> {
     let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * follow(p, w, pose)).z);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
     if high - low > 0.0 && (high - low).is_finite() {
-        return Ok((low, high - low));
+        return Ok(high - low);
     }
     let problem = format!("posed, it reaches from {low} to {high} m");
     Err(FileError::new("skin", problem, "check the scale of the skeleton and the inverse bind matrices"))
@@ -364,8 +360,8 @@ fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> St
     Stance::of(&points, height_m)
 }
 
-/// For each bone, returns the mean position of its skin when standing, and the amount of skin.
-fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<(DVec3, f64)> {
+/// For each bone, returns the mean position of its skin when standing.
+fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<DVec3> {
     let mut sums = vec![(DVec3::ZERO, 0.0); standing.len()];
     for (place, weights) in bound.posed(standing).into_iter().zip(&bound.weights) {
         for &(bone, weight) in weights {
@@ -375,7 +371,7 @@ fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<(DVec3, f64)> {
             }
         }
     }
-    sums.into_iter().map(|(sum, total)| (sum / f64::max(total, 1e-300), total)).collect()
+    sums.into_iter().map(|(sum, total)| sum / f64::max(total, 1e-300)).collect()
 }
 
 /// Returns the segment of a standing body that is nearest to a point.
@@ -392,7 +388,7 @@ fn standing_body(height_m: f64) -> [Ellipsoid; SEGMENTS] {
 /// For each bone, returns the segment of a standing body that is nearest to its skin.
 fn segments(bound: &BoundMesh, standing: &[Map], height_m: f64) -> Vec<usize> {
     let body = standing_body(height_m);
-    middles(bound, standing).into_iter().map(|(middle, _)| nearest(&body, middle)).collect()
+    middles(bound, standing).into_iter().map(|middle| nearest(&body, middle)).collect()
 }
 
 /// For each segment of a body, returns the bone that moves most of the nearest skin, and an ellipsoid around that skin.

@@ -110,15 +110,12 @@ impl Motion {
             hip_height_m: standing + (seated - standing) * sit,
             // The trunk bows when the person stands up or sits down.
             lean_rad: 0.02 + sit * -0.06 + 0.5 * smooth_step(4.0 * sit * (1.0 - sit) * 2.0 - 1.0),
-            pelvis_rad: 0.0,
-            twist_rad: 0.0,
             shoulder_rad: [0.05 + 0.35 * sit; 2],
             elbow_rad: [0.15 + 1.0 * sit; 2],
             hip_rad: [1.5 * sit; 2],
             knee_rad: [1.5 * sit; 2],
-            ankle_rad: [0.0; 2],
-            legs_left_rad: 0.0,
             chest_m: self.person.chest_m(time_s),
+            ..build.standing()
         };
         gait::walk(&mut posture, phase, vigour * (1.0 - sit), build.height_m, &self.person.style);
         if march > 0.0 {

@@ -7,6 +7,8 @@
 //! gait, twist and breath. The velocity of a vertex is the same sum over the bones' rates. These come from the pose in
 //! f64 and never from differences of vertices.
 
+use std::ops::Range;
+
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, CHEST, PELVIS, SEGMENTS, half_extent};
@@ -124,14 +126,6 @@ fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
     least - BLEND_M * f64::ln(sum)
 }
 
-/// Attachment of a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in
-/// units of the segment's semi-axes).
-#[derive(Debug, Clone, PartialEq)]
-struct Binding {
-    first: u32,
-    count: u32,
-}
-
 /// A skin that can take any posture of its bones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
@@ -139,7 +133,10 @@ pub struct Skin {
     /// Segment of the body to which each bone belongs.
     segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
-    bindings: Vec<Binding>,
+    /// Influences of each vertex.
+    bindings: Vec<Range<usize>>,
+    /// Bones, weights that sum to one for each vertex, and the vertex in each bone's own frame (for the walker's, in
+    /// units of the segment's semi-axes).
     influences: Vec<(usize, f64, DVec3)>,
     patches: Vec<SkinPatch>,
     narrowing: Vec<f32>,
@@ -149,7 +146,7 @@ pub struct Skin {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SkinPatch {
     /// Indices of the triangles.
-    pub triangles: std::ops::Range<usize>,
+    pub triangles: Range<usize>,
     /// Indices of the vertices. Unused lanes repeat the first vertex.
     pub vertices: [u32; LANES],
     /// Indices of each triangle's corners into `vertices`; all the same in lanes without a triangle.
@@ -201,7 +198,7 @@ impl Skin {
                 let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
                 skin.influences.push((segment, weight / total, unit));
             }
-            skin.bindings.push(Binding { first: first as u32, count: (skin.influences.len() - first) as u32 });
+            skin.bindings.push(first..skin.influences.len());
         }
         skin
     }
@@ -212,8 +209,9 @@ impl Skin {
     pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
         let (mut skin, from) = Skin::unbound(rest, segment_of);
         for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
-            skin.bindings.push(Binding { first: skin.influences.len() as u32, count: of.len() as u32 });
+            let first = skin.influences.len();
             skin.influences.extend_from_slice(of);
+            skin.bindings.push(first..skin.influences.len());
         }
         skin
     }
@@ -262,12 +260,12 @@ impl Skin {
     /// Returns a quantity of the segments for each vertex, weighted as the vertex follows the segments.
     pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
         let of_bone: Vec<f64> = self.segment_of.iter().map(|&s| of_segment[s]).collect();
-        self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_bone[s]).sum()).collect()
+        let weighted = |&(bone, weight, _): &(usize, f64, DVec3)| weight * of_bone[bone];
+        self.bindings.iter().map(|b| self.influences(b).iter().map(weighted).sum()).collect()
     }
 
-    fn influences(&self, binding: &Binding) -> impl Iterator<Item = &(usize, f64, DVec3)> {
-        let first = binding.first as usize;
-        self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
+    fn influences(&self, binding: &Range<usize>) -> &[(usize, f64, DVec3)] {
+        self.influences.get(binding.clone()).unwrap_or_default()
     }
 
     /// Returns the vertices for a pose of the bones, or their velocities for its rate.
@@ -275,8 +273,9 @@ impl Skin {
         self.bindings.iter().map(|b| self.follow(b, maps)).collect()
     }
 
-    fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
+    fn follow(&self, binding: &Range<usize>, maps: &[Map]) -> DVec3 {
         self.influences(binding)
+            .iter()
             .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].interval * unit) * weight)
             .sum()
     }
@@ -342,7 +341,7 @@ fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
 }
 
 impl SkinPatch {
-    fn new(triangles: std::ops::Range<usize>, corners: &[[u32; 3]]) -> Self {
+    fn new(triangles: Range<usize>, corners: &[[u32; 3]]) -> Self {
         let mut vertices: Vec<u32> = corners.iter().flatten().copied().collect();
         vertices.sort_unstable();
         vertices.dedup();
