@@ -57,8 +57,8 @@ impl Walls for FacetWalls<'_> {
     }
 
     fn met(&self, from: &Place, direction: DVec3) -> Option<Place> {
-        let (facet, position) =
-            self.room.paths().environment().met_from(from.wall as FacetId, from.position, direction)?;
+        let environment = self.room.paths().environment();
+        let (facet, position) = environment.first_hit(from.position, direction, Some(from.wall as FacetId))?;
         Some(self.on(facet, position))
     }
 

@@ -161,8 +161,8 @@ impl<'a> SharedWays<'a> {
             let (room, antenna) = (self.room, self.prepared.tx.position);
             let point = facing(ellipsoid, self.prepared.room.image_position(image, antenna));
             let mut beside = self.beside.borrow_mut();
-            let obstruction = room.obstruction_past(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
-            let way = room.paths().way_past(&obstruction, antenna, point);
+            let obstruction = room.obstruction(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
+            let way = room.paths().polyline_past(&obstruction, antenna, point);
             let past_people = past_along(self.prepared, self.people, self.me, &way);
             *slot = Some(SharedWay { obstruction, past_people });
         }
@@ -183,7 +183,7 @@ impl<'a> SharedWays<'a> {
         let mut edges = beside.borrow_mut();
         let field = match edges.get_mut(number * SEGMENTS + segment).filter(|edges| !edges.is_empty()) {
             Some(edges) => {
-                let own = room.obstruction_past(image, element.position, point, Some(edges));
+                let own = room.obstruction(image, element.position, point, Some(edges));
                 paths.illuminate_past(element, &own, point).field
             }
             None => paths.illuminate_past(element, &way.obstruction, point).field,

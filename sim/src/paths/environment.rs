@@ -159,11 +159,6 @@ impl Environment {
         triangles.filter_map(|[a, b, c]| Some([corner(a)?, corner(b)?, corner(c)?])).collect()
     }
 
-    /// First facet that a ray from a point of another facet meets, and the point, if the ray meets it from the front.
-    pub fn met_from(&self, on: FacetId, from: DVec3, direction: DVec3) -> Option<(FacetId, DVec3)> {
-        self.first_hit(from, direction, Some(on))
-    }
-
     /// Unit normal of a facet.
     pub fn normal(&self, facet: FacetId) -> Option<DVec3> {
         self.flat(facet).map(|flat| flat.normal)
@@ -212,8 +207,9 @@ impl Environment {
         }
     }
 
-    /// First facet that a ray meets, and the point, if the ray meets it from the front.
-    pub(super) fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
+    /// First facet that a ray meets, and the point, if the ray meets it from the front. `on` is the facet on which the
+    /// ray begins, if any.
+    pub fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
         let hit = self.world.closest(&self.ray(Ray::new(from, direction), on))?;
         let met = *self.facet_of_triangle.get(hit.triangle as usize)?;
         let first = self.flat(met)?;

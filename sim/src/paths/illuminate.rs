@@ -234,16 +234,12 @@ impl ImagePaths {
     /// Field of an element's image at a point, as [`crate::em::image::BoxRoom::illuminate`] gives it; zero where no
     /// path connects the two.
     pub fn illuminate(&self, element: &Element, image: usize, point: DVec3) -> Illumination {
-        self.illuminate_past(element, &self.obstruction(image, element.position, point), point)
+        self.illuminate_past(element, &self.obstruction(image, element.position, point, None), point)
     }
 
-    /// Relative field of an antenna's image at a point past facets, edges and walls.
-    pub fn obstruction(&self, image: usize, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
-        self.obstruction_past(image, antenna, point, None)
-    }
-
-    /// Same relative field for a path that is followed: edges beside it are searched only once.
-    pub fn obstruction_past(
+    /// Relative field of an antenna's image at a point past facets, edges and walls. For a path that is followed, edges
+    /// beside it are searched only once, and `known` keeps them.
+    pub fn obstruction(
         &self,
         image: usize,
         antenna: DVec3,
@@ -308,20 +304,13 @@ impl ImagePaths {
     /// Corners of the strongest path from an antenna to a point by an image: antenna, points of reflection, point.
     /// Empty where there is no path.
     pub fn polyline(&self, image: usize, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        let strongest = self.strongest(image, antenna, point);
-        strongest
-            .and_then(|sequence| self.folded(sequence, antenna, point))
-            .map_or_else(Vec::new, |folded| folded.points().to_vec())
-    }
-
-    /// Facets of the strongest path from an antenna to a point by an image.
-    pub fn strongest(&self, image: usize, antenna: DVec3, point: DVec3) -> Option<&[FacetId]> {
-        strongest_of(&self.valid(self.images.get(image)?, antenna, point, None))
+        self.polyline_past(&self.obstruction(image, antenna, point, None), antenna, point)
     }
 
     /// Corners of the strongest path from an antenna to a point past known obstructions; empty where there is none.
-    pub fn way_past(&self, obstruction: &Obstruction, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        let folded = strongest_of(&obstruction.arrivals).and_then(|sequence| self.folded(sequence, antenna, point));
+    pub fn polyline_past(&self, obstruction: &Obstruction, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        let strongest = obstruction.arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
+        let folded = strongest.and_then(|arrival| self.folded(arrival.sequence, antenna, point));
         folded.map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
@@ -615,10 +604,4 @@ struct Screen {
     beside: Complex64,
     /// Whether rays meet the facets.
     is_in_the_way: bool,
-}
-
-/// Facets of the strongest arrival.
-fn strongest_of<'a>(arrivals: &[Arrival<'a>]) -> Option<&'a [FacetId]> {
-    let strongest = arrivals.iter().max_by(|a, b| a.part.norm().total_cmp(&b.part.norm()));
-    strongest.map(|arrival| arrival.sequence)
 }

@@ -152,7 +152,8 @@ mod tests {
                         let point = middle + aside.clamp_length_max(1.0) * reach_m;
                         let field = paths.illuminate(&antenna, image, point).field.magnitude();
                         assert!(field == 0.0 || near.contains(&image), "{seed} {image} {middle} {reach_m}: {field}");
-                        let left = paths.obstruction(image, antenna.position, point).left().min(paths.most_by_edges());
+                        let left = paths.obstruction(image, antenna.position, point, None).left();
+                        let left = left.min(paths.most_by_edges());
                         assert!(field <= free * left + 1e-9, "{seed} {image}: {field} {free} {left}");
                         lit += usize::from(field > 0.0);
                     }

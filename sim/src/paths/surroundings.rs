@@ -110,20 +110,15 @@ impl PolygonRoom {
         self.paths.way(number(index), antenna, point)
     }
 
-    /// Relative field of an antenna's image at a point past facets, edges and walls.
-    pub fn obstruction(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Obstruction<'_> {
-        self.paths.obstruction(number(index), antenna, point)
-    }
-
-    /// Same relative field for a path that is followed ([`ImagePaths::obstruction_past`]).
-    pub fn obstruction_past(
+    /// Relative field of an antenna's image at a point past facets, edges and walls ([`ImagePaths::obstruction`]).
+    pub fn obstruction(
         &self,
         index: ImageIndex,
         antenna: DVec3,
         point: DVec3,
         known: Option<&mut EdgesBeside>,
     ) -> Obstruction<'_> {
-        self.paths.obstruction_past(number(index), antenna, point, known)
+        self.paths.obstruction(number(index), antenna, point, known)
     }
 
     /// Returns whether an unobstructed ray leads from an antenna to a point by an image.
