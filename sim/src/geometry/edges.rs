@@ -25,11 +25,9 @@ impl Edge {
     }
 }
 
-/// All edges of a mesh, sorted by their lower and then their higher vertex. A closed surface has no boundary and no
-/// tangle.
-pub fn edges(mesh: &Mesh) -> Vec<Edge> {
-    // (lower, higher vertex, triangle, goes upwards)
-    let mut sides: Vec<(u32, u32, u32, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
+/// Sides of all triangles, sorted: lower and higher vertex, triangle, and whether it runs from the lower to the higher.
+pub(super) fn sides(mesh: &Mesh) -> Vec<(u32, u32, u32, bool)> {
+    let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
     for (triangle, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         for (from, to) in [(a, b), (b, c), (c, a)] {
             sides.push((from.min(to), from.max(to), triangle as u32, from < to));
@@ -37,6 +35,12 @@ pub fn edges(mesh: &Mesh) -> Vec<Edge> {
     }
     sides.sort_unstable();
     sides
+}
+
+/// All edges of a mesh, sorted by their lower and then their higher vertex. A closed surface has no boundary and no
+/// tangle.
+pub fn edges(mesh: &Mesh) -> Vec<Edge> {
+    sides(mesh)
         .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
         .filter_map(|chunk| {
             let &(low, high, left, up) = chunk.first()?;

@@ -1,22 +1,16 @@
 //! Consistent orientation of the triangles of a surface.
 
 use super::Mesh;
+use super::edges::sides;
 
 /// Reverses triangles so that neighbours across an edge of exactly two have the same orientation. The lowest triangle
 /// of each connected part determines it. On surfaces with one side only (a Moebius strip) some edge remains
 /// inconsistent.
 pub fn oriented(mesh: &Mesh) -> Mesh {
-    // (lower, higher vertex, triangle, goes upwards)
-    let mut sides: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
-    for (triangle, &[a, b, c]) in mesh.triangles.iter().enumerate() {
-        for (from, to) in [(a, b), (b, c), (c, a)] {
-            sides.push((from.min(to), from.max(to), triangle, from < to));
-        }
-    }
-    sides.sort_unstable();
     let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); mesh.triangles.len()];
-    for run in sides.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
+    for run in sides(mesh).chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
         let [(.., t, up), (.., u, other_up)] = *run else { continue };
+        let (t, u) = (t as usize, u as usize);
         // Two triangles that run in the same direction along their edge face different ways.
         next[t].push((u, up == other_up));
         next[u].push((t, up == other_up));

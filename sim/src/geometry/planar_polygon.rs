@@ -147,7 +147,7 @@ impl PlanarPolygon {
 
     /// Low and high corner of the bounding box, m.
     pub fn bounds(&self) -> [DVec3; 2] {
-        self.outline.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &c| [l.min(c), h.max(c)])
+        polygon::bounds(&self.outline)
     }
 
     /// Triangles that cover the polygon, counter-clockwise when the normal points to the viewer, m.

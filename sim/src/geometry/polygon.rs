@@ -64,6 +64,11 @@ fn area_vector(polygon: &[DVec3]) -> DVec3 {
     polygon.windows(2).map(|w| (w[0] - first).cross(w[1] - first) * 0.5).sum()
 }
 
+/// Low and high corner of the box around points.
+pub(crate) fn bounds<'a>(points: impl IntoIterator<Item = &'a DVec3>) -> [DVec3; 2] {
+    points.into_iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &p| [l.min(p), h.max(p)])
+}
+
 /// Mean of the corners.
 pub fn centroid(polygon: &[DVec3]) -> DVec3 {
     polygon.iter().sum::<DVec3>() / polygon.len().max(1) as f64

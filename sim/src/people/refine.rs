@@ -8,6 +8,7 @@ use glam::DVec3;
 use super::rig::MOST_TRIANGLES;
 use super::skin::{EDGE_M, Map};
 use crate::file_error::FileError;
+use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, bulge, edges, one_ring_normals, split, weld};
 
 /// Edges longer than this are halved, m. It is a little above the target, so that edges near the target are kept.
@@ -71,8 +72,7 @@ pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[Map]) -
 }
 
 fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileError> {
-    let (low, high) =
-        mesh.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+    let [low, high] = bounds(&mesh.vertices);
     let size = (high - low).length();
     if !(size > 0.0 && size.is_finite()) {
         let problem = "all its vertices are at one place";

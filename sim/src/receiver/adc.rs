@@ -2,17 +2,14 @@
 
 use radome_dsp::{MAX_CODE, Waveform};
 
-use super::RxChannel;
+use super::{Leakage, RxChannel};
 
 /// Leakage and settling over one chirp, LSB.
 pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
     (0..waveform.request.samples_per_chirp)
         .map(|n| {
             let t = n as f64 / waveform.sample_rate_hz;
-            let tones = channel.leakage.iter().map(|l| {
-                let turns = waveform.slope_hz_per_s * l.delay_s * t;
-                l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).cos()
-            });
+            let tones = channel.leakage.iter().map(|l| l.amplitude_lsb * l.phase_at_rad(waveform, t).cos());
             let settling = channel.transient.iter().map(|s| s.amplitude_lsb * (-t / s.time_constant_s).exp());
             (tones.sum::<f64>() + settling.sum::<f64>()) as f32
         })
@@ -25,11 +22,8 @@ pub fn leakage_by_delay_lsb_s(channel: &RxChannel, waveform: &Waveform) -> Vec<f
     (0..waveform.request.samples_per_chirp)
         .map(|n| {
             let t = n as f64 / waveform.sample_rate_hz;
-            let tones = channel.leakage.iter().map(|l| {
-                let turns = waveform.slope_hz_per_s * l.delay_s * t;
-                -l.delay_s * l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).sin()
-            });
-            tones.sum::<f64>() as f32
+            let tone = |l: &Leakage| -l.delay_s * l.amplitude_lsb * l.phase_at_rad(waveform, t).sin();
+            channel.leakage.iter().map(tone).sum::<f64>() as f32
         })
         .collect()
 }

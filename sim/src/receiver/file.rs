@@ -3,6 +3,9 @@
 //! The TOML schema is this module's structs; each field's doc states unit, default and source. A table that is left out
 //! is filled with its defaults; an unknown key is an error. Levels are in LSB: one step of the 12-bit ADC.
 
+use std::f64::consts::TAU;
+
+use radome_dsp::Waveform;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -177,6 +180,13 @@ pub struct Leakage {
     /// Phase at the first sample of a chirp, rad.
     #[serde(default)]
     pub phase_rad: f64,
+}
+
+impl Leakage {
+    /// Phase at a time after the first sample of a chirp, rad.
+    pub fn phase_at_rad(&self, waveform: &Waveform, time_s: f64) -> f64 {
+        TAU * (waveform.slope_hz_per_s * self.delay_s * time_s) + self.phase_rad
+    }
 }
 
 /// One exponential: adds `amplitude_lsb exp(-t / time_constant_s)`, t from the first sample of each chirp.

@@ -6,7 +6,7 @@ use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::{Noise, SpurPhase};
-use crate::random::{Purpose, generator};
+use crate::random::{Purpose, draw, generator};
 
 /// Level of the weakest possible spur below the strongest one, dB.
 const SPREAD_DB: f64 = 20.0;
@@ -40,8 +40,7 @@ impl Spurs {
         let mut own = generator(seed, Purpose::Spur, [0, 1 + rx]);
         let mut spurs = Vec::with_capacity(noise.spurs);
         for number in 0..noise.spurs {
-            let [low, high] = BAND;
-            let cycles_per_sample = low + (high - low) * of_chip.random::<f64>();
+            let cycles_per_sample = draw(&mut of_chip, BAND);
             let drawn = match of_chip.random_range(0..3u32) {
                 0 => SpurPhase::Locked,
                 1 => SpurPhase::Free,

@@ -22,6 +22,7 @@ use crate::bounded_file::named_by_spec;
 use crate::em::image::Wall;
 use crate::file_error::FileError;
 use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
+use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
 use crate::math::Sets;
@@ -353,11 +354,6 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
     Ok(Piece { name: part.name, surface, mesh: welded.mesh })
 }
 
-/// Lowest and highest corner of a set of points.
-fn bounds<'a>(places: impl Iterator<Item = &'a DVec3>) -> [DVec3; 2] {
-    places.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &v| [l.min(v), h.max(v)])
-}
-
 /// Returns the planes along each axis, in order of position.
 fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     let mut all: [Vec<(f64, f64, usize)>; 3] = Default::default();
@@ -416,7 +412,7 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
         };
         for shell in shells(&piece.mesh, |t| !in_wall(t)) {
             let places = shell.iter().filter_map(|&t| piece.mesh.corners(t as usize)).flatten().collect::<Vec<_>>();
-            let [low, high] = bounds(places.iter());
+            let [low, high] = bounds(&places);
             if !(0..3).all(|i| low[i] > corner[i] - SAME_WALL_M && high[i] < end[i] + SAME_WALL_M) {
                 continue;
             }

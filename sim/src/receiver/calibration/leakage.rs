@@ -28,11 +28,7 @@ impl Shape {
     pub(super) fn leakage_lsb(&self, samples: usize, waveform: &Waveform) -> Vec<f64> {
         let at = |i: usize| {
             let time_s = i as f64 / waveform.sample_rate_hz;
-            let tone = |l: &Leakage| {
-                let turns = waveform.slope_hz_per_s * l.delay_s * time_s;
-                l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).cos()
-            };
-            self.leakage.iter().map(tone).sum()
+            self.leakage.iter().map(|l| l.amplitude_lsb * l.phase_at_rad(waveform, time_s).cos()).sum()
         };
         (0..samples).map(at).collect()
     }
