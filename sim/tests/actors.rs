@@ -141,7 +141,7 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
     else {
         return;
     };
-    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let fixtures = common::fixtures();
     let text = std::fs::read_to_string(fixtures.join("scenes/corridor-mesh.toml")).expect("fixture");
     let text = text.replace("../receivers/", "");
     // A scene names files of its own folder.
@@ -189,7 +189,7 @@ fn the_cesium_man_stands_on_the_floor_as_he_walks() {
 mod hard_cases {
     use super::*;
 
-    fn refused(result: Result<Actor, FileError>, expected: &[&str]) {
+    fn refused<T>(result: Result<T, FileError>, expected: &[&str]) {
         let message = result.map(|_| ()).expect_err("a fault").to_string();
         for word in expected.iter().chain(&["hint: "]) {
             assert!(message.contains(word), "{word:?} is not in {message:?}");
@@ -421,10 +421,7 @@ mod hard_cases {
 
     #[test]
     fn bvh_frames_without_channels_and_endless_clips_are_refused() {
-        let told = |text: &str, expected: &[&str]| {
-            let fault = BodyClip::parse(text, UpAxis::Y, None).map(|_| ()).expect_err("a fault").to_string();
-            assert!(expected.iter().all(|word| fault.contains(word)), "{fault}");
-        };
+        let told = |text: &str, expected: &[&str]| refused(BodyClip::parse(text, UpAxis::Y, None), expected);
         let head = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\nMOTION\n";
         told(&format!("{head}Frames: 18446744073709551615\nFrame Time: 0.01\n"), &["without channels"]);
         let good = biped::bvh();
@@ -445,12 +442,7 @@ mod hard_cases {
     #[test]
     fn bvh_clips_that_are_wrong_are_told_where() {
         let good = biped::bvh();
-        let told = |text: &str, expected: &[&str]| {
-            let fault = BodyClip::parse(text, UpAxis::Y, None).map(|_| ()).expect_err("a fault").to_string();
-            for word in expected.iter().chain(&["hint: "]) {
-                assert!(fault.contains(word), "{word:?} is not in {fault:?}");
-            }
-        };
+        let told = |text: &str, expected: &[&str]| refused(BodyClip::parse(text, UpAxis::Y, None), expected);
         let wrong = |from: &str, to: &str, expected: &[&str]| {
             assert!(good.contains(from), "{from}");
             told(&good.replacen(from, to, 1), expected);
@@ -463,11 +455,7 @@ mod hard_cases {
         wrong("Frame Time: 0.0333333", "Frame Time: 0", &["\"0\"", "0.0001 to 1 s"]);
         wrong("Frames: 90", "Frames: 91", &["the file ends", "frame 90 of 91"]);
         wrong("Frames: 90", "Frames: 89", &["the end of the file", "89 frames"]);
-        wrong(
-            "JOINT LeftLeg",
-            "JOINT Kneeish",
-            &["left shank", "\"leftleg\"".trim_matches('"').get(4..).unwrap_or(""), "Kneeish"],
-        );
+        wrong("JOINT LeftLeg", "JOINT Kneeish", &["left shank", "leg", "Kneeish"]);
         wrong("MOTION", "}\nMOTION", &["found \"}\"", "MOTION"]);
         let (head, motion) = good.split_once("Frame Time: 0.0333333\n").expect("written");
         let short = motion.replacen(' ', "\n", 1);

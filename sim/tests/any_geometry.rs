@@ -15,23 +15,12 @@ use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::common::{self, WAVENUMBER, scene};
-use crate::surfaces::rooms::{SIZE_M, box_keys, faces, gltf, obj, stl, triangles};
+use crate::surfaces::rooms::{SIZE_M, box_keys, faces, made, mesh_table, room_files, stl, triangles};
+use crate::surfaces::{RECTANGLE, plan_keys};
 
 /// Person who walks through the room of most tests, away from its walls.
 const WALKER: &str =
     "[[people.actor]]\nstep = [{ walk_to_m = [4.0, 3.2] }, { walk_to_m = [1.5, 1.9], speed_m_per_s = 1.0 }]\n";
-
-/// The room of most tests as a plan.
-const PLAN: &str = "floor = { material = \"plasterboard\", thickness_m = 0.0125 }\n\
-                    ceiling = { material = \"plasterboard\", thickness_m = 0.0125 }\n[room.plan]\n\
-                    corners_m = [[0.0, 0.0], [5.25, 0.0], [5.25, 4.5], [0.0, 4.5]]\nheight_m = 2.75\n\
-                    walls = { material = \"plasterboard\", thickness_m = 0.0125 }\n";
-
-/// Makes a scene with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2) and looks along x.
-fn made(room: &str, tables: &str, folder: &Path) -> Scene {
-    let text = common::hall_with_room(room, tables);
-    Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
-}
 
 /// Loads a fixture with replacements in its text.
 fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
@@ -45,23 +34,10 @@ fn changed(name: &str, changes: &[(&str, &str)]) -> Scene {
 
 /// The same room of plasterboard as a plan and from files, all of them represented by faces.
 fn rooms_of_faces(tables: &str, folder: &Path) -> Vec<(&'static str, Scene)> {
-    let quads = faces([0.0; 3], SIZE_M);
-    let named = quads.map(|quad| (quad, "plaster"));
-    let files = [
-        ("room.stl", "unit = \"mm\"\nup = \"z\"\n", stl(&triangles(&quads), 1000.0)),
-        ("room.obj", "unit = \"m\"\nup = \"z\"\n", obj(&named)),
-        ("room.gltf", "", gltf(&quads)),
-    ];
-    let mut all = vec![("plan", made(PLAN, tables, folder))];
-    let boxed = format!("solver = \"rays\"\n{}", box_keys("plasterboard"));
-    all.push(("box by rays", made(&boxed, tables, folder)));
-    for (name, unit, content) in files {
-        std::fs::write(folder.join(name), content).expect("written");
-        let keys = format!(
-            "solver = \"rays\"\n[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}"
-        );
-        all.push((name, made(&keys, tables, folder)));
-    }
+    let by_rays = |keys: &str| made(&format!("solver = \"rays\"\n{keys}"), tables, folder);
+    let mut all = vec![("plan", made(&plan_keys(&RECTANGLE, ""), tables, folder))];
+    all.push(("box by rays", by_rays(&box_keys("plasterboard"))));
+    all.extend(room_files().map(|file| (file.0, by_rays(&mesh_table(folder, &file)))));
     all
 }
 

@@ -10,7 +10,6 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
 use radome_sim::em::current::{Arrival, Listener, received};
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
-use radome_sim::em::pattern::Pattern;
 use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
@@ -19,7 +18,7 @@ use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
 use rayon::prelude::*;
 
-use crate::common::{NOBODY, WAVENUMBER, hall, parse};
+use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse};
 
 const FRAME_S: f64 = 0.064;
 
@@ -53,13 +52,8 @@ impl Chain {
         let mut walls = [Wall::Open; 6];
         walls[2] = wall;
         let size_m = DVec3::new(6.0, 4.0, 3.0);
-        let element = |position| Element {
-            position,
-            // The polarisation is oblique, so that both polarisations contribute at the wall and at the body.
-            polarisation: DVec3::new(0.0, 0.6, 0.8),
-            radar_from_world: DMat3::IDENTITY,
-            pattern: Pattern::isotropic(),
-        };
+        // The polarisation is oblique, so that both polarisations contribute at the wall and at the body.
+        let element = |position| isotropic(position, DVec3::new(0.0, 0.6, 0.8));
         Chain {
             room: BoxRoom::new(size_m, walls, WAVENUMBER, false),
             tx: element(DVec3::new(0.3, 0.9, 1.4)),

@@ -15,7 +15,7 @@ use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::synthesis::{Tone, exact_chirp};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{NOBODY, hall, parse, scene, simulator};
+use crate::common::{NOBODY, doppler_power, hall, parse, range_profiles, scene, simulator};
 
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
@@ -67,7 +67,7 @@ impl Walk {
             let tones: Vec<Tone> = at(m as f64 * INTERVAL_S + chirp.middle_s).iter().map(tone).collect();
             exact_chirp(&tones, SAMPLES)
         });
-        map(&samples.collect::<Vec<f64>>())
+        doppler_power(&range_profiles(&samples.collect::<Vec<f64>>(), SAMPLES))
     }
 
     /// Map of echoes that are traced at the ends of `count - 1` segments, and a little before and after them.
@@ -107,26 +107,6 @@ impl Walk {
             traced.iter().map(moved).collect()
         })
     }
-}
-
-/// Power map, `[doppler][range]`, of one receiver's samples, with Hann windows on both axes.
-fn map(samples: &[f64]) -> Vec<f64> {
-    let fft = radome_dsp::spectrum::real_fft(SAMPLES);
-    let hann = |i: usize, n: usize| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos();
-    let profile = |chirp: &[f64]| {
-        let mut x: Vec<f64> = chirp.iter().enumerate().map(|(i, v)| v * hann(i, SAMPLES)).collect();
-        let mut spectrum = fft.make_output_vec();
-        fft.process(&mut x, &mut spectrum).expect("lengths agree");
-        spectrum
-    };
-    let profiles: Vec<Vec<Complex64>> = samples.chunks(SAMPLES).map(profile).collect();
-    let turns: Vec<Complex64> =
-        (0..CHIRPS).map(|i| Complex64::from_polar(1.0, -TAU * i as f64 / CHIRPS as f64)).collect();
-    let cell = |d: usize, k: usize| {
-        let terms = profiles.iter().enumerate().map(|(m, p)| p[k] * (hann(m, CHIRPS) * turns[d * m % CHIRPS]));
-        terms.sum::<Complex64>().norm_sqr()
-    };
-    (0..CHIRPS).flat_map(|d| (0..SAMPLES / 2).map(move |k| (d, k))).map(|(d, k)| cell(d, k)).collect()
 }
 
 /// Rms difference in dB over the pixels near the reference's peak.
@@ -184,7 +164,8 @@ fn a_walkers_map_takes_two_keys_and_not_one() {
 
 /// First receiver's map of the echoes of people.
 fn map_of(samples: &[f32]) -> Vec<f64> {
-    map(&samples[..CHIRPS * SAMPLES].iter().map(|&x| f64::from(x)).collect::<Vec<f64>>())
+    let samples: Vec<f64> = samples[..CHIRPS * SAMPLES].iter().map(|&x| f64::from(x)).collect();
+    doppler_power(&range_profiles(&samples, SAMPLES))
 }
 
 /// Frames with the sample times that the program chooses itself, against the program with a trace for every chirp.

@@ -12,7 +12,7 @@ use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
 
-use crate::common::{self, NOBODY, hall, map_db, parse, peak, simulator, statistics};
+use crate::common::{self, NOBODY, hall, map_db, parse, peak, range_profiles, simulator, statistics};
 
 fn walker(from: f64, to: f64, speed: f64) -> String {
     hall(&format!(
@@ -231,15 +231,8 @@ fn far_walls_fold_as_the_chip_folds_them() {
     let (_, cycles, _) = prepared.static_paths[0].tones[0];
     assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
     let frame = simulator(&scene, 0, Some(0)).frame(0);
-    let fft = radome_dsp::spectrum::real_fft(256);
-    let mut x: Vec<f64> = frame
-        .chirp(0, 0)
-        .iter()
-        .enumerate()
-        .map(|(i, &c)| (f64::from(c) - 2048.0) * (0.5 - 0.5 * (TAU * i as f64 / 256.0).cos()))
-        .collect();
-    let mut spectrum = fft.make_output_vec();
-    fft.process(&mut x, &mut spectrum).expect("lengths agree");
+    let chirp: Vec<f64> = frame.chirp(0, 0).iter().map(|&c| f64::from(c) - 2048.0).collect();
+    let spectrum = &range_profiles(&chirp, 256)[0];
     let top = (3..129).max_by(|&a, &b| spectrum[a].norm().total_cmp(&spectrum[b].norm())).expect("bins");
     let folded = (1.0 - cycles) * 256.0;
     assert!((top as f64 - folded).abs() < 1.0, "bin {top}, folded {folded}");

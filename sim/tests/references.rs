@@ -5,11 +5,10 @@ use std::f64::consts::{PI, TAU};
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_sim::em::fresnel::{half_space, slab};
-use radome_sim::em::image::{BoxRoom, Element, Wall, images, order};
-use radome_sim::em::pattern::Pattern;
+use radome_sim::em::image::{BoxRoom, Wall, images, order};
 use radome_sim::em::specular::Ellipsoid;
 
-use crate::common::{self, WAVENUMBER};
+use crate::common::{self, WAVENUMBER, isotropic};
 
 fn complex(value: &serde_json::Value) -> Complex64 {
     Complex64::new(value[0].as_f64().expect("re"), value[1].as_f64().expect("im"))
@@ -37,10 +36,6 @@ fn slabs_agree_with_the_40_digit_characteristic_matrix() {
 
 fn conducting_box() -> BoxRoom {
     BoxRoom::new(DVec3::new(12.0, 2.0, 2.7), [Wall::Conductor; 6], WAVENUMBER, false)
-}
-
-fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
-    Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
 }
 
 #[test]

@@ -23,8 +23,7 @@ fn fixture_scenes_load_and_name_their_waveform() {
 
 #[test]
 fn the_typical_receiver_file_is_the_built_in_default() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/receivers/typical.toml");
-    let file = load_receiver(&path).expect("fixture");
+    let file = load_receiver(&common::fixtures().join("receivers/typical.toml")).expect("fixture");
     let built_in = Receiver::typical();
     assert!((file.transmit_power_step_db - built_in.transmit_power_step_db).abs() < 1e-3);
     let same = Receiver {
@@ -37,8 +36,7 @@ fn the_typical_receiver_file_is_the_built_in_default() {
 
 #[test]
 fn every_receiver_fixture_loads() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/receivers");
-    for entry in std::fs::read_dir(folder).expect("folder") {
+    for entry in std::fs::read_dir(common::fixtures().join("receivers")).expect("folder") {
         let path = entry.expect("entry").path();
         if path.extension().is_some_and(|e| e == "toml") {
             assert!(load_receiver(&path).is_ok(), "{}: {:?}", path.display(), load_receiver(&path).err());
@@ -119,14 +117,13 @@ mod hard_cases {
 
     #[test]
     fn files_that_a_scene_names_lie_in_its_folder() {
-        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
         let folder = tempfile::tempdir().expect("a folder");
         let (own, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
         for made in [&own, &receivers] {
             std::fs::create_dir(made).expect("made");
         }
         let copy = |name: &str, to: std::path::PathBuf| {
-            std::fs::copy(fixtures.join(name), to).expect("copied");
+            std::fs::copy(common::fixtures().join(name), to).expect("copied");
         };
         copy("receivers/paper-mesh.toml", receivers.join("r.toml"));
         copy("receivers/paper-mesh.toml", own.join("r.toml"));

@@ -1,10 +1,11 @@
 //! Echoes of people with skins, compared with dense physical optics in every chirp.
 
-use std::f64::consts::TAU;
 use std::path::Path;
 
 use num_complex::Complex64;
 use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::common::range_profiles;
 
 /// Hall without walls, with a few chirps and one receiver: the slow method takes seconds for it.
 const HALL: &str = r#"
@@ -48,19 +49,6 @@ fn hall(tolerance_db: f64) -> Simulator {
         .expect("valid options")
 }
 
-/// Range spectra with a Hann window: `[chirp][range]`.
-fn spectra(samples: &[f64], length: usize) -> Vec<Complex64> {
-    let window = |n: usize| 0.5 - 0.5 * (TAU * n as f64 / length as f64).cos();
-    let bin = |chirp: &[f64], k: usize| -> Complex64 {
-        chirp
-            .iter()
-            .enumerate()
-            .map(|(n, x)| Complex64::from_polar(x * window(n), -TAU * ((n * k) % length) as f64 / length as f64))
-            .sum()
-    };
-    samples.chunks(length).flat_map(|chirp| (0..length / 2).map(move |k| bin(chirp, k))).collect()
-}
-
 fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
     let apart: f64 = exact.iter().zip(found).map(|(a, b)| (a - b).norm_sqr()).sum();
     let power: f64 = exact.iter().map(Complex64::norm_sqr).sum();
@@ -71,12 +59,12 @@ fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
 #[test]
 fn skins_are_dense_physical_optics_in_every_chirp() {
     let frame = 12;
-    let exact = spectra(&hall(0.5).dense_echo_samples(frame, 10.0), 256);
+    let exact = range_profiles(&hall(0.5).dense_echo_samples(frame, 10.0), 256).concat();
     let (mut last, mut last_estimate_db) = (f64::INFINITY, f64::INFINITY);
     for (tolerance_db, most) in [(2.0, 0.03), (0.5, 0.016), (0.2, 0.012)] {
         let simulator = hall(tolerance_db);
         let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
-        let error = relative_error(&exact, &spectra(&samples, 256));
+        let error = relative_error(&exact, &range_profiles(&samples, 256).concat());
         let estimate_db = simulator.frame_with_report(frame).1.estimate_db.expect("a skin has an estimate");
         assert!(error < most, "{tolerance_db} dB: {error}");
         assert!(
@@ -96,7 +84,7 @@ fn who_breathes_only_moves_only_that_much() {
     let options = SimulateOptions { seed: 3, ..SimulateOptions::default() };
     let simulator = Simulator::new(&scene, options).expect("valid options");
     let samples: Vec<f64> = simulator.echo_samples(5).into_iter().map(f64::from).collect();
-    let chirps: Vec<Vec<Complex64>> = samples.chunks(256).map(|c| spectra(c, 256)).collect();
+    let chirps = range_profiles(&samples, 256);
     // Breath and sway stay below 10 mm/s: less than a radian over the frame.
     let (first, last) = (&chirps[0], &chirps[chirps.len() - 1]);
     let strongest = (0..128).max_by(|&a, &b| first[a].norm().total_cmp(&first[b].norm())).expect("bins");

@@ -10,14 +10,11 @@ use radome_sim::Scene;
 use radome_sim::em::image::Wall;
 use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Owner, Sides, Surfaces};
 use rooms::{
-    Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_files, gltf, is_flat, is_free, is_inner, is_wedge,
-    obj, parse, small_triangles, stl, surfaces, triangles,
+    M, MM, Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_file, gltf, is_flat, is_free, is_inner,
+    is_wedge, obj, parse, room_files, small_triangles, stl, surfaces, triangles,
 };
 
 use crate::common;
-
-const MM: &str = "unit = \"mm\"\nup = \"z\"";
-const M: &str = "unit = \"m\"\nup = \"z\"";
 
 /// Diffracting edges, each once: a wedge is represented by the edge that its lower face lists.
 fn diffracting(room: &Surfaces) -> impl Iterator<Item = &FaceEdge> {
@@ -48,7 +45,7 @@ fn room_quads() -> [Quad; 6] {
 }
 
 /// Keys of a plasterboard room over given corners, with further tables of the plan.
-fn plan_keys(corners: &[[f64; 2]], tables: &str) -> String {
+pub fn plan_keys(corners: &[[f64; 2]], tables: &str) -> String {
     format!(
         "floor = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n\
          ceiling = {{ material = \"plasterboard\", thickness_m = 0.0125 }}\n[room.plan]\ncorners_m = {corners:?}\n\
@@ -56,7 +53,7 @@ fn plan_keys(corners: &[[f64; 2]], tables: &str) -> String {
     )
 }
 
-const RECTANGLE: [[f64; 2]; 4] = [[0.0, 0.0], [5.25, 0.0], [5.25, 4.5], [0.0, 4.5]];
+pub const RECTANGLE: [[f64; 2]; 4] = [[0.0, 0.0], [5.25, 0.0], [5.25, 4.5], [0.0, 4.5]];
 const L_SHAPE: [[f64; 2]; 6] = [[0.0, 0.0], [8.0, 0.0], [8.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]];
 
 fn reversed<const N: usize>(mut corners: [[f64; 2]; N]) -> [[f64; 2]; N] {
@@ -86,20 +83,13 @@ fn a_box_has_six_faces_that_look_inwards_and_no_edge_that_diffracts() {
 #[test]
 fn a_box_is_the_same_from_toml_obj_stl_gltf_and_a_plan() {
     let expected = surfaces(&box_keys("plasterboard"), "");
-    let quads = room_quads();
-    let named = quads.map(|quad| (quad, "plaster"));
-    let files = [
-        ("room.stl", MM, stl(&triangles(&quads), 1000.0)),
-        ("room.obj", M, obj(&named)),
-        ("room.gltf", "", gltf(&quads)),
-    ];
-    for file in files {
+    for file in room_files() {
         let name = file.0;
-        assert_same(&from_files("", &[file]), &expected, name);
+        assert_same(&from_file("", file), &expected, name);
     }
     // The origin of the file does not matter.
     let moved = faces([-3.0, -2.0, 1.0], [2.25, 2.5, 3.75]);
-    assert_same(&from_files("", &[("room.gltf", "", gltf(&moved))]), &expected, "moved");
+    assert_same(&from_file("", ("room.gltf", "", gltf(&moved))), &expected, "moved");
     for corners in [RECTANGLE, reversed(RECTANGLE)] {
         assert_same(&surfaces(&plan_keys(&corners, ""), ""), &expected, "plan");
     }
@@ -113,7 +103,7 @@ fn materials_of_parts_are_those_of_their_faces() {
     let keys = box_keys("plasterboard")
         .replace("y_high = { material = \"plasterboard\"", "y_high = { material = \"glass\"")
         .replace("floor = { material = \"plasterboard\"", "floor = { material = \"metal\"");
-    assert_same(&from_files("", &[("room.obj", M, obj(&named))]), &surfaces(&keys, ""), "materials");
+    assert_same(&from_file("", ("room.obj", M, obj(&named))), &surfaces(&keys, ""), "materials");
 }
 
 /// A cupboard on the floor and against a wall: two of its sides lie on those, five of its edges are free to diffract.
@@ -304,7 +294,7 @@ mod hard_cases {
                 .enumerate()
                 .map(|(t, &[a, b, c])| if pattern >> t & 1 == 1 { [a, c, b] } else { [a, b, c] })
                 .collect();
-            assert_same(&from_files("", &[("room.stl", MM, stl(&turned, 1000.0))]), &expected, &format!("{pattern:b}"));
+            assert_same(&from_file("", ("room.stl", MM, stl(&turned, 1000.0))), &expected, &format!("{pattern:b}"));
         }
     }
 
@@ -320,7 +310,7 @@ mod hard_cases {
         assert_eq!(diffracting(&expected).count(), 4 + 8);
         let keys = "ceiling = { material = \"open\" }\n";
         let all = room_quads();
-        let by_stl = from_files(keys, &[("room.stl", MM, stl(&triangles(&all[..5]), 1000.0))]);
+        let by_stl = from_file(keys, ("room.stl", MM, stl(&triangles(&all[..5]), 1000.0)));
         assert_same(&by_stl, &expected, "stl");
         let plan = plan_keys(&RECTANGLE, "").replacen(
             "ceiling = { material = \"plasterboard\"",
@@ -342,7 +332,7 @@ mod hard_cases {
             all.extend(triangles(&[[at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)]]));
         }
         // The file is f32: corners within edges are off by its rounding, those of the room are not.
-        assert_same(&from_files("", &[("room.stl", MM, stl(&all, 1000.0))]), &expected, "split");
+        assert_same(&from_file("", ("room.stl", MM, stl(&all, 1000.0))), &expected, "split");
     }
 
     /// A wall around a window: four quadrilaterals between outer and inner corners.
@@ -354,7 +344,7 @@ mod hard_cases {
         let ring = (0..4).map(|i| [outer[i], outer[(i + 1) % 4], inner[(i + 1) % 4], inner[i]]);
         let mut all: Vec<Quad> = ring.collect();
         all.extend([quads[0], quads[1], quads[3], quads[4], quads[5]]);
-        let room = from_files("", &[("room.stl", MM, stl(&triangles(&all), 1000.0))]);
+        let room = from_file("", ("room.stl", MM, stl(&triangles(&all), 1000.0)));
         assert_eq!((room.faces.len(), count(&room, is_free)), (6, 4));
         let walls: Vec<_> = room.faces.iter().filter(|face| !face.polygon.holes.is_empty()).collect();
         let [wall] = walls.as_slice() else { panic!("{walls:?}") };
@@ -373,7 +363,7 @@ mod hard_cases {
         // A duplicated wall, and a poster on another wall.
         all.push((quads[1], "pane"));
         all.push((poster, "steel"));
-        let room = from_files("", &[("room.obj", M, obj(&all))]);
+        let room = from_file("", ("room.obj", M, obj(&all)));
         assert_eq!((room.faces.len(), room.coincident.len()), (6, 2), "{:?}", room.coincident);
         assert!(room.coincident.iter().any(|c| (c.area_m2 - 1.0).abs() < 1e-9));
         assert_same(&room, &expected, "once");
@@ -388,7 +378,7 @@ mod hard_cases {
         let knob = faces([2.0, 3.0, 1.0], [2.05, 3.05, 1.05]);
         all.extend(rail.iter().map(|&quad| (quad, "steel")));
         all.extend(knob.iter().map(|&quad| (quad, "steel")));
-        let room = from_files("", &[("room.obj", M, obj(&all))]);
+        let room = from_file("", ("room.obj", M, obj(&all)));
         // Two sides of the rail are 0.3 m^2, the other four below 0.01 m^2.
         assert_eq!((room.faces.len(), small_triangles(&room)), (6 + 2, 2 * 4 + 2 * 6));
         // The rail's long edges are wedges with those small sides.

@@ -7,15 +7,14 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_sim::Scene;
 use radome_sim::echo::{EchoReport, Snapshot, audible_pairs, echoes, reflect_at_skin};
-use radome_sim::em::image::{BoxRoom, Element, Wall, images};
-use radome_sim::em::pattern::Pattern;
+use radome_sim::em::image::{BoxRoom, Wall, images};
 use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::Material;
 use radome_sim::people::body::CHEST;
 use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
 
-use crate::common::{NOBODY, WAVENUMBER, hall, parse};
+use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse};
 
 const THICKNESS_M: f64 = 0.0125;
 
@@ -48,8 +47,7 @@ fn plasterboard() -> Complex64 {
 /// Echo of a torso of skin behind the wall at x = 4 m, seen from the middle of the room.
 fn torso_echo(room: &BoxRoom, radar: DVec3, polarisation: DVec3, centre: DVec3) -> (Complex64, f64) {
     let body = Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m: DVec3::new(0.115, 0.165, 0.22) };
-    let element =
-        Element { position: radar, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() };
+    let element = isotropic(radar, polarisation);
     let h = body.specular_point(radar, radar, None).expect("visible");
     let field = room.illuminate(&element, [0; 3], h.point).field;
     (reflect_at_skin(field, -h.towards.0, h.normal).received_by(field), h.towards.0.x.abs())
@@ -142,12 +140,7 @@ mod hard_cases {
     fn nothing_is_switched_on_the_way_through_a_wall() {
         let wall = Wall::Slab { permittivity: plasterboard(), thickness_m: THICKNESS_M };
         let room = BoxRoom::new(DVec3::new(4.0, 8.0, 3.0), [wall; 6], WAVENUMBER, true);
-        let element = Element {
-            position: DVec3::new(1.0, 4.0, 1.2),
-            polarisation: DVec3::new(0.0, 0.6, 0.8),
-            radar_from_world: DMat3::IDENTITY,
-            pattern: Pattern::isotropic(),
-        };
+        let element = isotropic(DVec3::new(1.0, 4.0, 1.2), DVec3::new(0.0, 0.6, 0.8));
         for index in images(2) {
             let at = |x: f64| room.illuminate(&element, index, DVec3::new(x, 5.0, 1.0)).field;
             let mut last = at(3.9);

@@ -9,20 +9,14 @@ use radome_sim::people::body::CHEST;
 use radome_sim::scenario::Scenario;
 
 use crate::common;
-use crate::surfaces::rooms::{Quad, obj};
+use crate::surfaces::rooms::{Quad, made, obj};
 
 /// Corridor that turns: two arms of 6 x 2 m. Its inner corner is at (2, 2), and the region beyond 2 m on both axes is
 /// outside.
 const CORNERS: [[f64; 2]; 6] = [[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]];
 const HEIGHT_M: f64 = 2.6;
 
-/// Makes a scene with keys of `[room]` and the steps of one person. The radar is at (0.5, 1, 1.2) and looks along x.
-fn made(room: &str, steps: &str, folder: &Path) -> Scene {
-    let text = common::hall_with_room(room, &format!("[[people.actor]]\nstep = [{steps}]\n"));
-    Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
-}
-
-/// The L as a plan and from a file.
+/// The L as a plan and from a file, with the steps of one person.
 fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
     let plan = format!(
         "floor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n[room.plan]\n\
@@ -41,7 +35,8 @@ fn rooms_like_an_l(steps: &str, folder: &Path) -> [(&'static str, Scene); 2] {
     std::fs::write(folder.join("l.obj"), obj(&quads)).expect("written");
     let file =
         "[[room.mesh]]\nfile = \"l.obj\"\nmaterial = \"concrete\"\nthickness_m = 0.2\nunit = \"m\"\nup = \"z\"\n";
-    [("plan", made(&plan, steps, folder)), ("file", made(file, steps, folder))]
+    let person = format!("[[people.actor]]\nstep = [{steps}]\n");
+    [("plan", made(&plan, &person, folder)), ("file", made(file, &person, folder))]
 }
 
 /// Positions of the only person's chest every 50 ms, m.

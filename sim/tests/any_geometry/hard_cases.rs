@@ -13,7 +13,8 @@
 use radome_sim::em::image::{images, order};
 
 use super::*;
-use crate::surfaces::rooms::Quad;
+use crate::common::isotropic;
+use crate::surfaces::rooms::{File, M, MM, Quad, obj};
 
 fn plan(tables: &str) -> String {
     format!(
@@ -92,16 +93,9 @@ fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
 }
 
 /// Room of plasterboard from a file, with paths found by rays.
-fn from_file(name: &str, unit: &str, content: &str) -> Scene {
+fn from_file(file: File) -> Scene {
     let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join(name), content).expect("written");
-    let is_named = |name: &str| content.contains(&format!("usemtl {name}\n"));
-    let named = [("plaster", "plasterboard"), ("pane", "glass")].into_iter().filter(|(name, _)| is_named(name));
-    let materials = named.map(|(name, material)| format!("{name} = {material:?}")).collect::<Vec<_>>().join(", ");
-    let keys = format!(
-        "solver = \"rays\"\n[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n\
-         unit = {unit:?}\nup = \"z\"\nmaterials = {{ {materials} }}\n"
-    );
+    let keys = format!("solver = \"rays\"\n{}", mesh_table(folder.path(), &file));
     made(&keys, WALKER, folder.path())
 }
 
@@ -110,7 +104,7 @@ fn with_other_wall(wall: &[Quad]) -> Scene {
     let quads = faces([0.0; 3], SIZE_M);
     let others = [0, 1, 3, 4, 5].map(|side| quads[side]);
     let all: Vec<(Quad, &str)> = others.iter().chain(wall).map(|&quad| (quad, "plaster")).collect();
-    from_file("room.obj", "m", &obj(&all))
+    from_file(("room.obj", M, obj(&all)))
 }
 
 /// Panel of the wall at y = 0 between two places along x.
@@ -127,7 +121,7 @@ fn in_slivers() -> Scene {
     let heights_m: Vec<f64> = (0..=40).map(|i| 5e-4 * f64::from(i)).chain([height_m]).collect();
     all.extend(heights_m.windows(2).map(|ends| [[0.0; 3], [length_m, 0.0, ends[0]], [length_m, 0.0, ends[1]]]));
     all.push([[0.0; 3], [length_m, 0.0, height_m], [0.0, 0.0, height_m]]);
-    from_file("room.stl", "mm", &stl(&all, 1000.0))
+    from_file(("room.stl", MM, stl(&all, 1000.0)))
 }
 
 /// A duplicated wall, of two materials of which the first counts, and a duplicated floor, once from below.
@@ -136,7 +130,7 @@ fn with_faces_twice() -> Scene {
     let mut all: Vec<(Quad, &str)> = quads.iter().map(|&quad| (quad, "plaster")).collect();
     let [a, b, c, d] = quads[4];
     all.extend([(quads[1], "pane"), ([d, c, b, a], "plaster")]);
-    from_file("room.obj", "m", &obj(&all))
+    from_file(("room.obj", M, obj(&all)))
 }
 
 /// Room in which half of the triangles have reversed normals.
@@ -145,7 +139,7 @@ fn with_turned_normals() -> Scene {
     let turn =
         |(t, [a, b, c]): (usize, [[f64; 3]; 3])| if 0b1010_0110_0101 >> t & 1 == 1 { [a, c, b] } else { [a, b, c] };
     let turned: Vec<[[f64; 3]; 3]> = good.into_iter().enumerate().map(turn).collect();
-    from_file("room.stl", "mm", &stl(&turned, 1000.0))
+    from_file(("room.stl", MM, stl(&turned, 1000.0)))
 }
 
 /// The points at which the wall of three panels reflects the radar lie on a seam of two.
@@ -202,7 +196,7 @@ fn a_hole_in_a_wall_takes_its_own_paths_alone() {
     let quads = faces([0.0; 3], SIZE_M);
     let mut all = triangles(&[0, 1, 3, 4, 5].map(|side| quads[side]));
     all.extend(triangles(&ring));
-    let holed = from_file("room.stl", "mm", &stl(&all, 1000.0));
+    let holed = from_file(("room.stl", MM, stl(&all, 1000.0)));
     let whole = with_other_wall(&[outer]);
     // Farther than a metre from the hole no path is within reach of its rim.
     let is_far = |path: &ListedPath| {
@@ -241,12 +235,6 @@ fn metal_box() -> BoxRoom {
     BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), [Wall::Conductor; 6], WAVENUMBER, false)
 }
 
-/// Antenna with an isotropic pattern.
-fn upright(position: DVec3) -> Element {
-    let (polarisation, radar_from_world) = (DVec3::Z, DMat3::IDENTITY);
-    Element { position, polarisation, radar_from_world, pattern: Pattern::isotropic() }
-}
-
 /// On a wall the antenna and its image in that wall coincide. All other images are those of an antenna a millimetre
 /// off.
 #[test]
@@ -265,8 +253,8 @@ fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
         let found = found.position(|i| i.order as u32 == order(index) && i.position.distance(place) < 1.5e-3);
         let found = found.unwrap_or_else(|| panic!("no image {index:?}"));
         for point in [DVec3::new(2.1, 2.9, 0.8), DVec3::new(4.2, 0.7, 1.9), DVec3::new(1.3, 1.1, 1.3)] {
-            let on = paths.illuminate(&upright(on_wall), found, point).field;
-            let before = room.illuminate(&upright(before_wall), index, point).field;
+            let on = paths.illuminate(&isotropic(on_wall, DVec3::Z), found, point).field;
+            let before = room.illuminate(&isotropic(before_wall, DVec3::Z), index, point).field;
             // Directions differ by a milliradian at most.
             let apart = (on.re - before.re).length() + (on.im - before.im).length();
             assert!(apart < 5e-3, "{index:?} {point}: {apart}");
@@ -279,7 +267,7 @@ fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
 #[test]
 fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
     let off_m = 1e-3;
-    let antenna = upright(DVec3::new(off_m, off_m, 1.2));
+    let antenna = isotropic(DVec3::new(off_m, off_m, 1.2), DVec3::Z);
     let environment = Environment::new(Facet::of_box(&metal_box()), WAVENUMBER).expect("facets");
     let paths = ImagePaths::discover(Arc::new(environment), antenna.position, &LaunchOptions::default());
     let beside = |i: &usize| paths.images()[*i].position.distance(antenna.position) < 0.01;
@@ -312,7 +300,7 @@ fn ways_along_edges_and_in_planes_are_numbers() {
     assert_eq!(environment.soft_edges().len(), 1);
     let straight = |from: DVec3, to: DVec3, polarisation: DVec3| {
         let paths = ImagePaths::with_sequences(Arc::clone(&environment), from, Vec::<Vec<u32>>::new());
-        let element = Element { polarisation, ..upright(from) };
+        let element = isotropic(from, polarisation);
         paths.illuminate(&element, 0, to).field.magnitude()
     };
     for off_m in [0.0, 1e-9, -1e-9, 1e-6, -1e-6] {

@@ -4,14 +4,22 @@
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
+use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::Frame;
+use radome_sim::em::image::Element;
+use radome_sim::em::pattern::Pattern;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 /// Wavenumber at 60 GHz, 1/m.
 pub const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 /// Tables for a scene without people and without objects beside the radar.
 pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+
+/// Folder of the fixtures.
+pub fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures")
+}
 
 /// A fixture scene.
 pub fn scene(name: &str) -> Scene {
@@ -20,7 +28,7 @@ pub fn scene(name: &str) -> Scene {
 
 /// Path and text of a fixture scene.
 pub fn fixture(name: &str) -> (PathBuf, String) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
+    let path = fixtures().join(format!("scenes/{name}.toml"));
     let text = std::fs::read_to_string(&path).expect("fixture scene");
     (path, text)
 }
@@ -32,8 +40,8 @@ pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
 
 /// Reference values computed elsewhere (mpmath, scipy).
 pub fn reference() -> serde_json::Value {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/solver/reference.json");
-    let text = std::fs::read_to_string(path).expect("fixtures/solver/reference.json is part of the sources");
+    let text = std::fs::read_to_string(fixtures().join("solver/reference.json"))
+        .expect("fixtures/solver/reference.json is part of the sources");
     serde_json::from_str(&text).expect("reference values are JSON")
 }
 
@@ -109,34 +117,41 @@ fn hann(i: usize, n: usize) -> f64 {
     0.5 - 0.5 * (TAU * i as f64 / n as f64).cos()
 }
 
+/// Range spectrum of every chirp of `count` samples, with a Hann window.
+pub fn range_profiles(samples: &[f64], count: usize) -> Vec<Vec<Complex64>> {
+    let fft = radome_dsp::spectrum::real_fft(count);
+    let profile = |chirp: &[f64]| {
+        let mut x: Vec<f64> = chirp.iter().enumerate().map(|(i, v)| v * hann(i, count)).collect();
+        let mut spectrum = fft.make_output_vec();
+        fft.process(&mut x, &mut spectrum).expect("lengths agree");
+        spectrum
+    };
+    samples.chunks(count).map(profile).collect()
+}
+
+/// Power `[doppler][range]` of range profiles by plain sums over the chirps, with a Hann window. Zero Doppler is first.
+pub fn doppler_power(profiles: &[Vec<Complex64>]) -> Vec<f64> {
+    let (m, ranges) = (profiles.len(), profiles[0].len() - 1);
+    let turns: Vec<Complex64> = (0..m).map(|i| Complex64::from_polar(1.0, -TAU * i as f64 / m as f64)).collect();
+    let cell = |d: usize, k: usize| {
+        let terms = profiles.iter().enumerate().map(|(i, p)| p[k] * (hann(i, m) * turns[d * i % m]));
+        terms.sum::<Complex64>().norm_sqr()
+    };
+    (0..m).flat_map(|d| (0..ranges).map(move |k| (d, k))).map(|(d, k)| cell(d, k)).collect()
+}
+
 /// The paper's map of one channel by plain sums: scale 2 code/4095 - 1, Hann on both axes, slow-time mean removed. The
 /// result is the power `[doppler][range]` in dB, with zero Doppler in the middle and receding targets above it.
 pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
     let (m, n) = (frame.shape.chirps, frame.shape.samples);
-    let fft = radome_dsp::spectrum::real_fft(n);
-    let profiles: Vec<Vec<Complex64>> = (0..m)
-        .map(|chirp| {
-            let codes = frame.chirp(rx, chirp).iter().enumerate();
-            let mut x: Vec<f64> = codes.map(|(i, &c)| (2.0 * f64::from(c) / 4095.0 - 1.0) * hann(i, n)).collect();
-            let mut spectrum = fft.make_output_vec();
-            fft.process(&mut x, &mut spectrum).expect("lengths agree");
-            spectrum
-        })
-        .collect();
-    let mut map = vec![0.0; m * n / 2];
+    let codes = (0..m).flat_map(|chirp| frame.chirp(rx, chirp));
+    let mut profiles = range_profiles(&codes.map(|&c| 2.0 * f64::from(c) / 4095.0 - 1.0).collect::<Vec<_>>(), n);
     for k in 0..n / 2 {
         let mean = profiles.iter().map(|p| p[k]).sum::<Complex64>() / m as f64;
-        for d in 0..m {
-            let step = Complex64::from_polar(1.0, -TAU * d as f64 / m as f64);
-            let mut rotor = Complex64::from(1.0);
-            let mut sum = Complex64::ZERO;
-            for (chirp, profile) in profiles.iter().enumerate() {
-                sum += (profile[k] - mean) * hann(chirp, m) * rotor;
-                rotor *= step;
-            }
-            map[(d + m / 2) % m * (n / 2) + k] = 10.0 * sum.norm_sqr().max(1e-30).log10();
-        }
+        profiles.iter_mut().for_each(|p| p[k] -= mean);
     }
+    let mut map: Vec<f64> = doppler_power(&profiles).iter().map(|power| 10.0 * power.max(1e-30).log10()).collect();
+    map.rotate_right(m / 2 * (n / 2));
     map
 }
 
@@ -147,6 +162,11 @@ pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
         Complex64::from_polar(f64::from(code) * hann(i, n), -bin * TAU * i as f64 / n as f64)
     };
     (0..frame.shape.chirps).map(|chirp| frame.chirp(0, chirp).iter().enumerate().map(sample).sum()).collect()
+}
+
+/// Antenna with an isotropic pattern.
+pub fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
+    Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
 }
 
 /// Mean and standard deviation.

@@ -12,8 +12,18 @@ use crate::common;
 /// Corners of a face of a mesh.
 pub type Quad = [[f64; 3]; 4];
 
+/// Units and axes of files.
+pub const MM: &str = "unit = \"mm\"\nup = \"z\"";
+pub const M: &str = "unit = \"m\"\nup = \"z\"";
+
 /// Inner size of the room of most tests, m: numbers that are exact in f32, in metres and in millimetres.
 pub const SIZE_M: [f64; 3] = [5.25, 4.5, 2.75];
+
+/// Makes a scene with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2) and looks along x.
+pub fn made(room: &str, tables: &str, folder: &Path) -> Scene {
+    let text = common::hall_with_room(room, tables);
+    Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
+}
 
 /// Parses a scene without people, with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2).
 pub fn parse(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
@@ -99,22 +109,35 @@ pub fn gltf(quads: &[Quad]) -> String {
     .to_string()
 }
 
-/// Surfaces of a plasterboard room from files, in a folder of their own; `keys` precede their tables.
-pub fn from_files(keys: &str, files: &[(&str, &str, String)]) -> Surfaces {
+/// Name, keys of unit and axis, and content of a file.
+pub type File<'a> = (&'a str, &'a str, String);
+
+/// The room of most tests as files of the three formats, of plasterboard.
+pub fn room_files() -> [File<'static>; 3] {
+    let quads = faces([0.0; 3], SIZE_M);
+    [
+        ("room.stl", MM, stl(&triangles(&quads), 1000.0)),
+        ("room.obj", M, obj(&quads.map(|quad| (quad, "plaster")))),
+        ("room.gltf", "", gltf(&quads)),
+    ]
+}
+
+/// Writes a file of a plasterboard room into a folder, and returns the table that names it.
+pub fn mesh_table(folder: &Path, (name, unit, content): &File) -> String {
+    std::fs::write(folder.join(name), content).expect("written");
+    let all = [("plaster", "plasterboard"), ("pane", "glass"), ("steel", "metal")];
+    let named = all.into_iter().filter(|(name, _)| content.contains(&format!("usemtl {name}\n")));
+    let materials = named.map(|(name, material)| format!("{name} = {material:?}")).collect::<Vec<_>>().join(", ");
+    format!(
+        "[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}\n\
+         materials = {{ {materials} }}\n"
+    )
+}
+
+/// Surfaces of a plasterboard room from a file, in a folder of its own; `keys` precede its table.
+pub fn from_file(keys: &str, file: File) -> Surfaces {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut room = keys.to_owned();
-    for (name, unit, content) in files {
-        std::fs::write(folder.path().join(name), content).expect("written");
-        let all = [("plaster", "plasterboard"), ("pane", "glass"), ("steel", "metal")];
-        let named = all.into_iter().filter(|(name, _)| content.contains(&format!("usemtl {name}\n")));
-        let materials = named.map(|(name, material)| format!("{name} = {material:?}")).collect::<Vec<_>>().join(", ");
-        writeln!(
-            room,
-            "[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}\n\
-             materials = {{ {materials} }}"
-        )
-        .expect("text");
-    }
+    let room = format!("{keys}{}", mesh_table(folder.path(), &file));
     parse(&room, "", folder.path()).expect("a good scene").surfaces()
 }
 
