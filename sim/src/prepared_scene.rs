@@ -194,13 +194,11 @@ impl PreparedScene {
     /// Adds the bare reflections of the walls: geometrical optics, exact for infinite planes.
     fn add_walls(&mut self, max_reflections: u32) {
         for index in self.room.images(max_reflections).into_iter().skip(1) {
-            let tones = (0..self.rx.len())
-                .filter_map(|i| self.rx.get(i).map(|rx| (i, rx)))
-                .map(|(i, rx)| {
-                    let (amplitude, length_m) = self.room.direct(&self.tx, index, rx);
-                    self.static_tone(i, amplitude, length_m)
-                })
-                .collect();
+            let tone = |(receiver, rx): (usize, &Element)| {
+                let (amplitude, length_m) = self.room.direct(&self.tx, index, rx);
+                self.static_tone(receiver, amplitude, length_m)
+            };
+            let tones = self.rx.iter().enumerate().map(tone).collect();
             let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
             self.keep(tones, |prepared| prepared.room.polyline(index, prepared.tx.position, end));
         }

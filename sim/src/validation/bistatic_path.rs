@@ -3,7 +3,7 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::endpoint::Endpoint;
+use super::endpoint::{Endpoint, Leg};
 use super::facet::Sample;
 use crate::em::Phasor3;
 use crate::em::current::{Arrival, Listener, received};
@@ -56,22 +56,32 @@ impl BistaticPath {
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
             return Sample { length_m: 2.0 * there.length_m, amplitude, lit: cosine > 0.0 };
         }
-        let back = self.rx.leg(point);
         let normal = if two_sided && cosine < 0.0 { -normal } else { normal };
+        let launched = |direction| Phasor3::real(transverse(self.tx_polarisation, direction));
+        self.scattered(point, normal, there, launched, boundary, wavenumber_per_m)
+    }
+
+    /// Integrand at a surface point that a transmitter or its image reaches by a leg. `arriving` is the field that
+    /// arrives there in a direction. Currents also radiate behind the surface, where they extinguish the wave.
+    pub fn scattered(
+        &self,
+        point: DVec3,
+        normal: DVec3,
+        there: Leg,
+        arriving: impl FnOnce(DVec3) -> Phasor3,
+        boundary: &Wall,
+        wavenumber_per_m: f64,
+    ) -> Sample {
+        let back = self.rx.leg(point);
         let length_m = there.length_m + back.length_m;
-        let lit = normal.dot(there.towards) > 0.0 && normal.dot(back.towards) > 0.0;
+        let lit = normal.dot(there.towards) > 0.0;
         if !lit {
             return Sample { length_m, amplitude: Complex64::ZERO, lit };
         }
         let direction = -there.towards;
-        let arrival = Arrival { field: Phasor3::real(transverse(self.tx_polarisation, direction)), direction };
-        let listener = self.listener(back.towards);
+        let arrival = Arrival { field: arriving(direction), direction };
+        let listener = Listener { towards: back.towards, polarisation: transverse(self.rx_polarisation, back.towards) };
         let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, &listener);
         Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
-    }
-
-    /// Receiver as seen by a point in the direction opposite to `towards`.
-    pub fn listener(&self, towards: DVec3) -> Listener {
-        Listener { towards, polarisation: transverse(self.rx_polarisation, towards) }
     }
 }

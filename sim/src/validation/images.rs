@@ -12,13 +12,11 @@
 //! sequence is tried: the rays that find sequences in scenes are traced in single precision, from antennas that are near.
 
 use glam::{DMat3, DVec3};
-use num_complex::Complex64;
 
 use super::bistatic_path::{BistaticPath, transverse};
-use super::endpoint::Endpoint;
-use super::facet::{Accuracy, Integral, Sample, integrate};
+use super::endpoint::{Endpoint, Leg};
+use super::facet::{Accuracy, Integral, integrate};
 use crate::em::Phasor3;
-use crate::em::current::{Arrival, received};
 use crate::em::image::Wall;
 use crate::geometry::{Surface, polygon};
 use crate::paths::exhaustive::all_sequences;
@@ -92,19 +90,13 @@ impl Images {
     pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
         let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
         integrate(&way.lit, accuracy, |point, normal| {
-            let (there, back) = (way.source.leg(point), self.path.rx.leg(point));
-            let length_m = there.length_m + way.longer_m + back.length_m;
-            let lit = normal.dot(there.towards) > 0.0;
-            if !lit {
-                return Sample { length_m, amplitude: Complex64::ZERO, lit };
-            }
-            let direction = -there.towards;
-            let launched = transverse(way.mirror * self.path.tx_polarisation, direction);
-            let field = self.environment.reflected(before, &[], direction, Phasor3::real(launched));
-            let listener = self.path.listener(back.towards);
-            let arrival = Arrival { field, direction };
-            let amplitude = received(&arrival, normal, &self.boundary, accuracy.wavenumber_per_m, &listener);
-            Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
+            let there = way.source.leg(point);
+            let there = Leg { length_m: there.length_m + way.longer_m, ..there };
+            let reflected = |direction| {
+                let launched = transverse(way.mirror * self.path.tx_polarisation, direction);
+                self.environment.reflected(before, &[], direction, Phasor3::real(launched))
+            };
+            self.path.scattered(point, normal, there, reflected, &self.boundary, accuracy.wavenumber_per_m)
         })
     }
 }
@@ -207,6 +199,8 @@ pub fn cavity(width_m: f64, height_m: f64, depth_m: f64) -> Vec<Vec<DVec3>> {
 #[cfg(test)]
 mod hard_cases {
     use std::sync::Arc;
+
+    use num_complex::Complex64;
 
     use super::*;
     use crate::paths::{ImagePaths, LaunchOptions};

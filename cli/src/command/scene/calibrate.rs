@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         copies: arguments.copies,
         fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
         clutter,
-        gain: gain.map(report::Gain::from),
+        gain,
         resampled: real.resampled(),
         between_real: real.between(),
         before: real.beside(&before),

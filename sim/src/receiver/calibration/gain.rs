@@ -3,6 +3,8 @@
 //! Where echoes interfere, a single bin is unreliable: a displacement of furniture by a millimetre can change it by 6
 //! dB. The median over many bins is reliable.
 
+use serde::Serialize;
+
 /// Range below which bins contain leakage, m.
 pub const LEAST_RANGE_M: f64 = 0.5;
 /// Least power ratio of static echoes to noise and to moving echoes.
@@ -28,7 +30,7 @@ pub struct Bin {
 }
 
 /// Gain of a recording's echoes over those of a scene.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct GainFit {
     /// Weighted median, dB; `None` for fewer than [`LEAST_BINS`] bins.
     pub gain_db: Option<f64>,

@@ -24,28 +24,14 @@ pub struct Answer<'a> {
     pub fit_residual_lsb: Vec<f64>,
     /// Drift of static echoes; `None` where there are too few.
     pub clutter: Option<Clutter>,
-    pub gain: Option<Gain>,
+    /// Level of the echoes.
+    pub gain: Option<GainFit>,
     /// Units that were resampled for the intervals.
     pub resampled: &'static str,
     pub between_real: Vec<Figures>,
     pub before: Vec<Channel>,
     pub after: Vec<Channel>,
     pub line: Option<Lines>,
-}
-
-/// Level of the echoes.
-#[derive(Serialize)]
-pub struct Gain {
-    pub gain_db: Option<f64>,
-    pub error_db: Option<f64>,
-    pub bins: usize,
-    pub of: usize,
-}
-
-impl From<GainFit> for Gain {
-    fn from(fit: GainFit) -> Self {
-        Gain { gain_db: fit.gain_db, error_db: fit.error_db, bins: fit.bins, of: fit.of }
-    }
 }
 
 /// Rounds fitted values to the significant digits of the measurement, so that files stay readable.
@@ -193,7 +179,7 @@ fn still(answer: &Answer) -> anyhow::Result<()> {
         ),
         None => "clutter jitters as the base has it: too little stands still".to_owned(),
     })?;
-    let Some(Gain { gain_db, error_db, bins, of }) = &answer.gain else { return Ok(()) };
+    let Some(GainFit { gain_db, error_db, bins, of }) = &answer.gain else { return Ok(()) };
     output::text_line(&match (gain_db, error_db) {
         (Some(db), Some(error)) => {
             format!("echoes {db:+.1} dB +- {error:.1}, from {bins} bins of {of} that stand still")
