@@ -19,7 +19,7 @@ mod surface_currents;
 
 pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
-pub use side_by_side::Met;
+pub use side_by_side::TracedPath;
 
 use std::cell::RefCell;
 

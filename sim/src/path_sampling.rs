@@ -7,7 +7,8 @@
 //! within half a frame, which middles alone would miss.
 //!
 //! A path that needs one segment is traced five times, and four more times for each halving. All paths of a person
-//! advance together, instant by instant, so that their specular points are searched side by side ([`Paths::meet`]).
+//! advance together, instant by instant, so that their specular points are searched side by side
+//! ([`Paths::trace_all`]).
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use crate::echo::{EchoReport, Met, Paths, Snapshot};
+use crate::echo::{EchoReport, Paths, Snapshot, TracedPath};
 use crate::em::specular::Ellipsoid;
 use crate::path_segment::{FiveSamples, PathSample};
 use crate::people::body::SEGMENTS;
@@ -110,13 +111,13 @@ pub struct KeyedPaths {
 }
 
 /// Sample of a receiver; `None` where there is no such path.
-fn existing(met: &Met, receiver: usize) -> Option<&PathSample> {
+fn existing(met: &TracedPath, receiver: usize) -> Option<&PathSample> {
     met.keys().get(receiver).filter(|key| met.place.is_some() || key.amplitude != Complex64::ZERO)
 }
 
 /// Samples of every receiver at five instants, `apart_s` apart. Where there is no path, its delay is extrapolated from
 /// the nearest instant with a path, at the rate of that sample.
-fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveSamples> {
+fn keys_of(five: [&TracedPath; 5], apart_s: f64) -> Vec<FiveSamples> {
     let key = |receiver: usize, at: usize| {
         let own = five[at].keys()[receiver];
         if existing(five[at], receiver).is_some() {
@@ -151,7 +152,7 @@ struct Open {
     /// Index among the audible paths.
     number: usize,
     /// Path at both ends and in the middle of the segment.
-    met: [Met; 3],
+    met: [TracedPath; 3],
 }
 
 /// Traces the paths of a person through a frame.
@@ -165,13 +166,13 @@ struct Tracer<'a> {
 
 impl Tracer<'_> {
     /// Traces paths at an instant; each request gives a nearby specular point if one is known.
-    fn meet(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
-        self.paths.meet(asked, self.instants.people(instant), self.report)
+    fn trace_all(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<TracedPath> {
+        self.paths.trace_all(asked, self.instants.people(instant), self.report)
     }
 
-    /// Traces paths as `meet` does, and applies the diffraction by people in the way.
-    fn meet_shaded(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
-        let mut met = self.meet(instant, asked);
+    /// Traces paths as `trace_all` does, and applies the diffraction by people in the way.
+    fn trace_shaded(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<TracedPath> {
+        let mut met = self.trace_all(instant, asked);
         let numbered = asked.iter().map(|&(path, _)| path).zip(&mut met);
         self.paths.shade(numbered, self.instants.people(instant));
         met
@@ -201,14 +202,14 @@ impl Tracer<'_> {
         let at = [0, self.instants.count / 2, self.instants.count];
         let mut asked: Vec<(usize, Option<DVec3>)> = (0..self.paths.count()).map(|path| (path, None)).collect();
         let mut met_at = |instant: usize| {
-            let met = self.meet(instant, &asked);
+            let met = self.trace_all(instant, &asked);
             asked.iter_mut().zip(&met).for_each(|((_, near), met)| *near = met.place);
             met
         };
         let [first, middle, last] = at.map(&mut met_at);
         let least = self.demand.heard_lsb * self.demand.heard_lsb;
         // The receivers are so close together that the first represents all, here and in `cut`.
-        let is_loud = |met: &Met| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
+        let is_loud = |met: &TracedPath| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
         // Diffraction by people in the way makes no path louder.
         let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
         let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
@@ -231,7 +232,7 @@ impl Tracer<'_> {
             all.iter().map(|open| (open.path, open.met[end].place)).collect()
         };
         let [before, after] = [1, 3].map(instant);
-        let (before, after) = (self.meet_shaded(before, &asked(0)), self.meet_shaded(after, &asked(2)));
+        let (before, after) = (self.trace_shaded(before, &asked(0)), self.trace_shaded(after, &asked(2)));
         for ((open, before), after) in all.iter().zip(before).zip(after) {
             let [first, middle, last] = open.met;
             let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * interval_s);
@@ -264,7 +265,8 @@ mod tests {
     #[test]
     fn delays_go_on_where_paths_end_to_be() {
         let key = |delay_s: f64, amplitude: f64| PathSample { delay_s, delay_rate: 2.0, amplitude: amplitude.into() };
-        let met = |delay_s: f64, amplitude: f64, place: Option<DVec3>| Met::new(&[key(delay_s, amplitude)], place);
+        let met =
+            |delay_s: f64, amplitude: f64, place: Option<DVec3>| TracedPath::new(&[key(delay_s, amplitude)], place);
         let (here, gone) = (|delay_s| met(delay_s, 1.0, Some(DVec3::X)), || met(99.0, 0.0, None));
         let five = [gone(), here(1.0), here(3.0), gone(), gone()];
         let keys = keys_of(five.each_ref(), 0.5)[0];

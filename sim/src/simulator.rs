@@ -216,9 +216,9 @@ impl FrameSource for Simulator {
         let index = self.next;
         self.next = index.saturating_add(1);
         match ahead.wait() {
-            Some((rendered, report)) => {
+            Some((simulated, report)) => {
                 self.last_report = Some(report);
-                self.spare.push(std::mem::replace(frame, rendered));
+                self.spare.push(std::mem::replace(frame, simulated));
             }
             None => self.last_report = Some(self.inner.simulate_into(index, frame)),
         }

@@ -87,7 +87,7 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
     let specular_points: Vec<_> = specular_points.collect();
     assert_eq!(of_frame.count(), specular_points.len(), "nobody of these sits at a desk");
     let asked: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();
-    let met = of_frame.meet(&asked, &people, &mut EchoReport::default());
+    let met = of_frame.trace_all(&asked, &people, &mut EchoReport::default());
     let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));
     let shared: HashMap<_, Complex64> = specular_points.into_iter().zip(amplitudes).collect();
 

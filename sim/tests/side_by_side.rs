@@ -13,7 +13,7 @@ const FRAME_S: f64 = 0.064;
 fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usize; 2] {
     let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
     let (mut report, mut report_of_one) = (EchoReport::default(), EchoReport::default());
-    let bare = paths.meet(&asked, people, &mut report);
+    let bare = paths.trace_all(&asked, people, &mut report);
     let mut met = bare.clone();
     paths.shade((0..).zip(&mut met), people);
     let (mut keys, mut loud) = (Vec::new(), 0);

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rand::Rng;
 
-use super::points::{Place, Walls, mean_power};
+use super::points::{WallPosition, Walls, mean_power};
 use crate::paths::{FacetId, PolygonRoom};
 
 /// Offset of points before their facets in visibility tests, m.
@@ -30,9 +30,9 @@ impl<'a> FacetWalls<'a> {
         FacetWalls { room, triangles }
     }
 
-    fn on(&self, facet: FacetId, position: DVec3) -> Place {
+    fn on(&self, facet: FacetId, position: DVec3) -> WallPosition {
         let normal = self.room.paths().environment().normal(facet).unwrap_or(DVec3::Z);
-        Place { wall: facet as usize, position, normal }
+        WallPosition { wall: facet as usize, position, normal }
     }
 }
 
@@ -41,7 +41,7 @@ impl Walls for FacetWalls<'_> {
         self.triangles.last().map_or(0.0, |(area_m2, ..)| *area_m2)
     }
 
-    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place {
+    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition {
         let number = self.triangles.partition_point(|(area_m2, ..)| *area_m2 <= at_m2);
         let Some(&(_, facet, [a, b, c])) = self.triangles.get(number).or(self.triangles.last()) else {
             return self.on(0, DVec3::ZERO);
@@ -56,13 +56,13 @@ impl Walls for FacetWalls<'_> {
         Some(mean_power(wall.reflection(environment.wavenumber_per_m(), cosine)))
     }
 
-    fn met(&self, from: &Place, direction: DVec3) -> Option<Place> {
+    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
         let environment = self.room.paths().environment();
         let (facet, position) = environment.first_hit(from.position, direction, Some(from.wall as FacetId))?;
         Some(self.on(facet, position))
     }
 
-    fn seen(&self, antenna: DVec3, place: &Place) -> f64 {
+    fn seen(&self, antenna: DVec3, place: &WallPosition) -> f64 {
         self.room.paths().straight([antenna, place.position + place.normal * BEFORE_M], [None; 2])
     }
 }

@@ -43,7 +43,7 @@ pub struct WallPoint {
 
 /// Position on a wall of a room.
 #[derive(Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct WallPosition {
     pub(super) wall: usize,
     pub(super) position: DVec3,
     pub(super) normal: DVec3,
@@ -55,16 +55,16 @@ pub(super) trait Walls {
     fn area_m2(&self) -> f64;
 
     /// Draws a position on the wall at the cumulative area `at_m2`, m^2.
-    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> Place;
+    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition;
 
     /// Returns the share of the incident power that a wall reflects; `None` where there is no wall.
     fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
 
     /// Returns the point at which a ray from a wall meets another one; `None` where it leaves the room.
-    fn met(&self, from: &Place, direction: DVec3) -> Option<Place>;
+    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition>;
 
     /// Returns the part of an antenna's field that reaches a position directly.
-    fn seen(&self, antenna: DVec3, place: &Place) -> f64;
+    fn seen(&self, antenna: DVec3, place: &WallPosition) -> f64;
 }
 
 impl Walls for BoxRoom {
@@ -72,7 +72,7 @@ impl Walls for BoxRoom {
         (0..6).map(|wall| side_m2(self, wall)).sum()
     }
 
-    fn place(&self, mut at_m2: f64, rng: &mut impl Rng) -> Place {
+    fn place(&self, mut at_m2: f64, rng: &mut impl Rng) -> WallPosition {
         let wall = (0..5).find(|wall| {
             let is_here = at_m2 < side_m2(self, *wall);
             at_m2 -= if is_here { 0.0 } else { side_m2(self, *wall) };
@@ -81,7 +81,7 @@ impl Walls for BoxRoom {
         let (wall, size) = (wall.unwrap_or(5), self.size_m.to_array());
         let mut position = [0, 1, 2].map(|axis| size[axis] * rng.random::<f64>());
         position[wall / 2] = if wall % 2 == 0 { 0.0 } else { size[wall / 2] };
-        Place::new(wall, DVec3::from_array(position))
+        WallPosition::new(wall, DVec3::from_array(position))
     }
 
     fn reflected(&self, wall: usize, cosine: f64) -> Option<f64> {
@@ -89,7 +89,7 @@ impl Walls for BoxRoom {
         Some(mean_power(wall.reflection(self.wavenumber_per_m, cosine)))
     }
 
-    fn met(&self, from: &Place, direction: DVec3) -> Option<Place> {
+    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
         let (mut nearest_m, mut wall) = (f64::INFINITY, from.wall ^ 1);
         for axis in (0..3).filter(|&axis| direction[axis] != 0.0) {
             let is_high = direction[axis] > 0.0;
@@ -100,10 +100,10 @@ impl Walls for BoxRoom {
                 (nearest_m, wall) = (distance_m, hit);
             }
         }
-        Some(Place::new(wall, (from.position + nearest_m * direction).clamp(DVec3::ZERO, self.size_m)))
+        Some(WallPosition::new(wall, (from.position + nearest_m * direction).clamp(DVec3::ZERO, self.size_m)))
     }
 
-    fn seen(&self, _: DVec3, _: &Place) -> f64 {
+    fn seen(&self, _: DVec3, _: &WallPosition) -> f64 {
         1.0
     }
 }
@@ -122,10 +122,10 @@ pub(super) fn mean_power(reflection: Reflection) -> f64 {
     0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr())
 }
 
-impl Place {
+impl WallPosition {
     fn new(wall: usize, position: DVec3) -> Self {
         let normal = DVec3::AXES[wall / 2] * if wall.is_multiple_of(2) { 1.0 } else { -1.0 };
-        Place { wall, position, normal }
+        WallPosition { wall, position, normal }
     }
 
     /// Draws the next point of a ray that leaves here by Lambert's law, and the cosine of its incidence there.
@@ -173,7 +173,7 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
             let scattered = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
             (length_m + walk.length_m, scattered * walls.seen(element.position, &first))
         };
-        let Place { position, normal, .. } = walk.end;
+        let WallPosition { position, normal, .. } = walk.end;
         let back = rx.iter().map(leg).collect();
         points.push(WallPoint { position, normal, there: leg(tx), back, phase, partner: index });
     }
@@ -191,7 +191,7 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
 
 /// Result of a walk from wall to wall.
 struct Walk {
-    end: Place,
+    end: WallPosition,
     /// Length from the first wall on, m.
     length_m: f64,
     /// Share of the power on the first wall that the last one scatters in all directions, times the statistical weight
@@ -200,13 +200,13 @@ struct Walk {
 }
 
 impl Walk {
-    fn from(first: Place, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
+    fn from(first: WallPosition, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
         // Multiples of the golden ratio distribute the walks of each number of walls over the whole room.
         let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
         let (count, weight) = bounces(at.fract(), diffuse.bounces);
         // Energy conservation: scattered power is not available for specular reflection.
-        let mirrored_at = |place: &Place, cosine: f64| {
+        let mirrored_at = |place: &WallPosition, cosine: f64| {
             Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))?.min(1.0 - diffuse.share))
         };
         let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
@@ -292,7 +292,8 @@ mod tests {
         // A Lambertian walk is uniform over the walls, so it may start anywhere.
         let mut rng = generator(7, Purpose::WallPoints, [0, 0]);
         let begin = |index: usize| {
-            let mut place = Place::new(4, DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0));
+            let on_floor = DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0);
+            let mut place = WallPosition::new(4, on_floor);
             for _ in 0..8 {
                 place = place.scattered(&room, &mut rng).expect("a wall").0;
             }

@@ -15,7 +15,7 @@ use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{EchoFactors, phasor};
 
 /// Positions of the antennas' images, m.
-pub(super) struct Place {
+pub(super) struct ImagePositions {
     /// Midpoint of transmitter and receivers. Illumination and obstruction are evaluated here for all antennas.
     pub(super) middle: DVec3,
     pub(super) tx: DVec3,
@@ -80,7 +80,7 @@ impl Patch {
     pub(super) fn new(
         keys: &[PatchField],
         origin: DVec3,
-        between: [&Place; 2],
+        between: [&ImagePositions; 2],
         times: &FrameTimes,
         wavelength_m: f64,
         sums: &mut PatchSums,
@@ -126,7 +126,7 @@ impl Patch {
     pub(super) fn ways(
         &self,
         prepared: &PreparedScene,
-        between: [&Place; 2],
+        between: [&ImagePositions; 2],
         is_both: bool,
         chirps: usize,
         ways: &mut Vec<EchoFactors>,
@@ -177,7 +177,7 @@ impl PatchPlace {
 
     /// Returns the path length by the transmitter minus that by the antennas' midpoints, both ways, m. The distance to
     /// the individual receiver must be added.
-    fn detour_but_for_receiver_m(&self, [out, back]: [&Place; 2]) -> f64 {
+    fn detour_but_for_receiver_m(&self, [out, back]: [&ImagePositions; 2]) -> f64 {
         let by_middles_m = out.middle.distance(self.place) + back.middle.distance(self.place);
         out.tx.distance(self.place) - by_middles_m
     }
@@ -192,7 +192,7 @@ impl PatchPlace {
 /// Returns the gradient of the excess length of the path by the transmitter and the receivers' midpoint over the path
 /// by both midpoints. It vanishes between an image and itself; otherwise the phase varies by up to a tenth of a radian
 /// over a patch.
-fn detour_gradient([out, back]: [&Place; 2], place: DVec3) -> DVec3 {
+fn detour_gradient([out, back]: [&ImagePositions; 2], place: DVec3) -> DVec3 {
     let away = |antenna: DVec3| (place - antenna).normalize_or_zero();
     let receivers = 2.0 * back.middle - back.tx;
     away(out.tx) - away(out.middle) + away(receivers) - away(back.middle)
@@ -288,10 +288,10 @@ pub(super) fn middle_antenna(prepared: &PreparedScene) -> Element {
     Element { position, ..prepared.tx }
 }
 
-impl Place {
+impl ImagePositions {
     pub(super) fn new(prepared: &PreparedScene, middle: &Element, index: ImageIndex) -> Self {
         let place = |position: DVec3| prepared.room.image_position(index, position);
         let rx = prepared.rx.iter().map(|rx| place(rx.position)).collect();
-        Place { middle: place(middle.position), tx: place(prepared.tx.position), rx }
+        ImagePositions { middle: place(middle.position), tx: place(prepared.tx.position), rx }
     }
 }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::error_budget::{IntegrationSettings, Missed};
-use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
+use super::patch::{FrameTimes, ImagePositions, Patch, missed_between_keys};
 use super::patch_field::{Parts, PatchField, StrengthRows, patch_field};
 use super::patch_pose::{PatchPose, Rules};
 use super::patch_sum::PatchSums;
@@ -44,7 +44,7 @@ pub(super) struct Work<'a> {
     pub(super) origin: DVec3,
     pub(super) antenna: Element,
     pub(super) indices: Vec<ImageIndex>,
-    pub(super) places: Vec<Place>,
+    pub(super) places: Vec<ImagePositions>,
     pub(super) pairs: Vec<Pair>,
     /// Poses at the finer key times.
     pub(super) posed: Vec<PosedSkin>,

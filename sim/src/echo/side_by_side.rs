@@ -33,7 +33,7 @@ const NOTHING: PathSample = PathSample { delay_s: 0.0, delay_rate: 0.0, amplitud
 
 /// Path at an instant, to each receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Met {
+pub struct TracedPath {
     keys: [PathSample; RECEIVERS],
     receivers: usize,
     /// Specular point on the segment, as a point of the unit sphere; `None` where the path does not exist.
@@ -44,10 +44,11 @@ pub struct Met {
     is_bare: bool,
 }
 
-impl Met {
+impl TracedPath {
     /// Builds a path from a sample for each receiver.
     pub fn new(keys: &[PathSample], place: Option<DVec3>) -> Self {
-        let mut met = Met { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false };
+        let mut met =
+            TracedPath { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false };
         for (own, key) in met.keys.iter_mut().zip(keys) {
             *own = *key;
             met.receivers += 1;
@@ -80,8 +81,13 @@ impl Snapshot {
 impl Paths<'_> {
     /// Traces paths at one instant, each without obstruction by people ([`Paths::shade`]). Each request gives the
     /// path's index and its specular point at a neighbouring time.
-    pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
-        let mut met = vec![Met::new(&[], None); asked.len()];
+    pub fn trace_all(
+        &self,
+        asked: &[(usize, Option<DVec3>)],
+        people: &[Snapshot],
+        report: &mut EchoReport,
+    ) -> Vec<TracedPath> {
+        let mut met = vec![TracedPath::new(&[], None); asked.len()];
         if let Surroundings::Box(room) = &self.prepared.room {
             let mut of_segments: [Vec<usize>; SEGMENTS] = Default::default();
             for (at, &(path, _)) in asked.iter().enumerate() {
@@ -91,7 +97,7 @@ impl Paths<'_> {
             }
             for (segment, all) in of_segments.iter().enumerate() {
                 for lanes in all.chunks(WIDE) {
-                    self.meet_lanes(room, segment, lanes, asked, people, &mut met, report);
+                    self.trace_lanes(room, segment, lanes, asked, people, &mut met, report);
                 }
             }
         }
@@ -106,13 +112,13 @@ impl Paths<'_> {
         for (met, &(path, near)) in met.iter_mut().zip(asked).filter(|(met, _)| met.receivers == 0) {
             keys.clear();
             let place = self.trace_at(path, &mut instant, near, &mut keys, report);
-            *met = Met::new(&keys, place);
+            *met = TracedPath::new(&keys, place);
         }
         met
     }
 
     /// Applies the obstruction by people to paths at one instant, once. Paths are given with their indices.
-    pub fn shade<'m>(&self, met: impl IntoIterator<Item = (usize, &'m mut Met)>, people: &[Snapshot]) {
+    pub fn shade<'m>(&self, met: impl IntoIterator<Item = (usize, &'m mut TracedPath)>, people: &[Snapshot]) {
         // In other rooms tracing already includes the people.
         let Surroundings::Box(room) = &self.prepared.room else { return };
         let mut bystanders = Bystanders::new(self.prepared, room, people, self.me, 2 * self.images);
@@ -130,14 +136,14 @@ impl Paths<'_> {
     /// Traces paths over one segment in lanes: those of `asked` at the indices `lanes`, at most one per lane. Paths
     /// that cannot be traced in lanes keep zero receivers.
     #[allow(clippy::too_many_arguments)]
-    fn meet_lanes(
+    fn trace_lanes(
         &self,
         room: &BoxRoom,
         segment: usize,
         lanes: &[usize],
         asked: &[(usize, Option<DVec3>)],
         people: &[Snapshot],
-        met: &mut [Met],
+        met: &mut [TracedPath],
         report: &mut EchoReport,
     ) {
         let Some(own) = people.get(self.me) else { return };
@@ -187,7 +193,7 @@ impl Paths<'_> {
         seen: &SpecularRows,
         drift: &Drift,
         amplitude: &[WideRow; 2],
-        met: &mut [Met],
+        met: &mut [TracedPath],
     ) {
         let mut rows = ReceivedRows::default();
         for (rx, &lsb) in self.prepared.lsb.iter().enumerate().take(RECEIVERS) {
@@ -245,7 +251,7 @@ impl Paths<'_> {
                 }
                 let (direction, point) = (-vector(&seen.towards[side], l), vector(&seen.point, l));
                 let field = Phasor3::real(vector(&fields.re, l));
-                let field = room.carried(way.antenna, way.image, way.source, direction, point, field);
+                let field = room.propagated(way.antenna, way.image, way.source, direction, point, field);
                 store(&mut fields.re, l, field.re.to_array());
                 store(&mut fields.im, l, field.im.to_array());
             }

@@ -18,7 +18,7 @@
 use glam::DVec3;
 
 use super::error_budget::{ErrorBudget, Missed};
-use super::patch::{FrameTimes, Place, middle_antenna};
+use super::patch::{FrameTimes, ImagePositions, middle_antenna};
 use super::patch_pose::vertex_rows;
 use super::patch_solver::{Pair, PatchSolver, Tally, Work};
 use super::surface_currents::{any_near_specular, direction_rows};
@@ -117,7 +117,7 @@ impl SkinnedPerson {
             cloth: &self.cloth,
             times: [times, &fine],
             origin: middle.vertices.iter().sum::<DVec3>() / middle.vertices.len().max(1) as f64,
-            places: indices.iter().map(|&index| Place::new(prepared, &antenna, index)).collect(),
+            places: indices.iter().map(|&index| ImagePositions::new(prepared, &antenna, index)).collect(),
             pairs: ways.iter().map(pair).collect(),
             antenna,
             indices,
@@ -168,7 +168,8 @@ impl SkinnedPerson {
                 .flatten()
                 .map(|posed| {
                     let [places, normals] = vertex_rows(posed, patch, work.origin);
-                    let light = |place: &Place| direction_rows(level, from(work.origin, place.middle), &places);
+                    let light =
+                        |place: &ImagePositions| direction_rows(level, from(work.origin, place.middle), &places);
                     (normals, work.places.iter().map(light).collect::<Vec<_>>())
                 })
                 .collect();

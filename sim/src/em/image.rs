@@ -219,13 +219,13 @@ impl BoxRoom {
         let polarisation = Self::image_vector(index, element.polarisation);
         let transverse = polarisation - direction * direction.dot(polarisation);
         let field = Phasor3::real(transverse * element.pattern.field(departure));
-        let field = self.carried(element.position, index, source, direction, point, field);
+        let field = self.propagated(element.position, index, source, direction, point, field);
         Illumination { source, distance_m, direction, field }
     }
 
     /// Propagates a field from an image of `antenna` at `source` to a point: past all mirror planes on the path, and
     /// through the wall if the point lies outside.
-    pub(crate) fn carried(
+    pub(crate) fn propagated(
         &self,
         antenna: DVec3,
         index: ImageIndex,

@@ -7,7 +7,7 @@ use crate::geometry::Mesh;
 
 /// Intersection of a ray with a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Met {
+pub struct Intersection {
     /// Index of the triangle.
     pub triangle: u32,
     /// Distance, m.
@@ -29,13 +29,13 @@ pub fn plane(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3])> {
 }
 
 /// All triangles that a ray meets, including hits on their edges, by distance and then index.
-pub fn all(ray: &Ray, mesh: &Mesh) -> Vec<Met> {
-    let mut all: Vec<Met> = (0..mesh.triangles.len())
+pub fn all(ray: &Ray, mesh: &Mesh) -> Vec<Intersection> {
+    let mut all: Vec<Intersection> = (0..mesh.triangles.len())
         .filter_map(|t| Some((t, plane(ray, mesh.corners(t)?)?)))
         .filter(|(_, (distance, weights))| {
             *distance >= ray.nearest_m() && *distance <= ray.length_m && weights.iter().all(|&w| w >= 0.0)
         })
-        .map(|(t, (distance_m, barycentric))| Met { triangle: t as u32, distance_m, barycentric })
+        .map(|(t, (distance_m, barycentric))| Intersection { triangle: t as u32, distance_m, barycentric })
         .collect();
     all.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m).then(a.triangle.cmp(&b.triangle)));
     all

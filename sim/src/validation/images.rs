@@ -31,12 +31,12 @@ pub struct Images {
     environment: Environment,
     boundary: Wall,
     path: BistaticPath,
-    ways: Vec<Way>,
+    sequences: Vec<Sequence>,
 }
 
 /// Sequence of facets and the part of the last facet that it illuminates.
 #[derive(Debug, Clone)]
-pub struct Way {
+pub struct Sequence {
     /// Facets in the order in which the wave meets them.
     pub facets: Vec<FacetId>,
     /// Image of the transmitter by all facets except the last.
@@ -71,9 +71,9 @@ impl Images {
             Endpoint::Far(towards) => towards * FAR_M,
         };
         let sequences = all_sequences(&environment, origin, max_bounces);
-        let way = |facets| Way::new(&environment, &path, aperture.clone(), facets);
-        let ways = sequences.into_iter().filter_map(way).collect();
-        Ok(Images { environment, boundary, path, ways })
+        let lit = |facets| Sequence::new(&environment, &path, aperture.clone(), facets);
+        let sequences = sequences.into_iter().filter_map(lit).collect();
+        Ok(Images { environment, boundary, path, sequences })
     }
 
     /// The facets.
@@ -82,18 +82,18 @@ impl Images {
     }
 
     /// All sequences that illuminate a facet.
-    pub fn ways(&self) -> &[Way] {
-        &self.ways
+    pub fn sequences(&self) -> &[Sequence] {
+        &self.sequences
     }
 
     /// Field scattered to the receiver from the last facet of a sequence.
-    pub fn integrate(&self, way: &Way, accuracy: Accuracy) -> Integral {
-        let before = way.facets.split_last().map(|(_, before)| before).unwrap_or_default();
-        integrate(&way.lit, accuracy, |point, normal| {
-            let there = way.source.leg(point);
-            let there = Leg { length_m: there.length_m + way.longer_m, ..there };
+    pub fn integrate(&self, sequence: &Sequence, accuracy: Accuracy) -> Integral {
+        let before = sequence.facets.split_last().map(|(_, before)| before).unwrap_or_default();
+        integrate(&sequence.lit, accuracy, |point, normal| {
+            let there = sequence.source.leg(point);
+            let there = Leg { length_m: there.length_m + sequence.longer_m, ..there };
             let reflected = |direction| {
-                let launched = transverse(way.mirror * self.path.tx_polarisation, direction);
+                let launched = transverse(sequence.mirror * self.path.tx_polarisation, direction);
                 self.environment.reflected(before, &[], direction, Phasor3::real(launched))
             };
             self.path.scattered(point, normal, there, reflected, &self.boundary, accuracy.wavenumber_per_m)
@@ -101,7 +101,7 @@ impl Images {
     }
 }
 
-impl Way {
+impl Sequence {
     /// Computes a sequence; `None` where the last facet is not illuminated, or the sequence is empty.
     fn new(
         environment: &Environment,
@@ -129,7 +129,7 @@ impl Way {
         let corners = environment.facet(*last)?.corners.clone();
         let lit = windows.iter().fold(corners, |lit, window| through_window(lit, window, &source));
         let lit = fan(&lit, environment.normal(*last)?);
-        (!lit.triangles.is_empty()).then_some(Way { source, mirror, longer_m, lit, facets })
+        (!lit.triangles.is_empty()).then_some(Sequence { source, mirror, longer_m, lit, facets })
     }
 }
 
@@ -215,8 +215,8 @@ mod hard_cases {
 
     /// Integrals of all sequences of `order` facets.
     fn of_order(images: &Images, order: usize) -> Vec<Complex64> {
-        let ways = images.ways().iter().filter(|way| way.facets.len() == order);
-        ways.map(|way| images.integrate(way, ACCURACY)).filter(|i| i.facets > 0).map(|i| i.value).collect()
+        let sequences = images.sequences().iter().filter(|sequence| sequence.facets.len() == order);
+        sequences.map(|of| images.integrate(of, ACCURACY)).filter(|i| i.facets > 0).map(|i| i.value).collect()
     }
 
     /// Both orders carry the same field, each illuminates all of its last face at 45 degrees, and no other sequence has
@@ -256,7 +256,7 @@ mod hard_cases {
             let mut faces = trihedral(0.1, true);
             faces.iter_mut().flatten().for_each(|corner| *corner += shift);
             let found = images(faces, Endpoint::Far(towards), 3);
-            found.ways().iter().map(|way| found.integrate(way, ACCURACY).value).sum()
+            found.sequences().iter().map(|sequence| found.integrate(sequence, ACCURACY).value).sum()
         };
         let (here, there) = (sum(DVec3::ZERO), sum(DVec3::new(0.31, -0.27, 0.53)));
         assert!((here.norm() / there.norm() - 1.0).abs() < 1e-9, "{here} {there}");
@@ -272,10 +272,10 @@ mod hard_cases {
         let options = LaunchOptions { max_order: 3, ..LaunchOptions::default() };
         let by_rays = ImagePaths::discover(environment, radar * 1.5, &options);
         let known: Vec<&Vec<FacetId>> = by_rays.images().iter().flat_map(|image| &image.sequences).collect();
-        let lit: Vec<&Way> = found.ways().iter().filter(|way| way.lit.mesh().area_m2() > 0.05).collect();
-        assert!(lit.iter().any(|way| way.facets.len() == 3), "a corner has paths of three reflections");
-        for way in lit {
-            assert!(known.contains(&&way.facets), "{:?}", way.facets);
+        let lit: Vec<&Sequence> = found.sequences().iter().filter(|of| of.lit.mesh().area_m2() > 0.05).collect();
+        assert!(lit.iter().any(|sequence| sequence.facets.len() == 3), "a corner has paths of three reflections");
+        for sequence in lit {
+            assert!(known.contains(&&sequence.facets), "{:?}", sequence.facets);
         }
     }
 

@@ -147,7 +147,7 @@ impl Problem {
             Shape::Body(body) => self.specular_point(body),
             Shape::Faces(images) => self.refined(tolerance_db, |accuracy| {
                 let mut all = Integral::default();
-                for integral in images.ways().iter().map(|way| images.integrate(way, accuracy)) {
+                for integral in images.sequences().iter().map(|sequence| images.integrate(sequence, accuracy)) {
                     all.value += integral.value;
                     all.facets += integral.facets;
                     all.bend_rad = all.bend_rad.max(integral.bend_rad);

@@ -38,7 +38,7 @@ pub(super) struct Node {
 
 /// Motion on the ground plan between two steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct GroundMotion {
     /// Place, m.
     pub position_m: [f64; 2],
     /// Speed along the heading, m/s.
@@ -51,9 +51,9 @@ pub(super) struct Place {
     pub phase: f64,
 }
 
-impl Place {
+impl GroundMotion {
     /// Motion at a fraction of a step. Position, velocity and acceleration are continuous from step to step.
-    pub fn between(a: &Pose, b: &Pose, part: f64, limits: &Limits) -> Place {
+    pub fn between(a: &Pose, b: &Pose, part: f64, limits: &Limits) -> GroundMotion {
         let (first, last) = (a.velocity_m_per_s(), b.velocity_m_per_s());
         let (bend, next_bend) = (a.ground_acceleration_m_per_s2(), b.ground_acceleration_m_per_s2());
         let position_m = [0, 1].map(|i| {
@@ -67,7 +67,7 @@ impl Place {
         let speed = |p: &Pose| knot(p.speed_m_per_s, p.acceleration_m_per_s2);
         let heading = |p: &Pose| knot(p.heading_rad, p.turn_rad_per_s);
         let phase = |p: &Pose| knot(p.phase, limits.cycles_per_s(p.speed_m_per_s, p.turn_rad_per_s));
-        Place {
+        GroundMotion {
             position_m,
             speed_m_per_s: speed(a).between(speed(b), part).max(0.0),
             heading_rad: heading(a).between(heading(b), part),
