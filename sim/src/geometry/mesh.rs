@@ -83,6 +83,25 @@ impl Mesh {
         (0..self.triangles.len()).filter_map(|t| self.corners(t))
     }
 
+    /// Mesh of triangles over the same vertices, with only those that they use, in order of use. Also returns the
+    /// original index of each vertex.
+    pub(crate) fn of_triangles(&self, triangles: impl IntoIterator<Item = [u32; 3]>) -> (Mesh, Vec<u32>) {
+        let mut numbers = vec![u32::MAX; self.vertices.len()];
+        let (mut made, mut from) = (Mesh::default(), Vec::new());
+        for triangle in triangles {
+            made.triangles.push(triangle.map(|v| {
+                let number = &mut numbers[v as usize];
+                if *number == u32::MAX {
+                    *number = from.len() as u32;
+                    made.vertices.push(self.vertices[v as usize]);
+                    from.push(v);
+                }
+                *number
+            }));
+        }
+        (made, from)
+    }
+
     /// Sum of the triangles' areas, m^2.
     pub fn area_m2(&self) -> f64 {
         self.all_corners().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()

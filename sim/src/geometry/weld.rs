@@ -55,8 +55,7 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
         }
     }
 
-    let mut welded = Welded::default();
-    let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
+    let (mut triangles, mut triangle_of) = (Vec::new(), Vec::new());
     for (index, corners) in mesh.triangles.iter().enumerate() {
         let corners = corners.map(|c| became.get(c as usize).copied().unwrap_or(c));
         let [a, b, c] = corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default());
@@ -64,20 +63,10 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
         if (b - a).cross(c - a).length() <= LEAST_HEIGHT * longest {
             continue;
         }
-        let mut place = |c: u32| {
-            let slot = number.get_mut(c as usize)?;
-            if slot.is_none() {
-                *slot = Some(welded.mesh.vertices.len() as u32);
-                welded.mesh.vertices.push(mesh.vertices.get(c as usize).copied()?);
-            }
-            *slot
-        };
-        if let [Some(a), Some(b), Some(c)] = corners.map(&mut place) {
-            welded.mesh.triangles.push([a, b, c]);
-            welded.triangle_of.push(index as u32);
-        }
+        triangles.push(corners);
+        triangle_of.push(index as u32);
     }
-    Ok(welded)
+    Ok(Welded { mesh: mesh.of_triangles(triangles).0, triangle_of })
 }
 
 #[cfg(test)]

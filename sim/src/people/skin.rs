@@ -317,19 +317,7 @@ fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
     let numbers_of = patches(mesh, &skin_edges(mesh));
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
     order.sort_by_key(|&t| numbers_of[t]);
-    let mut numbers = vec![u32::MAX; mesh.vertices.len()];
-    let (mut sorted, mut from) = (Mesh::default(), Vec::new());
-    for triangle in order.iter().map(|&t| mesh.triangles[t]) {
-        sorted.triangles.push(triangle.map(|v| {
-            let number = &mut numbers[v as usize];
-            if *number == u32::MAX {
-                *number = sorted.vertices.len() as u32;
-                sorted.vertices.push(mesh.vertices[v as usize]);
-                from.push(v);
-            }
-            *number
-        }));
-    }
+    let (sorted, from) = mesh.of_triangles(order.iter().map(|&t| mesh.triangles[t]));
     let mut all = Vec::new();
     let mut begin = 0;
     for members in order.chunk_by(|&a, &b| numbers_of[a] == numbers_of[b]) {

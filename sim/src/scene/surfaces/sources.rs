@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{LEAST_FACE_M2, SmallPart, Surfaces};
 use crate::em::image::Wall;
-use crate::geometry::{Mesh, PlanarPolygon, oriented, planes};
+use crate::geometry::{PlanarPolygon, oriented, planes};
 use crate::scene::draft::{Draft, ROOM, solid};
 use crate::scene::plan;
 use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M};
@@ -102,22 +102,6 @@ fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, 
         drafts.extend(polygons.into_iter().map(|polygon| Draft { polygon, wall, name: name.clone(), group: ROOM }));
     }
     if !rest.is_empty() {
-        small.push(SmallPart { mesh: compact(&mesh, &rest), wall, name: piece.name.clone() });
+        small.push(SmallPart { mesh: mesh.of_triangles(rest).0, wall, name: piece.name.clone() });
     }
-}
-
-/// Returns a mesh of some triangles, with only the vertices that they use.
-fn compact(mesh: &Mesh, triangles: &[[u32; 3]]) -> Mesh {
-    let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
-    let mut made = Mesh::default();
-    for triangle in triangles {
-        let corners = triangle.map(|v| {
-            *number[v as usize].get_or_insert_with(|| {
-                made.vertices.push(mesh.vertices[v as usize]);
-                made.vertices.len() as u32 - 1
-            })
-        });
-        made.triangles.push(corners);
-    }
-    made
 }
