@@ -69,22 +69,14 @@ impl Walls for FacetWalls<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::points::tests::room;
     use super::super::points::{Diffuse, WallPoint, points};
     use super::*;
-    use crate::em::image::{BoxRoom, Element, Wall};
-    use crate::em::pattern::Pattern;
 
     /// Facets of a box scatter like the box: the power at a point by path length agrees over many seeds.
     #[test]
     fn facets_of_a_box_throw_what_its_sides_do() {
-        let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
-        let of_box = BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false);
-        let antenna = Element {
-            position: DVec3::new(1.0, 1.5, 1.2),
-            polarisation: DVec3::Z,
-            radar_from_world: glam::DMat3::IDENTITY,
-            pattern: Pattern::new(1.1, 0.9, -15.0),
-        };
+        let (of_box, antenna) = room();
         let polygons = PolygonRoom::of_box(&of_box, antenna.position);
         let facets = FacetWalls::new(&polygons);
         let area_m2 = Walls::area_m2(&of_box);

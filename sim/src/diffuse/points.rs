@@ -232,21 +232,26 @@ impl Walk {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::em::pattern::Pattern;
 
-    /// The mean power at a point over the scattering points equals the integral over all pieces of the walls.
-    #[test]
-    fn points_throw_what_walls_do() {
+    /// Box of metal with an open side, and an antenna in it.
+    pub(in crate::diffuse) fn room() -> (BoxRoom, Element) {
         let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
-        let room = BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false);
         let antenna = Element {
             position: DVec3::new(1.0, 1.5, 1.2),
             polarisation: DVec3::Z,
             radar_from_world: glam::DMat3::IDENTITY,
             pattern: Pattern::new(1.1, 0.9, -15.0),
         };
+        (BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false), antenna)
+    }
+
+    /// The mean power at a point over the scattering points equals the integral over all pieces of the walls.
+    #[test]
+    fn points_throw_what_walls_do() {
+        let (room, antenna) = room();
         let (share, place) = (0.1, DVec3::new(3.2, 2.1, 1.0));
         let density = |position: DVec3, normal: DVec3, area_m2: f64| {
             let (there, on) = (position - antenna.position, place - position);

@@ -1,7 +1,7 @@
 //! Routes around furniture: the shortest route that keeps a distance from obstacles in the room.
 
 /// A box on the ground plan: low and high corner, m.
-pub(super) type Block = [[f64; 2]; 2];
+pub(crate) type Block = [[f64; 2]; 2];
 
 /// Margin by which the corners of a route are farther off than requested, m. Routes may run along blocks.
 const BESIDE_M: f64 = 1e-6;

@@ -8,11 +8,9 @@ use glam::{DVec2, DVec3};
 
 use super::{Scene, plan};
 use crate::geometry::polygon::{encloses, sides};
+use crate::people::route::Block;
 use crate::scene_file::{FurnitureFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
-
-/// A box on the ground plan: low and high corner, m.
-pub(crate) type GroundBox = [[f64; 2]; 2];
 
 /// Size of the boxes that cover oblique walls, m.
 const STEP_M: f64 = 0.25;
@@ -68,7 +66,7 @@ impl Floor {
 }
 
 /// Obstacles that people walk around: furniture and walls.
-pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
+pub(crate) fn blocks(scene: &Scene) -> Vec<Block> {
     /// Height below which objects are no obstacles, m.
     const CARPET_M: f64 = 0.05;
     let (has_meshes, of_meshes) = (!scene.meshes.pieces.is_empty(), scene.meshes.own_furniture);
@@ -85,7 +83,7 @@ pub(crate) fn blocks(scene: &Scene) -> Vec<GroundBox> {
 }
 
 /// Parts of the room itself that people walk around; none for a box.
-pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
+pub(crate) fn walls(scene: &Scene) -> Vec<Block> {
     match (Floor::of(scene), &scene.file.room.plan) {
         (_, Some(plan)) => [boxes(plan), leaves(plan)].concat(),
         (Floor::Cells(cells), None) => cells.boxes(),
@@ -94,7 +92,7 @@ pub(crate) fn walls(scene: &Scene) -> Vec<GroundBox> {
 }
 
 /// Boxes around the leaves of a plan's doors.
-fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
+fn leaves(plan: &PlanFile) -> Vec<Block> {
     let mut boxes = Vec::new();
     for [hinge, end] in plan::openings(plan).into_iter().filter_map(|opening| opening.leaf) {
         add_line(hinge, end, &mut boxes);
@@ -103,7 +101,7 @@ fn leaves(plan: &PlanFile) -> Vec<GroundBox> {
 }
 
 /// Parts of a plan that people walk around, except door leaves.
-fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
+fn boxes(plan: &PlanFile) -> Vec<Block> {
     let mut boxes = outside(&plan::corners(plan));
     for partition in &plan.partition {
         add_partition(partition, &mut boxes);
@@ -113,7 +111,7 @@ fn boxes(plan: &PlanFile) -> Vec<GroundBox> {
 
 /// Boxes that cover the area outside a polygon, within its bounds. They are exact if the polygon's sides are parallel
 /// to the axes.
-fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
+fn outside(corners: &[DVec2]) -> Vec<Block> {
     let is_askew = sides(corners).any(|[a, b]| (a.x - b.x).abs() > SAME_M && (a.y - b.y).abs() > SAME_M);
     let lines = |axis: usize| {
         let mut lines: Vec<f64> = corners.iter().map(|corner| corner[axis]).collect();
@@ -126,9 +124,9 @@ fn outside(corners: &[DVec2]) -> Vec<GroundBox> {
         lines
     };
     let (across, up) = (lines(0), lines(1));
-    let mut boxes: Vec<GroundBox> = Vec::new();
+    let mut boxes: Vec<Block> = Vec::new();
     for row in up.windows(2) {
-        let mut open: Option<GroundBox> = None;
+        let mut open: Option<Block> = None;
         for column in across.windows(2) {
             let middle = DVec2::new(0.5 * (column[0] + column[1]), 0.5 * (row[0] + row[1]));
             if encloses(corners, middle) {
@@ -151,7 +149,7 @@ fn lets_people_through(opening: &OpeningFile) -> bool {
 }
 
 /// Adds boxes around the parts of a partition between its doorways.
-fn add_partition(partition: &PartitionFile, boxes: &mut Vec<GroundBox>) {
+fn add_partition(partition: &PartitionFile, boxes: &mut Vec<Block>) {
     let [from, to] = plan::ends(partition);
     let length_m = from.distance(to);
     let mut doorways: Vec<[f64; 2]> =
@@ -168,7 +166,7 @@ fn add_partition(partition: &PartitionFile, boxes: &mut Vec<GroundBox>) {
 }
 
 /// Adds boxes that cover a line: a single one if it is parallel to an axis.
-fn add_line(from: DVec2, to: DVec2, boxes: &mut Vec<GroundBox>) {
+fn add_line(from: DVec2, to: DVec2, boxes: &mut Vec<Block>) {
     let offset = (to - from).abs();
     let parts = if offset.min_element() < SAME_M { 1 } else { (offset.length() / STEP_M).ceil().max(1.0) as usize };
     for part in 0..parts {
@@ -230,7 +228,7 @@ mod tests {
         assert_eq!(boxes(&plan(partition)), [[[3.5, 0.0], [3.5, 4.0]]]);
         let opening = "[[partition.opening]]\nfrom_m = 1.5\nto_m = 2.4\nhead_m = 2.0\n";
         let two = [[[3.5, 0.0], [3.5, 1.5]], [[3.5, 2.4], [3.5, 4.0]]];
-        let near = |found: &[GroundBox]| {
+        let near = |found: &[Block]| {
             let pairs = found.iter().flatten().flatten().zip(two.iter().flatten().flatten());
             found.len() == 2 && pairs.map(|(a, b): (&f64, &f64)| (a - b).abs()).fold(0.0, f64::max) < 1e-12
         };

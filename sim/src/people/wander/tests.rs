@@ -61,8 +61,7 @@ fn people(scene: &Scene, seed: u64, count: usize) -> Vec<Arc<Motion>> {
 /// Keys of a scene file that make one mode certain.
 fn only(mode: &str) -> String {
     let weight = |name: &&str| format!("{name} = {}", if *name == mode { "1.0" } else { "0.0" });
-    let all = ["independent", "together", "follow", "meet", "pass", "stand_and_walk"];
-    format!("[people.wander.modes]\n{}\n", all.iter().map(weight).collect::<Vec<_>>().join("\n"))
+    format!("[people.wander.modes]\n{}\n", MODES.iter().map(weight).collect::<Vec<_>>().join("\n"))
 }
 
 const MODES: [&str; 6] = ["independent", "together", "follow", "meet", "pass", "stand_and_walk"];

@@ -4,9 +4,10 @@ use std::collections::VecDeque;
 
 use glam::{DVec2, DVec3};
 
-use super::{GroundBox, HEAD_M, SILL_M};
+use super::{HEAD_M, SILL_M};
 use crate::geometry::{Mesh, Plane, planes};
 use crate::material::OPEN;
+use crate::people::route::Block;
 use crate::scene::Scene;
 use crate::scene::room::WELD_M;
 
@@ -167,8 +168,8 @@ impl Cells {
     }
 
     /// Returns boxes that cover all cells outside the room's floor. Equal runs along x in consecutive rows share a box.
-    pub fn boxes(&self) -> Vec<GroundBox> {
-        let mut boxes: Vec<GroundBox> = Vec::new();
+    pub fn boxes(&self) -> Vec<Block> {
+        let mut boxes: Vec<Block> = Vec::new();
         // Runs of the previous row, with the row in which they began.
         let mut open: Vec<([usize; 2], usize)> = Vec::new();
         for (j, row) in self.kinds.chunks(self.count[0]).enumerate() {
@@ -185,7 +186,7 @@ impl Cells {
     }
 
     /// Returns the box of a range of columns and rows. The second number of a range is one past its last index.
-    fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> GroundBox {
+    fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> Block {
         let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
         [at(left, first), at(right, end)]
     }
