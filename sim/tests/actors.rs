@@ -190,10 +190,7 @@ mod hard_cases {
     use super::*;
 
     fn refused<T>(result: Result<T, FileError>, expected: &[&str]) {
-        let message = result.map(|_| ()).expect_err("a fault").to_string();
-        for word in expected.iter().chain(&["hint: "]) {
-            assert!(message.contains(word), "{word:?} is not in {message:?}");
-        }
+        common::assert_refused(result, &[expected, &["hint: "]].concat());
     }
 
     /// Changes the glTF file of a person and asserts that it is refused.

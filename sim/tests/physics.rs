@@ -12,7 +12,7 @@ use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
 use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
 use radome_sim::{Receiver, random};
 
-use crate::common::{self, NOBODY, hall, map_db, parse, peak, range_profiles, simulator, statistics};
+use crate::common::{self, NOBODY, hall, map_db, parse, peak, post, range_profiles, simulator, statistics};
 
 fn walker(from: f64, to: f64, speed: f64) -> String {
     hall(&format!(
@@ -116,12 +116,7 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
 fn level_follows_the_radar_equation_with_the_fourth_power() {
     let mut last: Option<f64> = None;
     for range in [2.0f64, 4.0, 8.0] {
-        let x = 1.0 + range;
-        let text = hall(&format!(
-            "[[furniture]]\nname = \"point\"\nposition_m = [{x}, 10.0, 1.2]\nsize_m = [0.0, 0.0, 0.0]\n\
-             cross_section_dbsm = 0.0\npoints = 1\n{NOBODY}"
-        ));
-        let scene = parse(&text);
+        let scene = parse(&hall(&(post(range, 0.0) + NOBODY)));
         let prepared = PreparedScene::new(&scene, 0, 20.0);
         assert_eq!(prepared.static_paths.len(), 1);
         let tone = prepared.static_paths[0].tones[0];

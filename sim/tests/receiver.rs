@@ -8,7 +8,7 @@ use radome_sim::receiver::phase_noise::PhaseRates;
 use radome_sim::receiver::{ClutterDrift, PhaseNoise, Receiver};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::common::{NOBODY, hall, parse, range_bin, scene, simulator};
+use crate::common::{NOBODY, hall, parse, range_bin, rms, scene, simulator};
 
 /// Board in front of a metal wall 2.4 m away, without other objects, with a quiet and stable receiver.
 fn wall(clutter: &str, receiver: &str) -> Scene {
@@ -168,7 +168,7 @@ fn clutter_steps_now_and_then() {
     }
     // Six times 40 s.
     assert!((48..=62).contains(&steps.len()), "{}", steps.len());
-    let typical = (steps.iter().map(|step| step * step).sum::<f64>() / steps.len() as f64).sqrt();
+    let typical = rms(&steps);
     assert!((0.4..0.85).contains(&typical), "{typical} rad");
 }
 
@@ -184,7 +184,6 @@ fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
     let per_rx = shape.chirps * shape.samples;
     let added: Vec<f64> =
         frames[0].codes.iter().zip(&frames[1].codes).map(|(a, b)| f64::from(*a) - f64::from(*b)).collect();
-    let rms = |values: &[f64]| (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt();
     let dc = 2048.0;
     let wall_rms = rms(&frames[1].codes[..per_rx].iter().map(|&c| f64::from(c) - dc).collect::<Vec<_>>());
     let delay_s = 2.0 * 2.4 / radome_dsp::SPEED_OF_LIGHT_M_PER_S;

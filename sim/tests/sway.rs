@@ -7,16 +7,9 @@ use num_complex::Complex64;
 use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
 
-use crate::common::{NOBODY, fixture, hall, map_db, parse, range_bin, refusal, scene, simulator, statistics};
-
-/// One scattering point at a range ahead of the radar of [`hall`].
-fn post(range_m: f64, cross_section_dbsm: f64) -> String {
-    let x = 1.0 + range_m;
-    format!(
-        "[[furniture]]\nname = \"post\"\nposition_m = [{x}, 10.0, 1.2]\nsize_m = [0.0, 0.0, 0.0]\npoints = 1\n\
-         cross_section_dbsm = {cross_section_dbsm}\n"
-    )
-}
+use crate::common::{
+    NOBODY, fixture, hall, map_db, parse, post, range_bin, refusal, rms, scene, simulator, statistics,
+};
 
 /// Hall with a quiet receiver, and further tables.
 fn quiet(extra: &str) -> Scene {
@@ -39,10 +32,6 @@ fn slope_rad(bins: &[Complex64]) -> f64 {
         square += place * place;
     }
     product / square * (bins.len() as f64 - 1.0)
-}
-
-fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 /// Variation of a range bin within a frame, relative to its mean.

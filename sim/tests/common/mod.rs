@@ -113,6 +113,24 @@ pub fn refusal(text: &str) -> String {
     Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err(text).to_string()
 }
 
+/// Asserts that a result is an error whose message contains all words.
+pub fn assert_refused<T>(result: Result<T, impl std::fmt::Display>, expected: &[&str]) {
+    let Err(error) = result else { panic!("accepted, but expected {expected:?}") };
+    let message = error.to_string();
+    for word in expected {
+        assert!(message.contains(word), "{word:?} is not in {message:?}");
+    }
+}
+
+/// One scattering point at a range ahead of the radar of [`hall`].
+pub fn post(range_m: f64, cross_section_dbsm: f64) -> String {
+    let x = 1.0 + range_m;
+    format!(
+        "[[furniture]]\nname = \"post\"\nposition_m = [{x}, 10.0, 1.2]\nsize_m = [0.0, 0.0, 0.0]\npoints = 1\n\
+         cross_section_dbsm = {cross_section_dbsm}\n"
+    )
+}
+
 fn hann(i: usize, n: usize) -> f64 {
     0.5 - 0.5 * (TAU * i as f64 / n as f64).cos()
 }
@@ -167,6 +185,11 @@ pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
 /// Antenna with an isotropic pattern.
 pub fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
     Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
+}
+
+/// Root mean square.
+pub fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 /// Mean and standard deviation.
