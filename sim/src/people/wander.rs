@@ -30,7 +30,6 @@ use crate::people::postures::Crouch;
 use crate::people::route::{Block, Ground};
 use crate::random::{Purpose, draw, generator};
 use crate::scene_file::{SceneFile, SeatFile, WanderFile};
-use node::GroundMotion;
 use setting::{Seat, Setting, View};
 use small::Sway;
 use table::Group;
@@ -201,7 +200,7 @@ impl Wanderer {
     /// Returns the motion at a time.
     pub(super) fn moment(&self, time_s: f64) -> Moment {
         let Some((a, b, part)) = self.group.around(self.slot, time_s) else { return Moment::default() };
-        let place = GroundMotion::between(&a.pose, &b.pose, part, &self.limits);
+        let place = a.pose.between(&b.pose, part, &self.limits);
         let low = smooth_step(2.0 * (a.down + part * (b.down - a.down)) - 1.0);
         let seat = if a.down > 0.0 { a.seat } else { b.seat };
         let swayed = self.sway.at(time_s);

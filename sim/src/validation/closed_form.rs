@@ -131,8 +131,7 @@ pub fn trihedral_aperture_m2(edge_m: f64, outline: Outline, towards: DVec3) -> f
     };
     let projected: Vec<DVec3> = corners.iter().map(|&c| c * edge_m).map(|c| c - towards * towards.dot(c)).collect();
     let mut shared: Vec<DVec3> = projected.iter().map(|&c| -c).collect();
-    for (i, &a) in projected.iter().enumerate() {
-        let b = projected[(i + 1) % projected.len()];
+    for [a, b] in polygon::sides(&projected) {
         // Corners run counter-clockwise seen from the octant.
         shared = polygon::clipped(&shared, a, towards.cross(b - a));
     }

@@ -36,24 +36,11 @@ pub(super) struct Node {
     pub seat: usize,
 }
 
-/// Motion on the ground plan between two steps.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct GroundMotion {
-    /// Place, m.
-    pub position_m: [f64; 2],
-    /// Speed along the heading, m/s.
-    pub speed_m_per_s: f64,
-    /// Heading, rad.
-    pub heading_rad: f64,
-    /// Rate of the heading, rad/s.
-    pub turn_rad_per_s: f64,
-    /// Number of cycles (two steps each) completed.
-    pub phase: f64,
-}
-
-impl GroundMotion {
-    /// Motion at a fraction of a step. Position, velocity and acceleration are continuous from step to step.
-    pub fn between(a: &Pose, b: &Pose, part: f64, limits: &Limits) -> GroundMotion {
+impl Pose {
+    /// Motion at a fraction of the step to the next pose. Position, velocity and acceleration are continuous from step
+    /// to step.
+    pub fn between(&self, next: &Pose, part: f64, limits: &Limits) -> Pose {
+        let (a, b) = (self, next);
         let (first, last) = (a.velocity_m_per_s(), b.velocity_m_per_s());
         let (bend, next_bend) = (a.ground_acceleration_m_per_s2(), b.ground_acceleration_m_per_s2());
         let position_m = [0, 1].map(|i| {
@@ -67,9 +54,10 @@ impl GroundMotion {
         let speed = |p: &Pose| knot(p.speed_m_per_s, p.acceleration_m_per_s2);
         let heading = |p: &Pose| knot(p.heading_rad, p.turn_rad_per_s);
         let phase = |p: &Pose| knot(p.phase, limits.cycles_per_s(p.speed_m_per_s, p.turn_rad_per_s));
-        GroundMotion {
+        Pose {
             position_m,
             speed_m_per_s: speed(a).between(speed(b), part).max(0.0),
+            acceleration_m_per_s2: a.acceleration_m_per_s2 + part * (b.acceleration_m_per_s2 - a.acceleration_m_per_s2),
             heading_rad: heading(a).between(heading(b), part),
             turn_rad_per_s: a.turn_rad_per_s + part * (b.turn_rad_per_s - a.turn_rad_per_s),
             phase: phase(a).between(phase(b), part),
