@@ -7,12 +7,12 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
+use radome_sim::Scene;
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::em::pattern::Pattern;
 use radome_sim::path_list::{ListedPath, PathList, PathListOptions};
 use radome_sim::paths::{Environment, Facet, ImagePaths, LaunchOptions, Surroundings};
 use radome_sim::prepared_scene::PreparedScene;
-use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::common::{self, WAVENUMBER, scene};
 use crate::surfaces::rooms::{SIZE_M, box_keys, faces, made, mesh_table, room_files, stl, triangles};
@@ -78,8 +78,7 @@ fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
 #[test]
 fn a_box_has_the_same_frames_from_toml_plan_obj_stl_and_gltf() {
     let folder = tempfile::tempdir().expect("a folder");
-    let options = SimulateOptions { seed: 3, ..SimulateOptions::default() };
-    let echoes = |scene: &Scene| Simulator::new(scene, options).expect("a simulator").echo_samples(4);
+    let echoes = |scene: &Scene| common::simulator(scene, 3, None).echo_samples(4);
     let expected = echoes(&made(&box_keys("plasterboard"), WALKER, folder.path()));
     let power = |samples: &mut dyn Iterator<Item = f64>| samples.map(|x| x * x).sum::<f64>();
     let of_box = power(&mut expected.iter().map(|&x| f64::from(x)));

@@ -1,11 +1,9 @@
 //! Echoes of people with skins, compared with dense physical optics in every chirp.
 
-use std::path::Path;
-
 use num_complex::Complex64;
-use radome_sim::{Scene, SimulateOptions, Simulator};
+use radome_sim::{SimulateOptions, Simulator};
 
-use crate::common::range_profiles;
+use crate::common::{parse, range_profiles, refusal, simulator};
 
 /// Hall without walls, with a few chirps and one receiver: the slow method takes seconds for it.
 const HALL: &str = r#"
@@ -44,8 +42,7 @@ step = [{ walk_to_m = [8.0, 3.3] }, { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.
 "#;
 
 fn hall(tolerance_db: f64) -> Simulator {
-    let scene = Scene::parse(HALL, Path::new("hall.toml")).expect("valid scene");
-    Simulator::new(&scene, SimulateOptions { seed: 3, tolerance_db, ..SimulateOptions::default() })
+    Simulator::new(&parse(HALL), SimulateOptions { seed: 3, tolerance_db, ..SimulateOptions::default() })
         .expect("valid options")
 }
 
@@ -80,9 +77,7 @@ fn skins_are_dense_physical_optics_in_every_chirp() {
 #[test]
 fn who_breathes_only_moves_only_that_much() {
     let still = HALL.replace(", { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.2 }", "");
-    let scene = Scene::parse(&still, Path::new("hall.toml")).expect("valid scene");
-    let options = SimulateOptions { seed: 3, ..SimulateOptions::default() };
-    let simulator = Simulator::new(&scene, options).expect("valid options");
+    let simulator = simulator(&parse(&still), 3, None);
     let samples: Vec<f64> = simulator.echo_samples(5).into_iter().map(f64::from).collect();
     let chirps = range_profiles(&samples, 256);
     // Breath and sway stay below 10 mm/s: less than a radian over the frame.
@@ -113,8 +108,7 @@ mod hard_cases {
         let through = HALL
             .replace("{ walk_to_m = [8.0, 3.3] }", "{ walk_to_m = [0.9, 3.0] }")
             .replace("[1.5, 3.3]", "[0.2, 3.0]");
-        let scene = Scene::parse(&through, Path::new("hall.toml")).expect("valid scene");
-        let simulator = Simulator::new(&scene, SimulateOptions::default()).expect("valid options");
+        let simulator = Simulator::new(&parse(&through), SimulateOptions::default()).expect("valid options");
         for frame in [0, 4, 8, 12] {
             assert!(simulator.echo_samples(frame).iter().all(|x| x.is_finite()), "frame {frame}");
         }
@@ -126,7 +120,7 @@ mod hard_cases {
     fn skins_do_not_sit_at_a_desk() {
         let begin = HALL.find("[people]").expect("people");
         let desk = format!("{}[people]\nbody = \"mesh\"\n[people.desk]\n", &HALL[..begin]);
-        let message = Scene::parse(&desk, Path::new("hall.toml")).expect_err("refused").to_string();
+        let message = refusal(&desk);
         assert!(message.contains("body") && message.contains("desk"), "{message}");
     }
 }

@@ -45,8 +45,7 @@ fn the_radar_may_be_on_a_wall_and_in_a_corner() {
             .replace("[radar]", &format!("[radar]\nazimuth_deg = {azimuth_deg:?}"))
             .replace("[0.5, 1.0, 1.2]", place)
             .replace("[4.0, 3.2]", "[4.0, 2.2]");
-        let scene = Scene::parse(&text, Path::new("scene.toml")).expect("a good scene");
-        assert_sound(&scene, place);
+        assert_sound(&common::parse(&text), place);
     }
 }
 
