@@ -108,11 +108,6 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
         }
         opened => opened?,
     };
-    if let Recording::Mcap(reader) = &source
-        && !reader.is_complete()
-    {
-        eprintln!("{} was never finished: it is read up to its last whole chunk", input.display());
-    }
     if matches!(source, Recording::Infineon(_)) {
         eprintln!("not carried over: the descriptions in meta.json");
     }

@@ -38,12 +38,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Recording::Text(_) => "text",
     };
     let is_finished = !matches!(&recording, Recording::Mcap(reader) if !reader.is_complete());
-    if !is_finished {
-        eprintln!(
-            "{} was never finished\n\nhint: radome recording repair FILE -o OUT makes a finished one",
-            path.display()
-        );
-    }
     let spans = labels::of(path)?;
     let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
     for span in &spans {

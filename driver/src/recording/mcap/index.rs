@@ -60,6 +60,12 @@ impl Index {
         if summary_start.is_none() {
             index.drop_torn_end(records, channels)?;
         }
+        if !index.complete && index.end.is_none() {
+            tracing::warn!(
+                "{}: never finished: it is read up to its last whole chunk; radome recording repair makes a finished one",
+                records.path.display()
+            );
+        }
         index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
         Ok(index)
     }
