@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
-use crate::running::PATIENCE;
+use crate::running::{PATIENCE, Running};
 use crate::skip;
 
 /// WebSocket connection of a page to the program.
@@ -228,9 +228,10 @@ impl Drop for Browser {
     }
 }
 
-/// Running program that serves a page, stopped when dropped.
+/// Running program that serves a page, killed when dropped.
 pub struct Served {
-    child: Child,
+    /// The program.
+    pub program: Running,
     /// Local address of the page, whatever other addresses it is served at: `127.0.0.1:PORT`.
     pub address: String,
     /// Token in the link that the program prints, if there is one.
@@ -251,19 +252,13 @@ impl Served {
     /// # Panics
     /// If the program serves no page.
     pub fn start_at(listen: &str, command: &mut Command) -> Served {
-        let mut child = command.args(["--view", "--listen", listen]).stderr(Stdio::piped()).spawn().expect("starts");
-        let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
-        let mut said = String::new();
-        let link = lines.by_ref().map_while(Result::ok).find_map(|line| {
-            said += &line;
-            line.strip_prefix("live page: http://").map(str::to_owned)
-        });
-        std::thread::spawn(move || lines.count());
-        let link = link.unwrap_or_else(|| panic!("no address: {said}"));
+        let program = Running::start(command.args(["--view", "--listen", listen]));
+        let link = |line: &str| line.strip_prefix("live page: http://").map(str::to_owned);
+        let link = program.stderr.find(0, "the page's address", link);
         let (host, path) = link.split_once('/').unwrap_or((&link, ""));
         let port = host.rsplit(':').next().unwrap_or_default();
         let token = path.strip_prefix("?token=").filter(|token| !token.contains(' ')).map(str::to_owned);
-        Served { child, address: format!("127.0.0.1:{port}"), token }
+        Served { program, address: format!("127.0.0.1:{port}"), token }
     }
 
     /// URL of the page for browsers.
@@ -271,39 +266,12 @@ impl Served {
         format!("http://{}/", self.address)
     }
 
-    /// Process id.
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
     /// Interrupts the program, waits for its end and returns whether it ended successfully.
     ///
     /// # Panics
     /// If the program does not end.
     pub fn stop(mut self) -> bool {
-        let _ = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
-        let end = Instant::now() + PATIENCE;
-        loop {
-            if let Some(status) = self.child.try_wait().expect("a child") {
-                return status.success();
-            }
-            assert!(Instant::now() < end, "does not end");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
-
-    /// Waits until the program ends by itself; returns whether it succeeded.
-    ///
-    /// # Panics
-    /// If waiting for the process fails.
-    pub fn wait(mut self) -> bool {
-        self.child.wait().expect("a child").success()
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.program.signal("INT");
+        self.program.wait().success()
     }
 }

@@ -1,7 +1,7 @@
 //! Tests of labels that are imported into a recording and exported in formats of other tools; frames do not change.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
@@ -51,9 +51,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let folder = tempfile::tempdir().expect("a folder");
     let made = folder.path().join("made.mcap");
     let source = format!("emulated:{}", fixture("scenes/desk.toml").display());
-    let served = Served::start(
-        radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made).stdout(Stdio::null()),
-    );
+    let served = Served::start(radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made));
     let mut socket = page(&served.address);
     // Waits for the first frame, since labels begin at the newest one.
     while !socket.read().expect("a message").is_binary() {}
@@ -97,7 +95,7 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("it is mine.mcap");
     simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 700101 --frames 60", &recording);
-    let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]).stdout(Stdio::null()));
+    let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]));
     let mut socket = page(&served.address);
     let mut told_with = |spans: usize, request: Option<&str>| -> Value {
         if let Some(request) = request {

@@ -1,8 +1,6 @@
 //! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
-use std::io::{BufRead, BufReader};
-use std::process::Stdio;
-
+use radome_tests::browser::{Served, page};
 use radome_tests::{failure, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
 use serde_json::Value;
 
@@ -71,16 +69,8 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = walk(folder.path(), from, to);
-        let mut demo = subcommand("demo --frames 60 --speed 0.5 --json --view --listen 127.0.0.1:0 --scene");
-        let demo = demo.arg(&scene).stdout(Stdio::null()).stderr(Stdio::piped());
-        let mut child = demo.spawn().expect("starts");
-        let said = BufReader::new(child.stderr.take().expect("piped"));
-        let lines = said.lines().map_while(Result::ok);
-        let address = lines
-            .into_iter()
-            .find_map(|line| line.strip_prefix("live page: http://").map(str::to_owned))
-            .expect("an address");
-        let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
+        let mut served = Served::start(subcommand("demo --frames 60 --speed 0.5 --json --scene").arg(&scene));
+        let mut socket = page(&served.address);
         let (mut with, mut against) = (0, 0);
         while let Ok(message) = socket.read() {
             if !message.is_binary() {
@@ -111,7 +101,7 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
                 against += 1;
             }
         }
-        child.wait().expect("ends");
+        served.program.wait();
         assert!(with > 5 && against <= with / 4, "sign {sign}: {with} with, {against} against");
     }
 }

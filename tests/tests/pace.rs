@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOptions, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 use radome_models::Model;
+use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, emulated_board, wait_up_to};
 use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
 
@@ -185,12 +186,11 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {}", frames + 20), &run);
     let (_board, port) = emulated_board(&run, &["--speed", "1"]);
     let night = folder.path().join("night.mcap");
-    let options = format!("--json --frames {frames} --view --listen 127.0.0.1:0 -o");
-    let mut live = Running::start(live_command(format!("serial:{port}"), &options).arg(&night));
-    let address = live.stderr.find(0, "the page's address", |line| line.strip_prefix("live page: ").map(str::to_owned));
-    let address = address.trim_start_matches("http://").split(['/', ' ', '?']).next().expect("an address").to_owned();
+    let options = format!("--json --frames {frames} -o");
+    let Served { program: mut live, address, .. } =
+        Served::start(live_command(format!("serial:{port}"), &options).arg(&night));
     let pages = [(); 2].map(|()| {
-        let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
+        let mut socket = page(&address);
         // Acknowledges pictures as the page does, but no other messages.
         std::thread::spawn(move || {
             let mut pictures = 0;

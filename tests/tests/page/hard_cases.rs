@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use radome_tests::browser::{Socket, page};
 use radome_tests::failure;
-use radome_tests::running::{PATIENCE, Running, wait_for};
+use radome_tests::running::{PATIENCE, wait_for};
 use tungstenite::Message;
 use tungstenite::client::IntoClientRequest;
 
@@ -203,16 +203,10 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     let recording = walk(folder.path(), 2.0, 4.0, 20);
     let file = folder.path().join("token");
     let start = || {
-        let mut command = watch(&recording, "0");
-        command.args(["-vv", "--view", "--listen", "127.0.0.1:0", "--token-file"]).arg(&file);
-        let running = Running::start(&mut command);
-        let address = running.stderr.find(0, "the page's address", |line| {
-            let address = line.strip_prefix("live page: http://")?.split('/').next()?;
-            Some(address.to_owned())
-        });
-        (running, address)
+        let served = Served::start(watch(&recording, "0").args(["-vv", "--token-file"]).arg(&file));
+        (served.program, served.address)
     };
-    let (running, address) = start();
+    let (mut running, address) = start();
     let token = std::fs::read_to_string(&file).expect("made").trim().to_owned();
     assert_eq!(std::fs::metadata(&file).expect("made").permissions().mode() & 0o777, 0o600);
     assert!(token.len() >= 22);
@@ -221,7 +215,6 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     assert_eq!(get(&address, "/?token=wrong-secret-wrong", &format!("Host: {address}\r\n")), 401);
     assert_eq!(get(&address, &format!("/?token={token}"), &format!("Host: {address}\r\n")), 303);
     running.signal("INT");
-    let mut running = running;
     running.wait();
     // stderr is no terminal here and may be a journal. Neither the right nor a wrong token may appear in it.
     let said = running.stderr.all().join("\n");
@@ -383,12 +376,11 @@ fn a_page_that_asks_for_pictures_and_reads_none_is_given_up() {
 #[test]
 fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
-    let answers = folder.path().join("answers.jsonl");
-    let out = std::fs::File::create(&answers).expect("a file");
     // The source is a file and waits for a slow machine. Lost frames would therefore be the page's fault.
     let frames = 60;
     let recording = walk(folder.path(), 2.0, 8.0, frames);
-    let served = Served::start(live_command(recording, "--speed 4 --json").stdout(out));
+    let served = Served::start(&mut live_command(recording, "--speed 4 --json"));
+    let answers = served.program.stdout.clone();
     let address = served.address.clone();
     let ours = format!("Host: {address}\r\n");
     let port = address.rsplit(':').next().expect("a port").to_owned();
@@ -524,8 +516,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
     drop(socket);
     assert!(served.stop(), "an orderly end");
-    let text = std::fs::read_to_string(&answers).expect("answers");
-    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let lines: Vec<Value> = answers.all().iter().map(|line| serde_json::from_str(line).expect("JSON")).collect();
     assert_eq!(lines.len(), frames as usize + 1);
     let summary = &lines[frames as usize]["summary"];
     assert_eq!((&summary["frames"], &summary["dropped"]), (&json!(frames), &json!(0)), "{summary}");

@@ -1,7 +1,7 @@
 //! Tests of the live page in a browser, and of its defence against hostile clients.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use radome_tests::browser::{Browser, Served};
 use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
@@ -17,9 +17,7 @@ fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
 
 /// Command that replays a recording.
 fn watch(recording: &Path, speed: &str) -> Command {
-    let mut command = live_command(recording, &format!("--speed {speed}"));
-    command.stdout(Stdio::null());
-    command
+    live_command(recording, &format!("--speed {speed}"))
 }
 
 fn replay(recording: &Path, speed: &str) -> Served {
@@ -226,8 +224,7 @@ fn a_simulated_partner_stands_beside_its_recording() {
 
 #[test]
 fn an_old_answer_is_not_shown_as_the_present_one() {
-    let mut command = live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000");
-    let served = Served::start(command.stdout(Stdio::null()));
+    let served = Served::start(&mut live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000"));
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
     let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
                     !document.getElementById('confidence').textContent";
@@ -235,13 +232,9 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     browser.wait_until("window.radome?.header");
     browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
     // The connection stays open, but no messages arrive.
-    let signal = |name: &str| {
-        let status = Command::new("kill").args(["-s", name, &served.id().to_string()]).status();
-        assert!(status.is_ok_and(|status| status.success()), "kill -s {name}");
-    };
-    signal("STOP");
+    served.program.signal("STOP");
     browser.wait_until(&format!("{is_blank} && {}", says("no frames for")));
-    signal("CONT");
+    served.program.signal("CONT");
     browser.wait_until(&format!("!({is_blank}) && {}", says("frame ")));
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
     assert!(served.stop(), "an orderly end");
@@ -333,8 +326,7 @@ fn hours_of_frames_leave_no_trace_in_memory() {
             .args(["demo", "--frames", &frames.to_string(), "--speed", "10", "--json", "--scene"])
             .arg(fixture("scenes/desk-person.toml"))
             .arg("--model")
-            .arg(fixture("models/desk-hqnn.safetensors"))
-            .stdout(Stdio::null()),
+            .arg(fixture("models/desk-hqnn.safetensors")),
     );
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1100) else { return };
     browser.wait_until("window.radome?.header");
@@ -349,7 +341,7 @@ fn hours_of_frames_leave_no_trace_in_memory() {
     while begun.elapsed().as_secs_f64() < length_s {
         std::thread::sleep(std::time::Duration::from_secs(1));
         if begun.elapsed().as_secs_f64() >= next_s {
-            let (heap, server) = (browser.heap_bytes(), memory_bytes(served.id()));
+            let (heap, server) = (browser.heap_bytes(), memory_bytes(served.program.id()));
             let (whole, pictures) = (memory_bytes(browser.id()), browser.evaluate("radome.pictures"));
             eprintln!(
                 "{next_s:6.0} s: server {:.1} MB, browser {:.1} MB of which objects {:.2} MB, {pictures} pictures, frame {}, lost {}",
