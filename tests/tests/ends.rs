@@ -152,6 +152,7 @@ fn a_closed_stdout_ends_every_command_quietly() {
     );
     quiet(subcommand("recording answers").arg(fixture("formats/judged.mcap")), 1);
     quiet(radome().args(["completions", "bash"]), 0);
+    quiet(subcommand("model list").arg("--json"), 0);
     quiet(radome().arg("record").arg(at("desk.mcap")).arg("-o").arg(at("y.mcap")), 0);
     for (lines, arguments) in [(0, &[] as &[&str]), (1, &[]), (3, &["--json"])] {
         let name = format!("night-{}-{lines}.mcap", arguments.len());
@@ -306,6 +307,7 @@ mod full_disk {
         let error = said.lines().find(|line| line.starts_with("error: ")).unwrap_or_else(|| panic!("no error: {said}"));
         assert!(error.contains("File too large") && error.contains(".mcap"), "{said}");
         assert!(!error.contains("attempted another write"), "{said}");
+        assert!(!said.contains("after a write method failed"), "{said}");
     }
 
     #[test]

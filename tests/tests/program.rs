@@ -1,7 +1,5 @@
 //! Tests of the small commands, and of behaviour that all commands share.
 
-use std::process::Stdio;
-
 use radome_tests::{failure, fixture, json_lines, radome, simulate, subcommand};
 use serde_json::json;
 
@@ -10,43 +8,6 @@ fn models_lists_the_hqnn_with_its_parameters() {
     let lists = json_lines(subcommand("model list").arg("--json"));
     let hqnn = lists[0].as_array().expect("a list").iter().find(|n| n["name"] == "hqnn").expect("hqnn");
     assert_eq!(hqnn["parameters"], 66_447);
-}
-
-#[test]
-fn circuit_agrees_with_qiskit() {
-    let path = fixture("circuit/qiskit_pqc.json");
-    let reference: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON");
-    let list = |v: &serde_json::Value| {
-        v.as_array()
-            .expect("list")
-            .iter()
-            .map(|x| format!("{:.17e}", x.as_f64().expect("number")))
-            .collect::<Vec<_>>()
-            .join(",")
-    };
-    for point in reference["reps"]["1"]["points"].as_array().expect("points").iter().step_by(7) {
-        let (x, theta) = (list(&point["x"]), list(&point["theta"]));
-        let args = ["bench", "circuit", "--x", &x, "--theta", &theta, "--repetitions", "1", "--json"];
-        let got = &json_lines(radome().args(args))[0];
-        let near = |got: &serde_json::Value, want: &serde_json::Value, tolerance: f64| {
-            let (got, want) = (got.as_f64().expect("number"), want.as_f64().expect("number"));
-            assert!((got - want).abs() < tolerance, "{got} against {want} at {point}");
-        };
-        near(&got["zi"], &point["exp"]["ZI"], 1e-12);
-        near(&got["iz"], &point["exp"]["IZ"], 1e-12);
-        for (name, gradient, observable) in [
-            ("zi_grad_theta", "grad_theta", "ZI"),
-            ("iz_grad_theta", "grad_theta", "IZ"),
-            ("zi_grad_x", "grad_x", "ZI"),
-            ("iz_grad_x", "grad_x", "IZ"),
-        ] {
-            let wanted = point[gradient][observable].as_array().expect("list");
-            for (i, want) in wanted.iter().enumerate() {
-                near(&got[name][i], want, 1e-9);
-            }
-        }
-    }
 }
 
 #[test]
@@ -73,25 +34,11 @@ fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
 }
 
 #[test]
-fn a_closed_pipe_ends_quietly() {
-    let mut child =
-        subcommand("model list").arg("--json").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
-    drop(child.stdout.take());
-    let output = child.wait_with_output().expect("ends");
-    assert!(output.status.success());
-    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-#[test]
 fn errors_say_what_and_what_to_do() {
     let said = failure(radome().args(["live", "nowhere.mcap", "--model", "nothing.safetensors"]));
     assert!(said.starts_with("error: ") && said.contains("nothing.safetensors"), "{said}");
     let said = failure(subcommand("recording maps").args(["/nonexistent", "-o", "/tmp/never.npy"]));
     assert!(said.contains("/nonexistent"), "{said}");
-    let said = failure(subcommand("bench circuit").args(["--x", "1", "--theta", "1,2,3,4"]));
-    assert!(said.contains("two numbers"), "{said}");
-    let wrong_use = radome().args(["live"]).output().expect("runs");
-    assert_eq!(wrong_use.status.code(), Some(2));
 }
 
 #[test]
