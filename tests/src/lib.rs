@@ -59,6 +59,14 @@ pub fn simulate(scene: &Path, options: &str, to: &Path) -> Value {
     json_lines(command.arg(to).arg(scene).args(options.split_whitespace())).remove(0)
 }
 
+/// Converts a recording to the format that the name of the output stands for. Returns the program's JSON answer.
+///
+/// # Panics
+/// If the program fails.
+pub fn convert(from: &Path, to: &Path) -> Value {
+    json_lines(subcommand("recording convert").args([from, to]).arg("--json")).remove(0)
+}
+
 /// Frames of a recording, and the gaps between them.
 ///
 /// # Panics
@@ -220,6 +228,31 @@ pub fn long_options(help: &str) -> Vec<&str> {
     let listed = help.lines().filter(|line| line.trim_start().starts_with('-'));
     let named = listed.filter_map(|line| line.get(line.find("--")?..));
     named.map(|text| text.split(|c: char| !(c.is_ascii_lowercase() || c == '-')).next().unwrap_or_default()).collect()
+}
+
+/// Subcommands that a help text lists.
+pub fn subcommands(help: &str) -> Vec<&str> {
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let named = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    named.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
+}
+
+/// Path of a program that may be installed, such as a broker.
+pub fn installed(name: &str) -> Option<PathBuf> {
+    let path = std::env::var("PATH").unwrap_or_default();
+    let mut folders = path.split(':').chain(["/usr/sbin", "/usr/local/sbin"]);
+    folders.find_map(|folder| Some(Path::new(folder).join(name)).filter(|program| program.exists()))
+}
+
+/// NumPy file of codes.
+pub fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
+    let [f, r, c, s] = shape;
+    let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({f}, {r}, {c}, {s}), }}");
+    let text = format!("{text:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.bytes().chain(codes.iter().flat_map(|code| code.to_le_bytes())));
+    bytes
 }
 
 fn run(command: &mut Command) -> Output {

@@ -7,7 +7,7 @@ use std::process::Output;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{convert, failure, fixture, json_lines, radome, simulate, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -32,7 +32,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     let fed = folder.path().join("fed.mcap");
     desk(FRAMES + 20, &fed);
     let source = folder.path().join("fed");
-    json_lines(subcommand("recording convert").arg(&fed).arg(&source).arg("--json"));
+    convert(&fed, &source);
     let expected = codes(&source);
     let check = |protocol: &str, scheme: &str| {
         let link = folder.path().join(format!("{protocol}-board")).display().to_string();
@@ -42,7 +42,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         // The command names no waveform, since the board reports its own.
         let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
-        json_lines(subcommand("recording convert").arg(&recorded).arg(&copy).arg("--json"));
+        convert(&recorded, &copy);
         let got = codes(&copy);
         let frame = expected.len() / (FRAMES + 20);
         assert_eq!(got.len(), frame * FRAMES, "{protocol}");
@@ -119,9 +119,8 @@ mod hard_cases {
         let summary: serde_json::Value = serde_json::from_str(said.trim()).expect("one object");
         let dropped = summary["dropped"].as_u64().expect("a number");
         assert!(summary["frames"] == 40 && dropped >= 2, "{said}");
-        let whole =
-            json_lines(subcommand("recording convert").arg(&recorded).arg(folder.path().join("copy")).arg("--json"));
-        assert_eq!((&whole[0]["frames"], whole[0]["lost"].as_u64()), (&40.into(), Some(dropped)));
+        let whole = convert(&recorded, &folder.path().join("copy"));
+        assert_eq!((&whole["frames"], whole["lost"].as_u64()), (&40.into(), Some(dropped)));
     }
 
     #[test]
@@ -200,7 +199,7 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
         let recorded = folder.path().join(format!("{number}.mcap"));
         record_frames(&port, 10, waveform.map(PathBuf::as_path), &recorded);
         let copy = folder.path().join(number.to_string());
-        json_lines(subcommand("recording convert").arg(&recorded).arg(&copy).arg("--json"));
+        convert(&recorded, &copy);
         let codes = codes(&copy);
         assert_eq!(codes.len(), 10 * frame, "recording {number}");
         assert!(codes.iter().any(|code| *code != codes[0]), "there is something in it");
@@ -251,7 +250,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     assert!(!board.stderr.all().iter().any(|line| line.contains("has ended")), "{:?}", board.stderr.all());
     let copies = [(&fed, "fed"), (&recorded, "loop")].map(|(recording, name)| {
         let copy = folder.path().join(name);
-        json_lines(subcommand("recording convert").arg(recording).arg(&copy).arg("--json"));
+        convert(recording, &copy);
         codes(&copy)
     });
     let frame = copies[0].len() / 30;

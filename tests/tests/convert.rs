@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
-use radome_tests::{failure, fixture, frames, json_lines, json_lines_of, radome, shared, simulate, subcommand};
+use radome_tests::{convert, failure, fixture, frames, json_lines_of, radome, shared, simulate, subcommand};
 use serde_json::Value;
 
 /// All frames of a recording, and the number of lost frames.
@@ -18,10 +18,6 @@ fn read(path: &Path) -> (Vec<Frame>, u64) {
 
 fn simulated(path: &Path, frames: &str) {
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames} --seed 5"), path);
-}
-
-fn convert(from: &Path, to: &Path) -> Value {
-    json_lines(subcommand("recording convert").args([from, to]).arg("--json")).remove(0)
 }
 
 fn codes(frames: &[Frame]) -> Vec<&[u16]> {

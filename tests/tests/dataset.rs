@@ -7,7 +7,8 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::{
-    failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, radome, simulate, subcommand,
+    convert, failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, npy, radome, simulate,
+    subcommand,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -61,20 +62,19 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     entries.map(|e| (e.file_name().to_string_lossy().into_owned(), std::fs::read(e.path()).expect("reads"))).collect()
 }
 
+/// Sorted names of the files in a folder that may be absent.
 fn names(folder: &Path) -> Vec<String> {
-    files_of(folder).into_iter().collect()
-}
-
-fn files_of(folder: &Path) -> std::collections::BTreeSet<String> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Default::default() };
-    entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect()
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.map(|e| e.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
 }
 
 /// Starts a build and kills it by SIGKILL when it has made some units, but not all.
 fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
     let until = Instant::now() + Duration::from_secs(300);
-    let done = || files_of(parts).iter().filter(|n| n.starts_with("unit-") && !n.ends_with(".partial")).count();
+    let done = || names(parts).iter().filter(|n| n.starts_with("unit-") && !n.ends_with(".partial")).count();
     while done() < after && child.try_wait().expect("a child").is_none() {
         assert!(Instant::now() < until, "no unit was ever made");
         std::thread::sleep(Duration::from_millis(2));
@@ -250,16 +250,6 @@ fn edit(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
 }
 
 /// NumPy file with an array of codes.
-fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
-    let [f, r, c, s] = shape;
-    let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({f}, {r}, {c}, {s}), }}");
-    let text = format!("{text:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.bytes().chain(codes.iter().flat_map(|code| code.to_le_bytes())));
-    bytes
-}
-
 /// Asserts that one rule labels every kind of folder that the references describe (real-frames.md, hardware.md sections
 /// 5 and 6).
 #[test]
@@ -327,7 +317,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
         .expect("writable");
     // The SDK's text recording, a native recording, and a recording that contains its labels.
-    json_lines(subcommand("recording convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
+    convert(&made, &path("data/home/bob/two_sdk.txt"));
     copy(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
     copy(&made, &path("data/home/mixed_1"));
     let header = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
@@ -379,7 +369,7 @@ scene = "home"
         .expect("writable");
     let said = failure(&mut build(&spec, &path("set2")));
     assert!(said.contains("'home/empty_20260106-151615' fits two patterns") || said.contains("empty_gui"), "{said}");
-    assert_eq!(files_of(folder.path()).iter().filter(|name| name.starts_with("set2")).count(), 0);
+    assert_eq!(names(folder.path()).iter().filter(|name| name.starts_with("set2")).count(), 0);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::io::{Cursor, Read};
 use std::net::TcpListener;
 use std::path::Path;
 
-use radome_tests::{fixture, json_lines, radome, subcommand};
+use radome_tests::{convert, fixture, json_lines, radome, subcommand};
 use serde_json::Value;
 
 fn doctor() -> std::process::Command {
@@ -43,8 +43,7 @@ fn a_source_that_works_is_examined_and_packed() {
     let summary = &checks.last().expect("a summary")["summary"];
     assert_eq!((&summary["failures"], &summary["checks"]), (&0.into(), &(checks.len() - 1).into()));
 
-    let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(&bundle).expect("packed"))).expect("an archive");
-    let mut everything = Vec::new();
+    let parts = unpacked(&bundle);
     for name in [
         "README.txt",
         "checks.json",
@@ -56,24 +55,15 @@ fn a_source_that_works_is_examined_and_packed() {
         "model.json",
         "wire.txt",
     ] {
-        let mut part = Vec::new();
-        archive.by_name(name).unwrap_or_else(|e| panic!("{name}: {e}")).read_to_end(&mut part).expect("whole");
-        assert!(!part.is_empty(), "{name}");
-        if name == "frames.mcap" {
-            let path = folder.path().join(name);
-            std::fs::write(&path, &part).expect("writable");
-            let report = json_lines(
-                subcommand("recording convert").arg(&path).arg(folder.path().join("copy.mcap")).arg("--json"),
-            );
-            assert_eq!(report[0]["frames"], 20);
-        }
-        if name == "wire.txt" {
-            wire_is_bytes_with_times_and_directions(&String::from_utf8(part.clone()).expect("text"));
-        }
-        everything.extend(part);
+        assert!(parts.get(name).is_some_and(|part| !part.is_empty()), "{name}");
     }
-    let has = |secret: &str| everything.windows(secret.len()).any(|bytes| bytes == secret.as_bytes());
-    assert!(!has("hunter2"), "a secret leaves the house");
+    let path = folder.path().join("frames.mcap");
+    std::fs::write(&path, &parts["frames.mcap"]).expect("writable");
+    assert_eq!(convert(&path, &folder.path().join("copy.mcap"))["frames"], 20);
+    wire_is_bytes_with_times_and_directions(&String::from_utf8_lossy(&parts["wire.txt"]));
+    let secret = b"hunter2";
+    let has_secret = |part: &Vec<u8>| part.windows(secret.len()).any(|bytes| bytes == secret);
+    assert!(!parts.values().any(has_secret), "a secret leaves the house");
 }
 
 /// Files of an archive by name.

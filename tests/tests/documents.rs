@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use radome_tests::{help, long_options, radome, root};
+use radome_tests::{help, long_options, radome, root, subcommands};
 
 /// Folders to whose files pages refer by paths from the root.
 const FOLDERS: [&str; 10] = ["cli", "docs", "driver", "dsp", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
@@ -139,13 +139,6 @@ fn pages() -> Vec<Page> {
 
 fn page(path: &str) -> Page {
     pages().into_iter().find(|page| page.path == path).unwrap_or_else(|| panic!("no {path}"))
-}
-
-/// Subcommands that a help text lists.
-fn subcommands(help: &str) -> Vec<&str> {
-    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let named = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
-    named.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
 }
 
 /// Runs the blocks of a page that are marked `sh` in the source tree, with `out/` redirected to `folder`. Returns

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, radome, subcommand};
+use radome_tests::{failure, fixture, json_lines, npy, radome, subcommand};
 use serde_json::json;
 
 /// Shape of the made-up recording: frames, channels, chirps, samples.
@@ -20,18 +20,8 @@ fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u1
     });
     let config = json!({ "device_config": { "fmcw_single_shape": shape } });
     std::fs::write(folder.join("config.json"), config.to_string()).expect("writable");
-    let [frames, rx, chirps, samples] = SHAPE;
-    let mut header =
-        format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({frames}, {rx}, {chirps}, {samples}), }}");
-    while (header.len() + 11) % 64 != 0 {
-        header.push(' ');
-    }
-    header.push('\n');
-    let mut npy = b"\x93NUMPY\x01\x00".to_vec();
-    npy.extend(u16::try_from(header.len()).expect("short").to_le_bytes());
-    npy.extend(header.as_bytes());
-    npy.extend((0..frames * rx * chirps * samples).flat_map(|i| code(i).to_le_bytes()));
-    std::fs::write(folder.join("radar.npy"), npy).expect("writable");
+    let codes: Vec<u16> = (0..SHAPE.iter().product::<usize>()).map(code).collect();
+    std::fs::write(folder.join("radar.npy"), npy(SHAPE, &codes)).expect("writable");
     std::fs::write(folder.join("format.version"), "1.0.0").expect("writable");
 }
 

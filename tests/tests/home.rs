@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, emulated_board, free_port, wait_for};
-use radome_tests::{emulated_corridor, fixture, json_lines, live_command, skip, subcommand};
+use radome_tests::{emulated_corridor, fixture, installed, json_lines, live_command, skip, subcommand};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -26,7 +26,7 @@ impl Broker {
     /// Prepares the broker on a free port. Returns `None` and counts the test as skipped where mosquitto is not
     /// installed.
     fn prepare() -> Option<Self> {
-        if ["mosquitto", "mosquitto_sub", "mosquitto_pub"].into_iter().any(|name| program(name).is_none()) {
+        if ["mosquitto", "mosquitto_sub", "mosquitto_pub"].into_iter().any(|name| installed(name).is_none()) {
             skip("mosquitto", "tests/run installs mosquitto and mosquitto-clients");
             return None;
         }
@@ -38,7 +38,7 @@ impl Broker {
     }
 
     fn start(&mut self) {
-        let mut command = Command::new(program("mosquitto").expect("there"));
+        let mut command = Command::new(installed("mosquitto").expect("there"));
         let settings = self.folder.path().join("mosquitto.conf");
         let process = self.process.insert(Running::start(command.arg("-c").arg(settings)));
         wait_for("the broker", || TcpStream::connect(("127.0.0.1", self.port)).ok());
@@ -51,23 +51,17 @@ impl Broker {
 
     /// Subscribes to all messages, including retained ones.
     fn listen(&self) -> Running {
-        let mut command = Command::new(program("mosquitto_sub").expect("there"));
+        let mut command = Command::new(installed("mosquitto_sub").expect("there"));
         let hub = Running::start(command.args(["-p", &self.port.to_string(), "-d", "-v", "-t", "#"]));
         hub.stdout.find(0, "the subscription", |line| line.contains("SUBACK").then_some(()));
         hub
     }
 
     fn publish(&self, topic: &str, options: &[&str]) {
-        let mut command = Command::new(program("mosquitto_pub").expect("there"));
+        let mut command = Command::new(installed("mosquitto_pub").expect("there"));
         command.args(["-p", &self.port.to_string(), "-q", "1", "-t", topic]).args(options);
         assert!(command.status().expect("runs").success(), "{command:?}");
     }
-}
-
-fn program(name: &str) -> Option<PathBuf> {
-    let path = std::env::var("PATH").unwrap_or_default();
-    let mut folders = path.split(':').chain(["/usr/sbin", "/usr/local/sbin"]);
-    folders.find_map(|folder| Some(Path::new(folder).join(name)).filter(|program| program.exists()))
 }
 
 /// Command that watches the corridor through an emulated board in real time, until stopped.
@@ -489,7 +483,7 @@ mod hard_cases {
         broker.publish("homeassistant/status", &["-m", "../../etc/passwd"]);
         broker.publish(&topic, &["-m", "\u{1}\u{ffff}"]);
         let flood: String = (0..3000).map(|_| "online\n").collect();
-        let mut command = Command::new(program("mosquitto_pub").expect("there"));
+        let mut command = Command::new(installed("mosquitto_pub").expect("there"));
         command.args(["-p", &broker.port.to_string(), "-t", "homeassistant/status", "-l"]);
         let mut child = command.stdin(Stdio::piped()).spawn().expect("runs");
         child.stdin.take().expect("piped").write_all(flood.as_bytes()).expect("takes it");

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
-use radome_tests::{fixture, help, json_lines, json_lines_of, radome, root};
+use radome_tests::{fixture, help, json_lines, json_lines_of, radome, root, subcommands};
 use serde_json::Value;
 
 /// Rows of a section: key and meaning.
@@ -100,10 +100,7 @@ fn add_commands(group: &str, found: &mut Vec<String>) {
     if help.contains("--json") {
         found.push(group.to_owned());
     }
-    let below = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    // Names are indented by two spaces, continuation lines by more.
-    let names = below.filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')));
-    for name in names.filter_map(|line| line.split(' ').next()).filter(|name| *name != "help") {
+    for name in subcommands(&help) {
         add_commands(format!("{group} {name}").trim_start(), found);
     }
 }

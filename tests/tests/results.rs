@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{emulated_corridor, failure, json_lines, live_command, skip, subcommand};
+use radome_tests::{convert, emulated_corridor, failure, json_lines, live_command, skip, subcommand};
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
@@ -34,7 +34,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     let judged_again = json_lines(&mut live_command(at("night.mcap"), "--json"));
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
-    json_lines(subcommand("recording convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
+    convert(&at("night.mcap"), &at("copy.mcap"));
     assert_eq!(results(&at("copy.mcap")), kept);
     json_lines(subcommand("recording repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
     assert_eq!(results(&at("fixed.mcap")), kept);

@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_tests::running::free_port;
-use radome_tests::{fixture, json_lines, skip, subcommand};
+use radome_tests::{fixture, installed, json_lines, skip, subcommand};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
@@ -23,13 +23,6 @@ impl Drop for Daemons {
             let _ = child.wait();
         }
     }
-}
-
-fn program(name: &str) -> Option<PathBuf> {
-    ["/usr/bin", "/usr/sbin", "/usr/local/bin", "/usr/local/sbin"]
-        .map(|folder| Path::new(folder).join(name))
-        .into_iter()
-        .find(|p| p.exists())
 }
 
 fn text_of(command: &mut Command) -> String {
@@ -73,7 +66,7 @@ fn start(folder: &Path) -> (Daemons, PathBuf) {
     );
     fs::write(&configuration, text).expect("writable");
     let spawn = |name: &str, arguments: &[&str]| {
-        let mut command = Command::new(program(name).unwrap_or_else(|| panic!("{name} is absent")));
+        let mut command = Command::new(installed(name).unwrap_or_else(|| panic!("{name} is absent")));
         command.args(arguments).env("SLURM_CONF", &configuration).stdout(Stdio::null()).stderr(Stdio::null());
         command.spawn().unwrap_or_else(|e| panic!("{name}: {e}"))
     };
@@ -119,7 +112,7 @@ impl Cluster {
     fn start() -> Option<Self> {
         let absent: Vec<&str> = ["munged", "slurmctld", "slurmd", "sbatch", "scontrol"]
             .into_iter()
-            .filter(|name| program(name).is_none())
+            .filter(|name| installed(name).is_none())
             .collect();
         let is_root = Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout == b"0\n");
         if !absent.is_empty() || !is_root {
