@@ -9,23 +9,14 @@ use prost_types::{
 
 const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
 
-/// Type of a field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// A number, text or bytes.
-    Plain(Type),
-    Timestamp,
-    Enumeration,
-}
-
 /// Type of a message.
 #[derive(Debug)]
 pub struct MessageType {
     pub package: &'static str,
     /// Name in its package.
     pub name: &'static str,
-    /// Name, number and type of each field.
-    pub fields: &'static [(&'static str, i32, Kind)],
+    /// Name and type of each field, in the order of their numbers from 1 on. The only messages in fields are timestamps.
+    pub fields: &'static [(&'static str, Type)],
     /// Enumeration that the message defines: its name, and its values from 0 on.
     pub enumeration: Option<(&'static str, &'static [&'static str])>,
 }
@@ -45,7 +36,7 @@ impl MessageType {
         });
         let message = DescriptorProto {
             name: Some(self.name.to_owned()),
-            field: self.fields.iter().map(|(name, number, kind)| self.field(name, *number, *kind)).collect(),
+            field: (1..).zip(self.fields).map(|(number, (name, kind))| self.field(name, number, *kind)).collect(),
             enum_type: enumeration.into_iter().collect(),
             ..DescriptorProto::default()
         };
@@ -60,15 +51,13 @@ impl MessageType {
         FileDescriptorSet { file: vec![timestamp_file(), file] }.encode_to_vec()
     }
 
-    fn field(&self, name: &str, number: i32, kind: Kind) -> FieldDescriptorProto {
-        match kind {
-            Kind::Plain(plain) => field(name, number, plain, None),
-            Kind::Timestamp => field(name, number, Type::Message, Some(".google.protobuf.Timestamp".to_owned())),
-            Kind::Enumeration => {
-                let enumeration = self.enumeration.map_or("", |(name, _)| name);
-                field(name, number, Type::Enum, Some(format!(".{}.{enumeration}", self.full_name())))
-            }
-        }
+    fn field(&self, name: &str, number: i32, kind: Type) -> FieldDescriptorProto {
+        let type_name = match kind {
+            Type::Message => Some(".google.protobuf.Timestamp".to_owned()),
+            Type::Enum => self.enumeration.map(|(name, _)| format!(".{}.{name}", self.full_name())),
+            _ => None,
+        };
+        field(name, number, kind, type_name)
     }
 }
 
