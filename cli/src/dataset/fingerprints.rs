@@ -94,7 +94,7 @@ impl Fingerprints {
             hash.update(file.file_name().unwrap_or_default().as_encoded_bytes());
             hash.update(of_file(&file)?);
         }
-        self.prints.insert(name.to_owned(), hex(&hash.finalize()));
+        self.prints.insert(name.to_owned(), format!("{:x}", hash.finalize()));
         Ok(())
     }
 }
@@ -121,11 +121,7 @@ fn of_file(path: &Path) -> anyhow::Result<String> {
             file.take(END).read_to_end(&mut bytes)?;
         }
         hash.update(&bytes);
-        Ok(hex(&hash.finalize()))
+        Ok(format!("{:x}", hash.finalize()))
     };
     read().with_context(|| format!("cannot read {}", path.display()))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }

@@ -92,11 +92,7 @@ impl Token {
 fn random_text() -> anyhow::Result<String> {
     let mut bytes = [0u8; TOKEN_BYTES];
     getrandom::fill(&mut bytes).context("the system gives no random numbers for a token")?;
-    Ok(hex(&bytes))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
@@ -222,7 +218,7 @@ impl Access {
         let login = token.map(|token| Login {
             token: token.text.clone(),
             cookie: format!("radome_{}", address.port()),
-            session: hex(&Sha256::digest(format!("radome session of {}", token.text))),
+            session: format!("{:x}", Sha256::digest(format!("radome session of {}", token.text))),
         });
         Access { hosts: Hosts::new(address, &arguments.allow_host), login }
     }

@@ -5,8 +5,29 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::{GapReason, Occupancy};
 
-/// Number of frames whose arrivals determine the rate.
-const RATE_FRAMES: usize = 32;
+/// Arrival times of the newest frames, which determine the frame rate.
+#[derive(Debug, Clone, Default)]
+pub struct Arrivals(VecDeque<Instant>);
+
+impl Arrivals {
+    /// Number of frames whose arrivals are kept.
+    const FRAMES: usize = 32;
+
+    /// Adds the arrival of a frame.
+    pub fn add(&mut self, arrived: Instant) {
+        if self.0.len() == Self::FRAMES {
+            self.0.pop_front();
+        }
+        self.0.push_back(arrived);
+    }
+
+    /// Frame rate, 1/s; 0 until there are two frames.
+    pub fn frames_per_s(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.0.front(), self.0.back()) else { return 0.0 };
+        let span_s = last.duration_since(*first).as_secs_f64();
+        if span_s > 0.0 { (self.0.len() - 1) as f64 / span_s } else { 0.0 }
+    }
+}
 
 /// Counters of a run.
 #[derive(Debug, Clone)]
@@ -26,7 +47,7 @@ pub struct Health {
     pub first_label: Option<Duration>,
     /// Temperature of the chip in the newest frame, millidegrees Celsius.
     pub temperature_millicelsius: Option<i32>,
-    arrivals: VecDeque<Instant>,
+    arrivals: Arrivals,
 }
 
 impl Health {
@@ -41,7 +62,7 @@ impl Health {
             latency: LatencyHistogram::new(),
             first_label: None,
             temperature_millicelsius: None,
-            arrivals: VecDeque::with_capacity(RATE_FRAMES),
+            arrivals: Arrivals::default(),
         }
     }
 
@@ -56,17 +77,14 @@ impl Health {
         }
         self.latency.counts.copy_from_slice(&latency.counts);
         (self.latency.total, self.latency.sum_s) = (latency.total, latency.sum_s);
-        self.arrivals.clone_from(&other.arrivals);
+        self.arrivals.0.clone_from(&other.arrivals.0);
     }
 
     /// Counts a frame that has arrived and been classified.
     pub fn frame(&mut self, arrived: Instant, latency: Duration) {
         self.frames += 1;
         self.latency.add(latency);
-        if self.arrivals.len() == RATE_FRAMES {
-            self.arrivals.pop_front();
-        }
-        self.arrivals.push_back(arrived);
+        self.arrivals.add(arrived);
     }
 
     /// Counts missing frames.
@@ -81,9 +99,7 @@ impl Health {
 
     /// Frame rate over the newest frames, 1/s; 0 until there are two.
     pub fn frames_per_s(&self) -> f64 {
-        let (Some(first), Some(last)) = (self.arrivals.front(), self.arrivals.back()) else { return 0.0 };
-        let span_s = last.duration_since(*first).as_secs_f64();
-        if span_s > 0.0 { (self.arrivals.len() - 1) as f64 / span_s } else { 0.0 }
+        self.arrivals.frames_per_s()
     }
 }
 

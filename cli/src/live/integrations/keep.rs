@@ -15,7 +15,6 @@ use radome_driver::{FrameResult, LabelSpan, RecordingHeader};
 use radome_dsp::{Frame, Gap, Occupancy};
 
 use super::latest::{Latest, count};
-use crate::live::answer::Summary;
 use crate::live::health::Health;
 use crate::live::recorder::frame_result;
 use crate::live::sink::{Moment, Sink};
@@ -226,10 +225,6 @@ impl Sink for Keeper {
         if !ring.entries.is_empty() {
             ring.entries.push_back(Entry::Gap(*gap));
         }
-        Ok(())
-    }
-
-    fn end(&mut self, _summary: &Summary) -> anyhow::Result<()> {
         Ok(())
     }
 }

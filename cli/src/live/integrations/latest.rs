@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 use radome_dsp::Gap;
 use tokio::sync::watch;
 
-use crate::live::answer::Summary;
 use crate::live::health::Health;
 use crate::live::sink::{Moment, Sink};
 
@@ -128,10 +127,6 @@ impl Sink for LatestSink {
 
     fn gap(&mut self, _gap: &Gap, health: &Health) -> anyhow::Result<()> {
         self.0.lock().health.copy_from(health);
-        Ok(())
-    }
-
-    fn end(&mut self, _summary: &Summary) -> anyhow::Result<()> {
         Ok(())
     }
 }

@@ -127,7 +127,9 @@ impl Integrations {
             let mut signals = signal(SignalKind::user_defined1()).context("cannot catch SIGUSR1")?;
             tokio::spawn(async move {
                 while signals.recv().await.is_some() {
-                    report_false_alarm(&reports)
+                    if !reports.send(Report { truth: Occupancy::Empty, by: "signal" }) {
+                        tracing::warn!("another report is being saved; this one is lost");
+                    }
                 }
             });
         }
@@ -175,12 +177,6 @@ fn serve_metrics(
     let access = Access::new(address, access, token.as_ref());
     runtime.spawn(http::serve(listener, access, latest, reports));
     Ok(())
-}
-
-fn report_false_alarm(reports: &Reports) {
-    if !reports.send(Report { truth: Occupancy::Empty, by: "signal" }) {
-        tracing::warn!("another report is being saved; this one is lost");
-    }
 }
 
 impl Drop for Integrations {

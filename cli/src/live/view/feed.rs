@@ -23,6 +23,7 @@ use tokio::sync::mpsc;
 
 use super::partner::Partner;
 use crate::live::answer::{Answer, Probabilities};
+use crate::live::health::Arrivals;
 use crate::live::sink::Moment;
 
 /// Shortest time between pictures, above the rate that viewers need.
@@ -33,8 +34,6 @@ const MOST_UNSEEN: u32 = 2;
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Number of answers that a page gets when it opens: ten minutes of the paper's frames.
 const HISTORY: usize = 6_000;
-/// Number of frames whose arrivals determine the rate.
-const RATE_FRAMES: usize = 32;
 /// Step of a cell's byte, dB.
 const STEP_DB: f32 = 0.5;
 /// Number of Doppler bins around zero that do not count as noise.
@@ -171,7 +170,7 @@ pub struct Feed {
     pages: Mutex<Pages>,
     /// Arrival times of the shown frames of a recording; frames before a seek position are not shown. Used by the
     /// classifier's thread only.
-    arrivals: Mutex<VecDeque<Instant>>,
+    arrivals: Mutex<Arrivals>,
     waveform: Waveform,
     is_tape: bool,
     /// Lock with which a test stops the thread that writes messages.
@@ -251,13 +250,8 @@ impl Feed {
             return moment.health.frames_per_s();
         }
         let mut arrivals = self.arrivals.lock().unwrap_or_else(PoisonError::into_inner);
-        if arrivals.len() == RATE_FRAMES {
-            arrivals.pop_front();
-        }
-        arrivals.push_back(Instant::now());
-        let (Some(first), Some(last)) = (arrivals.front(), arrivals.back()) else { return 0.0 };
-        let span_s = last.duration_since(*first).as_secs_f64();
-        if span_s > 0.0 { (arrivals.len() - 1) as f64 / span_s } else { 0.0 }
+        arrivals.add(Instant::now());
+        arrivals.frames_per_s()
     }
 
     /// Notes that frames are missing.
