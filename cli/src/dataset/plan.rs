@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fingerprints::Fingerprints;
 use super::folders::{self, Found, Reading, Rules};
-use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
+use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::shard::Shard;
 
 /// Format version of `plan.json`.
@@ -153,10 +153,7 @@ impl List<'_> {
             if scene.file().people.desk.is_some() {
                 bail!("{}: people at a desk are made of one thing only; leave `body` out of the spec", path.display());
             }
-            scene = scene.with_body(match body {
-                Body::Ellipsoids => BodyFile::Ellipsoids,
-                Body::Mesh => BodyFile::Mesh,
-            });
+            scene = scene.with_body(body);
         }
         self.check_waveform(&path.display().to_string(), scene.waveform())?;
         if let Channels::One(index) = self.spec.map.channels {
@@ -180,7 +177,7 @@ impl List<'_> {
         for seed in source.seeds.0..=source.seeds.1 {
             for &people in &forced {
                 let suffix = people.map_or(String::new(), |p| format!("-people{p}"));
-                let body = if source.body == Some(Body::Mesh) { "-mesh" } else { "" };
+                let body = if source.body == Some(BodyFile::Mesh) { "-mesh" } else { "" };
                 let recording = format!("{name}{waveform}-seed{seed}{suffix}{body}");
                 self.units.push(Unit {
                     scene: name.clone(),

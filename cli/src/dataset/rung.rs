@@ -8,7 +8,7 @@ use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::scene_file::BodyFile;
 use serde::Deserialize;
 
-use super::spec::{Body, BuildSpec, Simulated};
+use super::spec::{BuildSpec, Simulated};
 
 /// Format version of a rung's file.
 const FORMAT: u32 = 1;
@@ -96,10 +96,7 @@ impl RungFile {
             frames: of.frames,
             every: 1,
             waveform: toml::Table::new(),
-            body: of.body.map(|body| match body {
-                BodyFile::Ellipsoids => Body::Ellipsoids,
-                BodyFile::Mesh => Body::Mesh,
-            }),
+            body: of.body,
             tolerance_db: None,
             split: None,
         });

@@ -8,6 +8,7 @@ use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Split, SplitSpec};
+use radome_sim::scene_file::BodyFile;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -75,23 +76,13 @@ pub struct Simulated {
     pub waveform: toml::Table,
     /// Kind of body; the scene's own if absent.
     #[serde(default)]
-    pub body: Option<Body>,
+    pub body: Option<BodyFile>,
     /// Error of the echoes that is asked for, dB; the simulator's own if absent.
     #[serde(default)]
     pub tolerance_db: Option<f64>,
     /// Split of all runs; dealt out by sequence if absent.
     #[serde(default)]
     pub split: Option<Split>,
-}
-
-/// Kind of body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Body {
-    /// Ellipsoids: analytic, fast.
-    Ellipsoids,
-    /// Skins.
-    Mesh,
 }
 
 /// A recording, or all recordings in a folder.

@@ -1,12 +1,12 @@
 //! The part of a scene file that says who is there: `[people]` and its programs.
 
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::import::{LengthUnit, UpAxis};
 
 /// Bodies of people.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyFile {
     /// Thirteen ellipsoids, each with one specular point: the fastest.
