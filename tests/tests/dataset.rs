@@ -249,7 +249,6 @@ fn edit(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
     std::fs::write(file, serde_json::to_string_pretty(&value).expect("JSON")).expect("writable");
 }
 
-/// NumPy file with an array of codes.
 /// Asserts that one rule labels every kind of folder that the references describe (real-frames.md, hardware.md sections
 /// 5 and 6).
 #[test]
