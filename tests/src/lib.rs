@@ -201,6 +201,17 @@ pub fn failure(command: &mut Command) -> String {
     said
 }
 
+/// Runs a command that must fail with exit status 1 and say all of this on stderr.
+///
+/// # Panics
+/// If the program succeeds, fails in another way, or does not say it.
+pub fn fails_with(command: &mut Command, parts: &[&str]) {
+    let said = failure(command);
+    for part in parts {
+        assert!(said.contains(part), "{command:?} does not say {part:?}: {said}");
+    }
+}
+
 /// Copies the shipped room-cnn as a model of one waveform, the hall's; this copy refuses all other waveforms.
 ///
 /// # Panics

@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use radome_models::ModelCard;
-use radome_tests::{add_signal, failure, fixture, fixture_text, json_lines, simulate, subcommand};
+use radome_tests::{add_signal, fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -108,8 +108,7 @@ fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotte
     assert!(card.recordings == 6 && card.simulated_maps > 100, "{card:?}");
     assert!(card.seconds.iter().all(|seconds| (59.0..61.0).contains(seconds)), "{card:?}");
     assert!(!String::from_utf8_lossy(&bytes).contains(".mcap"), "the card names files");
-    let said = failure(adapt(&ROOM).arg("-o").arg(&adapted));
-    assert!(said.contains("exists already"), "{said}");
+    fails_with(adapt(&ROOM).arg("-o").arg(&adapted), &["exists already"]);
 
     let others = ["0-3.mcap=empty", "1-3.mcap=one", "2-3.mcap=two"].map(|name| made().join(name));
     let of_room = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &others));
@@ -168,11 +167,9 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
     assert_eq!(again, answer, "another run gives other scores");
 
     std::fs::write(&rooms, times).expect("writable");
-    let said = failure(&mut curve());
-    assert!(said.contains("rooms.toml"), "{said}");
+    fails_with(&mut curve(), &["rooms.toml"]);
     std::fs::write(&rooms, format!("{times}{}{}", room("a", 1), room("a", 2))).expect("writable");
-    let said = failure(&mut curve());
-    assert!(said.contains("two rooms are called a"), "{said}");
+    fails_with(&mut curve(), &["two rooms are called a"]);
 }
 
 mod hard_cases {
@@ -194,20 +191,16 @@ mod hard_cases {
     fn recordings_that_are_missing_damaged_unlabelled_or_named_twice_are_refused() {
         let text = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(text.path(), "no recording").expect("writable");
-        let said = failure(adapt(&[]).arg("nowhere.mcap=empty"));
-        assert!(said.contains("nowhere.mcap"), "{said}");
-        let said = failure(adapt(&[]).arg(text.path()));
-        assert!(said.contains(&text.path().display().to_string()), "{said}");
+        fails_with(adapt(&[]).arg("nowhere.mcap=empty"), &["nowhere.mcap"]);
+        fails_with(adapt(&[]).arg(text.path()), &[&text.path().display().to_string()]);
         for (recordings, expected) in [
             (&["0-1"][..], "no label"),
             (&["0-1=empty", "0-1=one"][..], "named twice"),
             (&["0-1=three"][..], "not empty, one or two"),
         ] {
-            let said = failure(&mut adapt(recordings));
-            assert!(said.contains(expected), "{said}");
+            fails_with(&mut adapt(recordings), &[expected]);
         }
-        let said = failure(subcommand("model adapt").arg("cfar").arg(text.path()));
-        assert!(said.contains("cannot be adapted"), "{said}");
+        fails_with(subcommand("model adapt").arg("cfar").arg(text.path()), &["cannot be adapted"]);
         assert_eq!(subcommand("model adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
     }
 }

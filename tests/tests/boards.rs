@@ -7,7 +7,7 @@ use std::process::Output;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{convert, failure, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{convert, fails_with, fixture, json_lines, radome, simulate, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -143,14 +143,12 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
         command.args(["live", &format!("serial:{port}"), "--frames", "5", "--json", "--model", model]).args(more);
         command
     };
-    let said = failure(&mut live("cfar", &[]));
-    assert!(said.contains("not been told a waveform") && said.contains("--waveform"), "{said}");
+    fails_with(&mut live("cfar", &[]), &["not been told a waveform", "--waveform"]);
 
     // The model's waveform contradicts the named one: the command fails before it opens the board.
     let (model, other) = (fixture("models/paper-hqnn.safetensors"), fixture("models/desk-hqnn.safetensors"));
     let (model, other) = (model.display().to_string(), other.display().to_string());
-    let said = failure(&mut live(&model, &["--waveform", &other]));
-    assert!(said.contains(&model) && said.contains(&other) && said.contains("hint: leave --waveform away"), "{said}");
+    fails_with(&mut live(&model, &["--waveform", &other]), &[&model, &other, "hint: leave --waveform away"]);
 
     for (model, waveform) in [("cfar", "paper"), ("cfar", &model), (&model, "paper")] {
         let lines = json_lines(&mut live(model, &["--waveform", waveform]));
@@ -276,8 +274,7 @@ fn a_link_is_one_boards_and_goes_with_it() {
     let (mut first, port) = emulated_board(&fed, &arguments);
     assert_eq!(port, link_text);
     for _ in 0..3 {
-        let said = failure(&mut second());
-        assert!(said.contains(&link_text) && said.contains("hint:"), "{said}");
+        fails_with(&mut second(), &[&link_text, "hint:"]);
     }
     record_frames(&port, 5, None, &folder.path().join("first.mcap"));
     first.signal("TERM");

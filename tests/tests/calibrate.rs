@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{failure, fixture, json_lines, shared, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, shared, subcommand};
 use serde_json::Value;
 
 fn number(value: &Value) -> f64 {
@@ -139,8 +139,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     assert!(text.contains("corridor-1: 20 of 40 frames; corridor-2: 20 of 40 frames"), "{text}");
     // All recordings must have the same waveform.
     let Some(other) = shared("data/recordings/breathing-person-20260106") else { return };
-    let said = failure(subcommand("scene calibrate").args(&recordings).arg(other));
-    assert!(said.contains("another waveform") && said.contains("hint:"), "{said}");
+    fails_with(subcommand("scene calibrate").args(&recordings).arg(other), &["another waveform", "hint:"]);
 }
 
 #[test]
@@ -170,14 +169,10 @@ fn recordings_are_judged_by_their_labels() {
 
 #[test]
 fn what_cannot_be_calibrated_is_refused() {
-    let said = failure(subcommand("scene calibrate").arg("nowhere.mcap"));
-    assert!(said.contains("nowhere.mcap"), "{said}");
+    fails_with(subcommand("scene calibrate").arg("nowhere.mcap"), &["nowhere.mcap"]);
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    let said = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "1.5"]));
-    assert!(said.contains("between 0 and 1"), "{said}");
-    let said = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "0.02"]));
-    assert!(said.contains("to judge by") && said.contains("hint:"), "{said}");
+    fails_with(subcommand("scene calibrate").arg(&recording).args(["--part", "1.5"]), &["between 0 and 1"]);
+    fails_with(subcommand("scene calibrate").arg(&recording).args(["--part", "0.02"]), &["to judge by", "hint:"]);
     let corridor = fixture("scenes/corridor.toml");
-    let said = failure(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(corridor));
-    assert!(said.contains("waveform"), "{said}");
+    fails_with(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(corridor), &["waveform"]);
 }

@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::{
-    convert, failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, npy, radome, simulate,
-    subcommand,
+    convert, fails_with, failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, npy, radome,
+    simulate, subcommand,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -110,8 +110,7 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
     }
     assert_eq!(files(&path("again")), files(&path("whole")));
     assert_eq!(names(folder.path()), ["again", "spec.toml", "whole"], "nothing else is left");
-    let said = failure(&mut build(&spec, &path("again")));
-    assert!(said.contains("again exists already"), "{said}");
+    fails_with(&mut build(&spec, &path("again")), &["again exists already"]);
 }
 
 #[test]
@@ -140,8 +139,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
         command
     };
     if !path("shards/shard-00004-of-00008").exists() {
-        let said = failure(&mut merge(&all(Some(4)), "merged"));
-        assert!(said.contains("shards 4 of 8 are missing") && said.contains("--shard 4/8"), "{said}");
+        fails_with(&mut merge(&all(Some(4)), "merged"), &["shards 4 of 8 are missing", "--shard 4/8"]);
     }
     json_lines(&mut shard(4));
     assert_eq!(json_lines(&mut shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
@@ -157,19 +155,14 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     let mut doubled = all(None);
     doubled.push(path("copy"));
     assert!(Command::new("cp").arg("-r").arg(&doubled[6]).arg(path("copy")).status().expect("cp").success());
-    let said = failure(&mut merge(&doubled, "no"));
-    assert!(said.contains("copy are both shard 6/8"), "{said}");
+    fails_with(&mut merge(&doubled, "no"), &["copy are both shard 6/8"]);
     let other = folder.path().join("other.toml");
     let text = std::fs::read_to_string(&spec).expect("reads");
     std::fs::write(&other, text.replace("seeds = [5, 6]", "seeds = [6, 7]")).expect("writable");
     json_lines(build(&other, &path("other")).args(["--shard", "6/8"]));
     let mut foreign = all(Some(6));
     foreign.push(path("other/shard-00006-of-00008"));
-    let said = failure(&mut merge(&foreign, "no"));
-    assert!(
-        said.contains("shard-00006-of-00008 is no shard of the build of") && said.contains("another spec"),
-        "{said}"
-    );
+    fails_with(&mut merge(&foreign, "no"), &["shard-00006-of-00008 is no shard of the build of", "another spec"]);
     assert!(!path("no").exists());
 }
 
@@ -226,8 +219,7 @@ fn a_zero_sigma_is_not_hidden() {
     assert!(output.status.code() == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
     assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
     // `dataset verify` reports that these maps are identical.
-    let said = failure(subcommand("dataset verify").arg(folder.path().join("flat")));
-    assert!(said.contains("1 groups of duplicates"), "{said}");
+    fails_with(subcommand("dataset verify").arg(folder.path().join("flat")), &["1 groups of duplicates"]);
 }
 
 /// Writes a session with a few simulated frames in the format of Radar Fusion GUI.
@@ -362,8 +354,7 @@ scene = "home"
 
     // Folders that match no rule, or two, are named in the error.
     copy(&made, &path("data/home/nobody_knows"));
-    let said = failure(&mut build(&spec, &path("set2")));
-    assert!(said.contains("'home/nobody_knows' fits none of the patterns"), "{said}");
+    fails_with(&mut build(&spec, &path("set2")), &["'home/nobody_knows' fits none of the patterns"]);
     std::fs::write(&spec, text.replace("\"calibration\" =", "\"*y_*\" = \"empty\", \"calibration\" ="))
         .expect("writable");
     let said = failure(&mut build(&spec, &path("set2")));
@@ -413,8 +404,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
         ("14:16=two", "'two' from 14 to 16 s is out of range"),
         ("1:2=two", "overlap"),
     ] {
-        let said = failure(label("one.mcap").args(["--span", span]));
-        assert!(said.contains(what), "{said}");
+        fails_with(label("one.mcap").args(["--span", span]), &[what]);
     }
     assert_eq!(json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
     json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
@@ -526,8 +516,7 @@ fn a_spec_gives_a_scene_another_waveform() {
     let samples = std::fs::read_to_string(path("given").join("dataset.json")).expect("reads");
     assert!(samples.contains("\"samples_per_chirp\": 64"), "{samples}");
 
-    let said = failure(&mut built("own", "waveform = { chirps = 16 }", "no"));
-    assert!(said.contains("own.toml") && said.contains("unknown field `chirps`"), "{said}");
+    fails_with(&mut built("own", "waveform = { chirps = 16 }", "no"), &["own.toml", "unknown field `chirps`"]);
 }
 
 #[test]
@@ -551,6 +540,5 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
     assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
 
-    let said = failure(&mut evaluate(&model_of_one_waveform(folder.path())));
-    assert!(said.contains("waveforms differ in map size") && said.contains("hint: "), "{said}");
+    fails_with(&mut evaluate(&model_of_one_waveform(folder.path())), &["waveforms differ in map size", "hint: "]);
 }

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand};
+use radome_tests::{fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand};
 use serde_json::Value;
 
 fn evaluate(model: &str) -> std::process::Command {
@@ -76,11 +76,9 @@ fn a_refused_recording_is_listed_and_the_others_are_judged() {
     assert!(refused[0]["recording"].as_str().is_some_and(|name| name.ends_with("hall.mcap")), "{answer}");
     assert!(refused[0]["reason"].as_str().is_some_and(|reason| !reason.contains("hint")), "{answer}");
     assert_eq!(json_lines(evaluate("desk-hqnn").args(&inputs).arg("--skip-refused")), [answer]);
-    let said = failure(evaluate("desk-hqnn").args(&inputs));
-    assert!(said.contains("1 of 2 recordings were refused") && said.contains("--skip-refused"), "{said}");
+    fails_with(evaluate("desk-hqnn").args(&inputs), &["1 of 2 recordings were refused", "--skip-refused"]);
     // If no recording was judged, the command fails in any case.
-    let said = failure(evaluate("desk-hqnn").arg(&inputs[0]).arg("--skip-refused"));
-    assert!(said.contains("hall.mcap"), "{said}");
+    fails_with(evaluate("desk-hqnn").arg(&inputs[0]).arg("--skip-refused"), &["hall.mcap"]);
 }
 
 fn rung(folder: &Path) -> PathBuf {
@@ -185,18 +183,14 @@ mod hard_cases {
             if !text.is_empty() {
                 std::fs::write(folder.path().join(name), text).expect("writable");
             }
-            let said = failure(evaluate("cfar").arg(given(name)));
-            assert!(said.contains(expected), "{name}: {said}");
+            fails_with(evaluate("cfar").arg(given(name)), &[expected]);
         }
     }
 
     #[test]
     fn what_cannot_be_compared_is_refused() {
-        let said = failure(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]));
-        assert!(said.contains("2 models") && said.contains("--ladder"), "{said}");
-        let said = failure(subcommand("model evaluate").arg("--ladder").arg(fixture("ladder")));
-        assert!(said.contains("no model"), "{said}");
-        let said = failure(evaluate("cfar").args(["--ladder", "nowhere"]));
-        assert!(said.contains("nowhere"), "{said}");
+        fails_with(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]), &["2 models", "--ladder"]);
+        fails_with(subcommand("model evaluate").arg("--ladder").arg(fixture("ladder")), &["no model"]);
+        fails_with(evaluate("cfar").args(["--ladder", "nowhere"]), &["nowhere"]);
     }
 }

@@ -1,7 +1,7 @@
 //! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
 use radome_tests::browser::{Served, page};
-use radome_tests::{failure, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
+use radome_tests::{fails_with, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
 use serde_json::Value;
 
 #[test]
@@ -59,8 +59,7 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
 #[test]
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    let said = failure(&mut live_command(recording, ""));
-    assert!(said.contains("256 samples") && said.contains("64 samples") && said.contains("hint:"), "{said}");
+    fails_with(&mut live_command(recording, ""), &["256 samples", "64 samples", "hint:"]);
 }
 
 /// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{failure, fixture, json_lines, shared, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, shared, subcommand};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
@@ -70,6 +70,5 @@ fn an_array_on_stdout_is_the_file() {
         assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
         assert!(!picture.exists(), "{wrong:?}");
     }
-    let said = failure(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input));
-    assert!(said.contains("--json") && said.contains("stdout"), "{said}");
+    fails_with(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input), &["--json", "stdout"]);
 }

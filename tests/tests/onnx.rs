@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, radome, simulate, skip, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Shipped models, each with a scene of its waveform.
@@ -146,8 +146,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("renamed.safetensors");
         std::fs::write(&path, exported()).expect("writable");
-        let said = failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path));
-        assert!(said.contains("safetensors"), "{said}");
+        fails_with(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path), &["safetensors"]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 
 /// Path of a walker: way-points, and the speed towards each. A repeated way-point is a pause of two seconds.
@@ -234,8 +234,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
         // Only the folder's name in the header of `mirror.toml` differs.
         assert!(a == b || file == "mirror.toml" && a.len() == b.len() + "set".len() - "twice".len(), "{file}");
     }
-    let said = failure(&mut make(&set));
-    assert!(said.contains("exists already"), "{said}");
+    fails_with(&mut make(&set), &["exists already"]);
     // If labels state two people but one is detected, the error names the missing person.
     let said = failure(make(&folder.path().join("three")).arg("--labels").arg(&labels));
     assert!(said.contains("person 2 is in the room") && said.contains("--waypoints"), "{said}");
@@ -292,8 +291,7 @@ fn a_real_recording_goes_through_to_the_end() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/desk.toml");
-    let said = failure(&mut pair(&recording, &scene, &folder.path().join("set")));
-    assert!(said.contains("no frame has a label") && said.contains("--people"), "{said}");
+    fails_with(&mut pair(&recording, &scene, &folder.path().join("set")), &["no frame has a label", "--people"]);
     let set = folder.path().join("set");
     let said = json_lines(pair(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
     assert_eq!((said["frames"].as_u64(), said["maps"].as_u64()), (Some(256), Some(512)));
@@ -334,28 +332,20 @@ mod hard_cases {
             std::fs::write(&file, text).expect("writable");
             file
         };
-        let said = failure(&mut pair(&folder.path().join("nowhere.mcap"), &scene_file, &set));
-        assert!(said.contains("nowhere.mcap"), "{said}");
-        let said = failure(&mut pair(&recording, &folder.path().join("nowhere.toml"), &set));
-        assert!(said.contains("nowhere.toml"), "{said}");
-        let said = failure(&mut pair(&recording, &fixture("scenes/hall.toml"), &set));
-        assert!(said.contains("another for each seed") && said.contains("hint:"), "{said}");
-        let said = failure(&mut pair(&scene_file, &scene_file, &set));
-        assert!(said.contains("--frames"), "{said}");
-        let said = failure(pair(&recording, &scene_file, &set).args(["--height-m", "17"]));
-        assert!(said.contains("0.5 to 2.5 m"), "{said}");
+        fails_with(&mut pair(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
+        fails_with(&mut pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
+        fails_with(&mut pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
+        fails_with(&mut pair(&scene_file, &scene_file, &set), &["--frames"]);
+        fails_with(pair(&recording, &scene_file, &set).args(["--height-m", "17"]), &["0.5 to 2.5 m"]);
         let order = write(
             "order.toml",
             "[[person]]\npoint = [{ time_s = 2.0, position_m = [1.0, 1.0] }, { time_s = 1.0, position_m = [1.0, 1.0] }]\n",
         );
-        let said = failure(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&order));
-        assert!(said.contains("1 s comes after 2 s"), "{said}");
+        fails_with(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&order), &["1 s comes after 2 s"]);
         let other = write("other.toml", "[[person]]\nplaces = 3\n");
-        let said = failure(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&other));
-        assert!(said.contains("no way-points"), "{said}");
+        fails_with(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&other), &["no way-points"]);
         let late = write("late.txt", "0.0\t99.0\tone\n");
-        let said = failure(pair(&recording, &scene_file, &set).arg("--labels").arg(&late));
-        assert!(said.contains("99"), "{said}");
+        fails_with(pair(&recording, &scene_file, &set).arg("--labels").arg(&late), &["99"]);
         assert!(!set.exists() && !folder.path().join("set.partial").exists());
     }
 }

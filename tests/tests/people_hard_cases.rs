@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{failure, fixture_text, json_lines, radome, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, simulate, subcommand};
 use serde_json::Value;
 
 /// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
@@ -120,8 +120,7 @@ fn a_band_below_the_limit_is_refused_with_the_limit() {
     let said = failure(radome().arg("live").arg(&recording).arg("--json"));
     assert!(said.contains("sampled band is 0.238 GHz") && said.contains("0.300 GHz or more"), "{said}");
     assert!(said.contains("hint: capture with a waveform within this limit"), "{said}");
-    let said = failure(subcommand("model evaluate").arg("room-hqnn").arg(&recording));
-    assert!(said.contains("sampled band is 0.238 GHz") && said.contains("hint:"), "{said}");
+    fails_with(subcommand("model evaluate").arg("room-hqnn").arg(&recording), &["sampled band is 0.238 GHz", "hint:"]);
 }
 
 /// Codes of the receiver with this index.
@@ -289,8 +288,7 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     assert_eq!(row["recordings"][0]["recording"], "rooms-scene-seed731012-empty");
     assert_eq!((&row["false_alarms"], &row["false_alarm_share"]), (&0.into(), &0.0.into()), "{row}");
     assert_eq!(row["false_alarms_per_hour"], 0.0, "{row}");
-    let said = failure(&mut ladder("1e6"));
-    assert!(said.contains("--empty-hours") && said.contains("hint:"), "{said}");
+    fails_with(&mut ladder("1e6"), &["--empty-hours", "hint:"]);
 
     // A person walks through a room that is labelled empty.
     let walked = simulated(&scene, 1, 731_012, 60);

@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{failure, fixture, json_lines, radome, root, skip, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, radome, root, skip, subcommand};
 
 /// Waveform of one receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
@@ -89,8 +89,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         &["recording", "answers", &judged, "--csv"],
     ];
     for command in commands {
-        let said = failure(radome().args(command).arg(&kept));
-        assert!(said.contains("kept.mcap exists already") && said.contains("--overwrite"), "{command:?}: {said}");
+        fails_with(radome().args(command).arg(&kept), &["kept.mcap exists already", "--overwrite"]);
         assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
         assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
@@ -187,8 +186,7 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
     assert!(failure(radome().arg("record").arg(&source).arg("--overwrite").arg("-o").arg(&made)).contains(busy));
     assert!(failure(subcommand("recording convert").arg(&source).arg(&made).arg("--overwrite")).contains(busy));
     std::fs::write(at("track.txt"), "0.0\t0.3\tone\n").expect("writable");
-    let said = failure(subcommand("recording labels").arg(&made).arg("--import").arg(at("track.txt")));
-    assert!(said.contains(busy) && said.contains("made.mcap"), "{said}");
+    fails_with(subcommand("recording labels").arg(&made).arg("--import").arg(at("track.txt")), &[busy, "made.mcap"]);
     recorder.signal("INT");
     assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
     assert!(is_complete(&made) && readable(&made) >= 5);
