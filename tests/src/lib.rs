@@ -191,6 +191,16 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
         .collect()
 }
 
+/// Runs a command that must succeed; returns stdout and stderr.
+///
+/// # Panics
+/// If the program fails.
+pub fn success(command: &mut Command) -> (String, String) {
+    let (status, told, said) = outcome(command);
+    assert_eq!(status, Some(0), "{command:?}: {said}");
+    (told, said)
+}
+
 /// Runs a command that must fail with exit status 1; returns its stderr.
 ///
 /// # Panics
@@ -229,9 +239,9 @@ pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
 /// # Panics
 /// If the program has no such command.
 pub fn help(name: &str) -> String {
-    let output = run(subcommand(name).arg("--help"));
-    assert!(output.status.success() && output.stderr.is_empty(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).expect("text")
+    let (told, said) = success(subcommand(name).arg("--help"));
+    assert!(said.is_empty(), "{name}: {said}");
+    told
 }
 
 /// Long options that a help text lists.

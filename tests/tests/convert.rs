@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
-use radome_tests::{convert, failure, fixture, frames, json_lines_of, radome, shared, simulate, subcommand};
+use radome_tests::{convert, failure, fixture, frames, json_lines_of, radome, shared, simulate, subcommand, success};
 use serde_json::Value;
 
 /// All frames of a recording, and the number of lost frames.
@@ -29,11 +29,9 @@ fn a_simulation_becomes_a_folder_and_a_text_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     simulated(&at("x.mcap"), "15");
-    let output =
-        subcommand("recording convert").args([at("x.mcap"), at("session/")]).arg("--json").output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("truth of 15 frames"), "{said}");
-    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (told, said) = success(subcommand("recording convert").args([at("x.mcap"), at("session/")]).arg("--json"));
+    assert!(said.contains("truth of 15 frames"), "{said}");
+    let report: Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!((&report["frames"], &report["gaps"], &report["lost"]), (&15.into(), &0.into(), &0.into()));
 
     let (frames, _) = read(&at("x.mcap"));

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use radome_tests::running::{Running, wait_for};
 use radome_tests::{
     convert, fails_with, failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, npy, radome,
-    simulate, subcommand,
+    simulate, subcommand, success,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -171,15 +172,9 @@ fn two_builds_at_once_in_one_place_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 400, "");
-    let mut first = build(&spec, &path("set")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
-    while !path("set.parts/plan.json").exists() {
-        assert!(first.try_wait().expect("a child").is_none(), "ended before it began");
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    let said = failure(&mut build(&spec, &path("set")));
-    let _ = first.kill();
-    first.wait().expect("ended");
-    assert!(said.contains("set.parts: another process is at work here"), "{said}");
+    let _first = Running::start(&mut build(&spec, &path("set")));
+    wait_for("a plan", || path("set.parts/plan.json").exists().then_some(()));
+    fails_with(&mut build(&spec, &path("set")), &["set.parts: another process is at work here"]);
 }
 
 #[test]
@@ -531,10 +526,8 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
         command.args(["model", "evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
         command
     };
-    let output = evaluate(&fixture("models/room-cnn.safetensors")).output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (told, said) = success(&mut evaluate(&fixture("models/room-cnn.safetensors")));
+    let answer: serde_json::Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
     // The message appears once, although the recording is judged twice.
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use radome_tests::{help, long_options, radome, root, subcommands};
+use radome_tests::{help, long_options, radome, root, subcommands, success};
 
 /// Folders to whose files pages refer by paths from the root.
 const FOLDERS: [&str; 10] = ["cli", "docs", "driver", "dsp", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
@@ -303,8 +303,7 @@ fn the_toml_files_on_pages_are_read_by_the_program() {
     let run = |command: &str, name: &str, text: &str, options: &[&str]| {
         fs::write(folder.path().join(name), text).expect("a file");
         let arguments = command.split(' ').chain([name]).chain(options.iter().copied());
-        let output = radome().current_dir(folder.path()).args(arguments).output().expect("runs");
-        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+        success(radome().current_dir(folder.path()).args(arguments));
     };
     let board = toml("docs/board.md");
     run("board config", "waveform.toml", board.first().expect("a waveform"), &[]);

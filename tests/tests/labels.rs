@@ -5,7 +5,7 @@ use std::process::Command;
 
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, simulate, subcommand};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, simulate, subcommand, success};
 use serde_json::Value;
 use tungstenite::Message;
 
@@ -125,7 +125,6 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder_of_program = Path::new(program.get_program()).parent().expect("a folder");
     let mut shell = Command::new("/bin/sh");
     shell.args(["-c", &command]).current_dir(folder.path()).env("PATH", folder_of_program);
-    let ended = shell.output().expect("a shell");
-    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    success(&mut shell);
     assert!(folder.path().join("room-mine.safetensors").is_file());
 }

@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand};
+use radome_tests::{
+    fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand, success,
+};
 use serde_json::Value;
 
 fn evaluate(model: &str) -> std::process::Command {
@@ -160,9 +162,8 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(fitted["models"], answer["models"]);
 
     // Prints the same result as a table.
-    let output = subcommand("model evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
-    let table = String::from_utf8(output.stdout).expect("text");
-    assert!(output.status.success() && table.contains("small") && table.contains("1 refused"), "{table}");
+    let (table, _) = success(subcommand("model evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung));
+    assert!(table.contains("small") && table.contains("1 refused"), "{table}");
 }
 
 mod hard_cases {

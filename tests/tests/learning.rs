@@ -1,9 +1,9 @@
 //! Tests from a dataset to models and reports: killed trainings, interrupted studies and renamed models.
 
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
 use std::time::Duration;
 
+use radome_tests::running::Running;
 use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, radome, subcommand};
 
 /// Small dataset of halls, made once for all tests.
@@ -41,25 +41,13 @@ fn a_training_that_is_killed_ends_with_the_same_weights() {
     let told = json_lines(&mut train("whole.safetensors"));
     // Two starts of two epochs, four more epochs, and the summary.
     assert_eq!(told.len(), 2 + 6 + 1);
-    let mut runs = 0;
-    loop {
-        let mut child =
-            train("killed.safetensors").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
-        runs += 1;
-        // The first three runs are killed after their first output; the fourth runs to its end.
-        if runs <= 3 {
-            let mut line = String::new();
-            let mut out = std::io::BufReader::new(child.stdout.take().expect("stdout"));
-            std::io::BufRead::read_line(&mut out, &mut line).expect("a line");
-            std::thread::sleep(Duration::from_millis(100));
-            let _ = child.kill();
-            child.wait().expect("ended");
-        } else {
-            let output = child.wait_with_output().expect("ended");
-            assert!(output.status.success());
-            break;
-        }
+    // Three runs are killed after their first output; the fourth runs to its end.
+    for _ in 0..3 {
+        let killed = Running::start(&mut train("killed.safetensors"));
+        killed.stdout.find(0, "a line", |_| Some(()));
+        std::thread::sleep(Duration::from_millis(100));
     }
+    json_lines(&mut train("killed.safetensors"));
     let bytes = |name: &str| std::fs::read(folder.path().join(name)).expect("a model");
     assert_eq!(bytes("whole.safetensors"), bytes("killed.safetensors"));
     assert!(!folder.path().join("killed.safetensors.checkpoint").exists());
@@ -141,12 +129,9 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
         command.arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output).arg("--json");
         command
     };
-    let mut child = study().stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
-    let mut line = String::new();
-    let mut out = std::io::BufReader::new(child.stdout.take().expect("stdout"));
-    std::io::BufRead::read_line(&mut out, &mut line).expect("a training");
-    let _ = child.kill();
-    child.wait().expect("ended");
+    let killed = Running::start(&mut study());
+    killed.stdout.find(0, "a training", |_| Some(()));
+    drop(killed);
     let partial = json_lines(study().arg("--report-only")).remove(0);
     assert!(partial["done"].as_u64() < Some(8), "{partial}");
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, subcommand, success};
 use serde_json::Value;
 
 /// Path of a walker: way-points, and the speed towards each. A repeated way-point is a pause of two seconds.
@@ -273,11 +273,10 @@ fn one_receiver_tells_distance_alone() {
     let recording = record(&scene, 30, 2);
     // A scene of three receivers is accepted, since the recording determines the waveform.
     let set = folder.path().join("set");
-    let output = pair(&recording, &fixture("scenes/corridor.toml"), &set).output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("along the boresight"), "{said}");
+    let (told, said) = success(&mut pair(&recording, &fixture("scenes/corridor.toml"), &set));
+    assert!(said.contains("along the boresight"), "{said}");
     assert!(said.contains("the mirror has the recording's waveform"), "{said}");
-    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let answer: Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!(answer["tells_direction"], false);
     let errors = Errors::of(&set, 1, &motion(path), CORRIDOR, 30, &[]);
     // The person walked along the boresight.

@@ -1,6 +1,6 @@
 //! Compares the list of `radome scene paths` with mirror images computed by hand.
 
-use radome_tests::{fails_with, failure, fixture, json_lines, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, subcommand, success};
 use serde_json::Value;
 
 /// Speed of light, m/s.
@@ -101,9 +101,8 @@ fn the_list_is_drawn_and_told_in_words() {
     let picture = folder.path().join("paths.png");
     let mut command = subcommand("scene paths");
     command.arg(fixture("scenes/corridor.toml")).args(["--time", "3", "--preview"]).arg(&picture);
-    let output = command.output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success() && said.contains("length/m") && said.contains("x_high"), "{said}");
+    let (told, _) = success(&mut command);
+    assert!(told.contains("length/m") && told.contains("x_high"), "{told}");
     assert!(std::fs::metadata(&picture).expect("a picture").len() > 1000);
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, simulate, subcommand, success};
 use serde_json::Value;
 
 /// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
@@ -50,10 +50,7 @@ fn changed(from: &Path, name: &str, skipped: usize, mut change: impl FnMut(usize
 
 /// Answers of the built-in model, one a frame, and the program's stderr.
 fn live(recording: &Path) -> (Vec<Value>, String) {
-    let output = radome().arg("live").arg(recording).arg("--json").output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{}: {said}", recording.display());
-    let text = String::from_utf8(output.stdout).expect("text");
+    let (text, said) = success(radome().arg("live").arg(recording).arg("--json"));
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     // The last line is a summary.
     let answers: Vec<Value> = lines.filter(|line| line.get("sequence").is_some()).collect();

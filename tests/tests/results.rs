@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{convert, emulated_corridor, failure, json_lines, live_command, skip, subcommand};
+use radome_tests::{
+    convert, emulated_corridor, fails_with, failure, json_lines, live_command, skip, subcommand, success,
+};
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
@@ -43,11 +45,9 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     json_lines(subcommand("recording labels").arg(at("copy.mcap")).arg("--import").arg(&track).arg("--json"));
     assert_eq!(results(&at("copy.mcap")), kept);
 
-    let output = subcommand("recording convert").args([at("night.mcap"), at("folder/")]).output().expect("runs");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success() && told.contains("what was said about 40 frames"), "{told}");
-    let told = failure(subcommand("recording answers").arg(at("folder")));
-    assert!(told.contains("holds no results") && told.contains("hint:"), "{told}");
+    let (_, said) = success(subcommand("recording convert").args([at("night.mcap"), at("folder/")]));
+    assert!(said.contains("what was said about 40 frames"), "{said}");
+    fails_with(subcommand("recording answers").arg(at("folder")), &["holds no results", "hint:"]);
 }
 
 #[test]
@@ -55,9 +55,8 @@ fn csv_has_a_line_a_frame_or_one_a_change() {
     let folder = tempfile::tempdir().expect("a folder");
     let (night, table) = (folder.path().join("night.mcap"), folder.path().join("night.csv"));
     let said = live(&night, "80");
-    let output = subcommand("recording answers").arg(&night).arg("--csv").arg(&table).output().expect("runs");
-    assert!(output.status.success() && output.stdout.is_empty());
-    assert!(String::from_utf8_lossy(&output.stderr).contains("paper-hqnn.safetensors"));
+    let (told, named) = success(subcommand("recording answers").arg(&night).arg("--csv").arg(&table));
+    assert!(told.is_empty() && named.contains("paper-hqnn.safetensors"), "{told}{named}");
     let table = std::fs::read_to_string(&table).expect("a table");
     let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(rows.len(), 81);

@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use radome_tests::{fixture, radome, root};
+use radome_tests::{fixture, radome, root, success};
 use serde_json::Value;
 
 const KINDS: [&str; 6] = ["dataset", "receiver", "scene", "study", "training", "waveform"];
@@ -18,9 +18,7 @@ const FOLDERS: [(&str, &str); 5] = [
 ];
 
 fn printed(kind: &str) -> Value {
-    let output = radome().args(["schema", kind]).output().expect("runs");
-    assert!(output.status.success(), "{kind}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("JSON")
+    serde_json::from_str(&success(radome().args(["schema", kind])).0).expect("JSON")
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_tests::running::free_port;
-use radome_tests::{fixture, installed, json_lines, skip, subcommand};
+use radome_tests::{fixture, installed, json_lines, skip, subcommand, success};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
@@ -26,9 +26,7 @@ impl Drop for Daemons {
 }
 
 fn text_of(command: &mut Command) -> String {
-    let output = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
-    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+    success(command).0.trim().to_owned()
 }
 
 /// Starts munge, the controller and a node, all private to `folder`. Returns the path of the configuration.

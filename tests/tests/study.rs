@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 use radome_models::Dataset;
-use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, subcommand};
+use radome_tests::running::{Running, wait_up_to};
+use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, subcommand, success};
 
 use super::learning::maps;
 
@@ -94,13 +95,9 @@ pub fn progress(folder: &Path) -> [usize; 2] {
     })
 }
 
-/// Waits until `done` returns true; polls often, since a training takes a second.
+/// Waits up to five minutes until `done` returns true.
 pub fn wait(what: &str, mut done: impl FnMut() -> bool) {
-    let until = Instant::now() + Duration::from_secs(300);
-    while !done() {
-        assert!(Instant::now() < until, "waited five minutes for {what}");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_up_to(Duration::from_secs(300), what, || done().then_some(()));
 }
 
 /// Asserts that four parallel shards give the report of one run, byte for byte. One shard is killed within a training
@@ -241,9 +238,7 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
         command.arg(place.at("study.toml")).arg("-o").arg(place.at("out put")).args(arguments);
         command
     };
-    let output = script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]).output().expect("runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let text = String::from_utf8(output.stdout).expect("text");
+    let (text, _) = success(&mut script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]));
     for part in ["--array=0-5", "--cpus-per-task=2", "model study", "--shard auto/6", "--report-only", "out put'"] {
         assert!(text.contains(part), "{part}: {text}");
     }
@@ -271,10 +266,9 @@ mod hard_cases {
     fn a_study_killed_within_a_training_repeats_no_other() {
         let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
         json_lines(&mut place.study("whole"));
-        let mut child = place.study("killed").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        let killed = Running::start(&mut place.study("killed"));
         wait("a second training", || progress(&place.at("killed")).iter().all(|count| *count > 0));
-        child.kill().expect("is killed");
-        child.wait().expect("ends");
+        drop(killed);
         let [done, _] = progress(&place.at("killed"));
         let told = json_lines(&mut place.study("killed"));
         assert_eq!(told.len(), 9 - done + 1, "{done} were done");
@@ -326,15 +320,13 @@ mod hard_cases {
     fn a_second_run_says_that_the_folder_is_in_use() {
         // The first run must outlast the test, which kills it at the end.
         let place = Place::new(&STUDY.replace("epochs = 3", "epochs = 10000"));
-        let mut child = place.study("study").stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        let _first = Running::start(&mut place.study("study"));
         wait("a training", || progress(&place.at("study"))[1] > 0);
         for shard in ["0/1", "1/3"] {
             fails_with(place.study("study").args(["--shard", shard]), &["another process is at work here", "hint: "]);
         }
         let report = json_lines(place.study("study").arg("--report-only")).remove(0);
         assert_eq!(report["done"].as_u64(), Some(0), "{report}");
-        child.kill().expect("is killed");
-        child.wait().expect("ends");
     }
 
     /// Asserts that one shard builds the missing dataset while the others wait.

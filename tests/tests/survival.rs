@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{fails_with, failure, fixture, json_lines, radome, root, skip, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, radome, root, skip, subcommand, success};
 
 /// Waveform of one receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
@@ -98,8 +98,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     };
     for command in commands.iter().filter(replaces) {
         std::fs::write(&kept, "a night of frames").expect("writable");
-        let output = radome().args(*command).arg(&kept).arg("--overwrite").output().expect("runs");
-        assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+        success(radome().args(*command).arg(&kept).arg("--overwrite"));
         assert_ne!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
         assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
@@ -130,8 +129,7 @@ fn a_service_that_starts_again_records_to_another_file() {
     let output = format!("{}/", nights.display());
     let mut before: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     for run in 1..=3 {
-        let done = service(&source, &["-o", &output]).output().expect("runs");
-        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        success(&mut service(&source, &["-o", &output]));
         for (path, bytes) in &before {
             assert!(&std::fs::read(path).expect("readable") == bytes, "{} has changed", path.display());
         }
@@ -142,7 +140,7 @@ fn a_service_that_starts_again_records_to_another_file() {
     }
     // With a file name instead of a folder, the second start of the service is refused.
     let one = folder.path().join("one.mcap").display().to_string();
-    assert!(service(&source, &["-o", &one]).output().expect("runs").status.success());
+    success(&mut service(&source, &["-o", &one]));
     assert!(failure(&mut service(&source, &["-o", &one])).contains("exists already"));
 }
 

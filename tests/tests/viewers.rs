@@ -7,7 +7,7 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand};
+use radome_tests::{fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -289,9 +289,7 @@ fn python_packages_read_the_file() {
         return;
     }
     let script = root().join("tests/viewers/check.py");
-    let output = Command::new(&python).arg(script).arg(radome().get_program()).output().expect("runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    eprint!("{}", String::from_utf8_lossy(&output.stdout));
+    eprint!("{}", success(Command::new(&python).arg(script).arg(radome().get_program())).0);
 }
 
 /// Collects all strings of a JSON value.
