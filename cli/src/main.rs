@@ -35,7 +35,7 @@ static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new()
 #[derive(Parser)]
 #[command(name = "radome", version, about, propagate_version = true, max_term_width = 100, after_help = exit::HELP)]
 struct Arguments {
-    /// More messages on stderr: -v for what happens, -vv for every detail
+    /// Print more messages on stderr: -v for events, -vv for every detail
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
     #[command(subcommand)]

@@ -19,7 +19,7 @@ const TIME: &str = "{time}";
 /// Permission to replace an existing output file.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct Overwrite {
-    /// Replace the output file if it exists; the old one stays until the new one is whole, or begun where it is recorded
+    /// Replace the output file if it exists. The old file stays until the new one is complete; a recording replaces it at its start
     #[arg(long)]
     overwrite: bool,
 }

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 /// Options of commands that print the script of an array.
 #[derive(clap::Args)]
 pub struct Array {
-    /// Folder that the shards come into; on a file system that all nodes see
+    /// Folder for the shards, on a file system that all nodes share
     #[arg(short, long)]
     pub output: PathBuf,
     /// Tasks of the array

@@ -40,19 +40,19 @@ pub struct SourceArgs {
     /// Waveform to program a board with: `paper`, a .toml file, a model file, room-hqnn, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
-    /// Stop after so many frames
+    /// Stop after this number of frames
     #[arg(long)]
     pub frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
+    /// Pace as a multiple of real time; 0, the default, is as fast as possible. With --view, recordings default to 1
     #[arg(long, value_parser = not_negative)]
     pub speed: Option<f64>,
     /// Seed of a simulation; 1 if absent, 100001 for `live`
     #[arg(long)]
     pub seed: Option<u64>,
-    /// People that a simulation is forced to have
+    /// Number of people in a simulation, instead of the scene's own
     #[arg(long)]
     pub people: Option<usize>,
-    /// Seconds for which a board that is lost is looked for
+    /// Seconds for which to search for a lost board
     #[arg(long, hide = true, value_parser = seconds)]
     pub give_up_after_s: Option<Duration>,
 }

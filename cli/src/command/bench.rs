@@ -28,23 +28,23 @@ pub struct Arguments {
 #[allow(clippy::large_enum_variant)]
 #[derive(clap::Subcommand)]
 enum Stage {
-    /// Range-Doppler maps: 3 receivers x 128 chirps x 256 samples on one thread, beside libraries and scipy
+    /// Measure range-Doppler maps: 3 receivers x 128 chirps x 256 samples on one thread; compare with libraries and scipy
     Rdm(rdm::Arguments),
-    /// Cross-sections of canonical targets by every method that suits them, beside plain sums over patches
+    /// Measure cross-sections of canonical targets by every suitable method; compare with plain sums over patches
     Solver(solver::Arguments),
-    /// From paths to samples: 128 chirps of 256 samples on one thread, beside the sum of exponentials
+    /// Measure samples from paths: 128 chirps of 256 samples on one thread; compare with the sum of exponentials
     Synthesis(synthesis::Arguments),
-    /// Frames of scenes beside scipy's maps; of one scene, people with skins at several tolerances beside dense physical optics
+    /// Measure frames of scenes; compare with scipy's maps, or people with skins in one scene with dense physical optics
     Scene(scene::Arguments),
-    /// A training step of the networks at maps of 128 x 128, beside PyTorch's
+    /// Measure a training step of the networks with maps of 128 x 128; compare with PyTorch
     Train(networks::Arguments),
-    /// Networks at work on one map of 128 x 128, beside onnxruntime and PyTorch
+    /// Measure inference of the networks on one map of 128 x 128; compare with onnxruntime and PyTorch
     Infer(networks::Arguments),
-    /// One target through the solver: radar cross-section, analytic value, error, time
+    /// Solve one target: radar cross-section, analytic value, error, time
     Rcs(rcs::Arguments),
-    /// The quantum circuit at one point: expectations and gradients
+    /// Evaluate the quantum circuit at one point: expectations and gradients
     Circuit(circuit::Arguments),
-    /// Gradients of quantum circuits at random points, by their number of qubits
+    /// Measure gradients of quantum circuits at random points, by the number of qubits
     Trainability(trainability::Arguments),
 }
 

@@ -10,15 +10,15 @@ mod verify;
 
 #[derive(clap::Subcommand)]
 pub enum Action {
-    /// Maps, labels and manifest from simulated and recorded sources; goes on where an earlier run was stopped
+    /// Build maps, labels and a manifest from simulated and recorded sources; resumes where it was stopped
     Build(build::Arguments),
-    /// One dataset of all shards of a build, or of several datasets
+    /// Merge all shards of a build, or several datasets, into one dataset
     Merge(merge::Arguments),
-    /// Mean and sigma of the cells by scene, class and domain, and how much people raise them
+    /// Show mean and sigma of the cells by scene, class and domain, and by how much people raise them
     Stats(stats::Arguments),
-    /// Hashes, duplicates, and what lies in more than one split
+    /// Check hashes; find duplicates and entries of more than one split
     Verify(verify::Arguments),
-    /// The script of a Slurm array that builds a dataset
+    /// Print the script of a Slurm array that builds a dataset
     Slurm(slurm::Arguments),
 }
 

@@ -9,22 +9,22 @@ use crate::source::{SourceArgs, not_negative};
 /// `radome demo`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Frames to watch
+    /// Number of frames
     #[arg(long, default_value_t = 300)]
     frames: u64,
-    /// Seed of the people's ways; the shipped model was trained on seeds below 100000
+    /// Seed of the people's paths; the shipped model was trained on seeds below 100000
     #[arg(long, default_value_t = live::UNSEEN_SEED)]
     seed: u64,
-    /// Times real time; 0 is as fast as it goes
+    /// Pace, as a multiple of real time; 0 is as fast as possible
     #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
     speed: f64,
-    /// Another scene than the corridor
+    /// Scene to use instead of the corridor
     #[arg(long)]
     scene: Option<PathBuf>,
-    /// Another model than the shipped one
+    /// Model to use instead of the shipped one
     #[arg(long)]
     model: Option<PathBuf>,
-    /// One object a frame and one at the end
+    /// Print one JSON object per frame and one at the end
     #[arg(long)]
     json: bool,
     #[command(flatten)]

@@ -21,23 +21,23 @@ pub use wire::WireLog;
 /// `radome doctor`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ...; without it, boards that are attached
-    /// are asked who they are
+    /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ... Without it, only identify attached
+    /// boards
     #[arg(value_hint = clap::ValueHint::AnyPath)]
     source: Option<String>,
-    /// Model that is to judge: whether it can be read, and whether it fits the source
+    /// Model to check: whether it can be read, and whether it fits the source
     #[arg(long)]
     model: Option<PathBuf>,
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Folder that recordings are to go to: room, speed, permission
+    /// Folder for recordings to check: space, speed, permission
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
-    /// Pack what a bug report needs into this new archive: checks, board, registers, frames, bytes on the wire. Paths, names of
-    /// users and hosts, addresses, serial numbers and logins are replaced by tokens such as <path-1>
+    /// Pack the data for a bug report into this new archive: checks, board, registers, frames, bytes on the wire. Tokens such as
+    /// <path-1> replace paths, names of users and hosts, addresses, serial numbers and logins
     #[arg(long, value_name = "FILE.zip")]
     bundle: Option<PathBuf>,
-    /// One object a check
+    /// Print one JSON object per check
     #[arg(long)]
     json: bool,
     /// Trace of the board's protocol meanwhile.

@@ -33,29 +33,29 @@ pub const UNSEEN_SEED: u64 = 100_001;
 pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Model file, which names the waveform that a board is programmed with; room-hqnn, which is built in and takes nearly any
-    /// waveform; or cfar, the classical detector, for any waveform
+    /// Model file, whose waveform a board is programmed with; room-hqnn, which is built in and takes nearly any waveform; or
+    /// cfar, the classical detector, for any waveform
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
     /// for the time
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
-    /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
+    /// End with exit status 0 instead of 3 if frames are missing in the recording of -o
     #[arg(long, requires = "output")]
     pub allow_loss: bool,
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Measurement of the empty room by `radome model background`: fans and curtains then count as nobody
+    /// Measurement of the empty room by `radome model background`, so that fans and curtains do not count as people
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
-    /// Seconds of agreement before `occupied`, or a greater number of people, is said
+    /// Seconds for which frames must agree before `occupied` or a greater number of people is reported
     #[arg(long, default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
     pub on_delay_s: f64,
-    /// Seconds of agreement before `empty`, or a smaller number of people, is said
+    /// Seconds for which frames must agree before `empty` or a smaller number of people is reported
     #[arg(long, default_value_t = Delays::default().off_s, value_parser = source::not_negative)]
     pub off_delay_s: f64,
-    /// One object a frame and one at the end
+    /// Print one JSON object per frame and one at the end
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]

@@ -23,7 +23,7 @@ pub enum Action {
     Evaluate(evaluate::Arguments),
     /// Compare networks over seeds, noise and shares of the labels in one report; resumes where it was stopped
     Study(study::Arguments),
-    /// The script of a Slurm array that runs a study
+    /// Print the script of a Slurm array that runs a study
     Slurm(slurm::Arguments),
     /// Export a model as ONNX
     Export(export::Arguments),

@@ -27,16 +27,16 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Leave it to the operating system when frames are on the disk
+    /// Let the operating system decide when to write frames to the disk
     #[arg(long, hide = true)]
     no_sync: bool,
-    /// Fail, with exit status 1, if more frames than this were lost
+    /// Fail with exit status 1 if more frames than this are lost
     #[arg(long)]
     max_dropped: Option<u64>,
-    /// End with exit status 0 although frames were lost, instead of with 3
+    /// End with exit status 0 instead of 3 if frames are lost
     #[arg(long)]
     allow_loss: bool,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -32,8 +32,8 @@ pub struct Arguments {
     /// Another name by which clients reach the page or the metrics, such as radar.example:8060 behind a proxy
     #[arg(long, value_name = "HOST[:PORT]")]
     allow_host: Vec<String>,
-    /// File with the token that the page and the metrics ask for, also on this machine; made if it is absent, and only its owner may
-    /// read it. Without, a page that the network reaches has a new token at each start
+    /// File with the token that the page and the metrics require, also on this machine. It is made if it is absent, and only its
+    /// owner may read it. Without it, a page that the network can reach has a new token at each start
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
 }

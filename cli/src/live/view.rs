@@ -42,19 +42,19 @@ use shared::{About, Shared};
 /// Options of the page.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Serve a live page on this machine; recordings are then played at their own pace, and stay open at their end
+    /// Serve a live page on this machine. Recordings are played in real time, and stay open at their end
     #[arg(long)]
     view: bool,
-    /// Address of the page; only this machine reaches the default. A page that the network reaches asks for the token in its link
+    /// Address of the page; only this machine can reach the default. A page that the network can reach requires the token in its link
     #[arg(long, default_value = "127.0.0.1:8060", requires = "view")]
     listen: SocketAddr,
-    /// Let pages watch and download labels, and change none
+    /// Let pages show and download labels, but not change them
     #[arg(long, requires = "view")]
     read_only_labels: bool,
     #[command(flatten)]
     access: access::Arguments,
-    /// Folder that `scene pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
-    /// NAME.mcap
+    /// Folder of `radome scene pair` for the recording, whose simulated partner the page shows; NAME-pair beside NAME.mcap if
+    /// absent
     #[arg(long, value_name = "DIR", requires = "view")]
     pair: Option<PathBuf>,
 }

@@ -26,13 +26,13 @@ pub struct Arguments {
     /// Repetitions of the trained part
     #[arg(long, default_value_t = 1)]
     depth: usize,
-    /// Measurements to estimate from, in place of exact expectations
+    /// Number of measurements for estimates instead of exact expectations
     #[arg(long, value_name = "COUNT")]
     shots: Option<u32>,
     /// Seed of the measurements' outcomes
     #[arg(long, default_value_t = DEFAULT_SEED, requires = "shots")]
     seed: u64,
-    /// Gradients with shots: from shots of their own by parameter shift, or exact
+    /// Gradients with --shots: by parameter shift from separate shots, or exact
     #[arg(long, value_enum, default_value = "shots", requires = "shots")]
     gradient: GradientName,
     /// Depolarising probability after each gate on one qubit
@@ -41,10 +41,10 @@ pub struct Arguments {
     /// Depolarising probability after each gate on two qubits
     #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
     depolarising_two_qubit: f64,
-    /// Probability that an outcome is read as the other one
+    /// Probability that an outcome is read wrongly
     #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
     readout_flip: f64,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

@@ -31,22 +31,22 @@ const SIZE: usize = 128;
 pub struct Arguments {
     /// Networks, as `radome model list` names them
     networks: Vec<String>,
-    /// Maps of a step or of a call
+    /// Number of maps in a step or call
     #[arg(long)]
     batch: Option<usize>,
-    /// Threads, ours and the peers'
+    /// Number of threads of radome and of the other libraries
     #[arg(long, default_value_t = 2)]
     threads: usize,
-    /// Runs of a turn, behind one that does not count
+    /// Timed runs in a turn, after one that is not timed
     #[arg(long)]
     repeats: Option<usize>,
-    /// Turns that ours and the peers take one after the other
+    /// Turns of radome and of the other libraries, which alternate
     #[arg(long, default_value_t = 5)]
     turns: usize,
-    /// Python with torch, torchvision and onnxruntime; `python3` if not given, and nothing beside ours if it has none
+    /// Python with torch, torchvision and onnxruntime; `python3` if absent. Without these packages, only radome is measured
     #[arg(long)]
     python: Option<PathBuf>,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

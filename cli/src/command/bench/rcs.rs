@@ -69,19 +69,19 @@ pub struct Arguments {
     /// Electric field of the radar
     #[arg(long, value_enum, default_value_t = Field::Vertical)]
     polarisation: Field,
-    /// Method; the program chooses one that suits the target
+    /// Method; by default one that suits the target
     #[arg(long, value_enum, default_value_t = How::Auto)]
     method: How,
-    /// Work on a mesh with edges of this length instead of the exact shape
+    /// Use a mesh with edges of this length instead of the exact shape
     #[arg(long)]
     mesh_edge_m: Option<f64>,
-    /// Numerical error that is wanted
+    /// Largest numerical error
     #[arg(long, default_value_t = 0.1)]
     tolerance_db: f64,
-    /// Rounds; the fastest is timed
+    /// Rounds; the fastest counts
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

@@ -14,13 +14,13 @@ const STAGE: &str = "range-Doppler map";
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
     /// Rounds; the fastest counts
     #[arg(long, default_value_t = 200)]
     rounds: usize,
-    /// Python with numpy and scipy; `python3` if not given, and nothing beside ours if it has none
+    /// Python with numpy and scipy; `python3` if absent. Without these packages, only radome is measured
     #[arg(long)]
     python: Option<PathBuf>,
 }

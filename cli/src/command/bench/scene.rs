@@ -21,31 +21,31 @@ use crate::source::DEFAULT_SEED;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene file, with `body = "mesh"`: people with skins at several tolerances beside the slow way. Without it, times of frames of
-    /// five scenes beside scipy's maps
+    /// Scene file, with `body = "mesh"`: compare people with skins at several tolerances with dense physical optics. Without it,
+    /// compare the times of frames of five scenes with scipy's maps
     scene: Option<PathBuf>,
-    /// Python with numpy and scipy, and sionna-rt if it is to be timed; `python3` if not given
+    /// Python with numpy and scipy, and sionna-rt to time it too; `python3` if absent
     #[arg(long, conflicts_with = "scene")]
     python: Option<PathBuf>,
-    /// Frames that are also computed the slow way: minutes each
+    /// Number of frames to compute by dense physical optics too, which takes minutes for each
     #[arg(long, value_delimiter = ',', default_value = "10,30,50", requires = "scene")]
     frames: Vec<u64>,
     /// Tolerances, dB
     #[arg(long, value_delimiter = ',', default_value = "2,0.5,0.2", requires = "scene")]
     tolerances_db: Vec<f64>,
-    /// People
+    /// Number of people
     #[arg(long, requires = "scene")]
     people: Option<usize>,
     /// Seed of everything random
     #[arg(long, default_value_t = DEFAULT_SEED, requires = "scene")]
     seed: u64,
-    /// The slow way takes all ways by walls that are louder than this far below noise, dB
+    /// Dense physical optics leaves out paths by walls this far below the noise, dB
     #[arg(long, default_value_t = 10.0, requires = "scene")]
     dense_margin_db: f64,
-    /// Folder in which frames computed the slow way are kept and looked for
+    /// Folder that keeps frames of dense physical optics for later runs
     #[arg(long, requires = "scene")]
     dense_frames: Option<PathBuf>,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

@@ -19,10 +19,10 @@ const TRIANGLES: [f64; 3] = [1280.0, 5120.0, 20480.0];
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
-    /// A picture of errors over times
+    /// Picture to write: errors over times
     #[arg(long)]
     png: Option<PathBuf>,
     /// Rounds; the fastest counts

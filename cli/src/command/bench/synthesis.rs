@@ -22,7 +22,7 @@ pub struct Arguments {
     /// Rounds; the fastest counts
     #[arg(long, default_value_t = 20)]
     rounds: usize,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

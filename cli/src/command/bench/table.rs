@@ -10,13 +10,13 @@ use crate::picture::theme::Theme;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
-    /// A picture: errors over times, a colour a stage
+    /// Picture to write: errors over times, with a colour for each stage
     #[arg(long)]
     png: Option<PathBuf>,
-    /// Python whose scipy, torch and onnxruntime are measured in the same run; `python3` if not given
+    /// Python whose scipy, torch and onnxruntime are measured too; `python3` if absent
     #[arg(long)]
     python: Option<PathBuf>,
 }

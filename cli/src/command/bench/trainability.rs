@@ -12,7 +12,7 @@ use crate::source::DEFAULT_SEED;
 /// `radome bench trainability`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Most qubits; circuits of 1 qubit to so many are measured, 12 at most
+    /// Largest number of qubits, at most 12; circuits of all numbers up to it are measured
     #[arg(long, default_value_t = MOST_QUBITS)]
     qubits: usize,
     /// Repetitions of the trained part, D0,D1,...
@@ -24,7 +24,7 @@ pub struct Arguments {
     /// Seed of the points
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

@@ -11,10 +11,10 @@ pub struct Arguments {
     /// `paper`, a .toml file with the fields of a waveform, a model file, or a recording
     #[arg(default_value = "paper", value_hint = clap::ValueHint::AnyPath)]
     waveform: String,
-    /// The register list that it compiles to, with the names of registers and fields
+    /// Also show the compiled register list, with the names of registers and fields
     #[arg(long)]
     registers: bool,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

@@ -35,34 +35,34 @@ pub struct Arguments {
     /// Recording or SCENE.toml to serve
     #[arg(long, value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath, required_unless_present = "probe")]
     from: Option<String>,
-    /// Be a CMSIS-DAP debug probe, and no board: on a HID gadget's node such as /dev/hidg0, or on a mounted FunctionFS
+    /// Emulate a CMSIS-DAP debug probe instead of a board: on a HID gadget's node such as /dev/hidg0, or on a mounted FunctionFS
     #[arg(long, value_name = "NODE", exclusive = true)]
     probe: Option<PathBuf>,
     /// Protocol of the board
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
-    /// Symbolic link to the pty, so that it has the same path each time; for mcu7-bulk the folder of its endpoints
+    /// Symbolic link to the pseudo-terminal, so that its path is always the same; for mcu7-bulk, folder of the endpoints
     #[arg(long)]
     link: Option<PathBuf>,
-    /// Serve on this instead: a terminal such as a USB gadget's /dev/ttyGS0, or, for mcu7-bulk, a mounted FunctionFS
+    /// Serve on this terminal instead, such as a USB gadget's /dev/ttyGS0; for mcu7-bulk, on a mounted FunctionFS
     #[arg(long, value_name = "PATH", conflicts_with = "link")]
     on: Option<PathBuf>,
-    /// Begin the recording again each time that it ends; counters and time go on
+    /// Repeat the recording without end; counters and time continue
     #[arg(long = "loop")]
     repeat: bool,
-    /// Time that a request takes to reach the board, as over USB; frames do not wait
+    /// Time that a request takes to reach the board, as over USB; frames are not delayed
     #[arg(long, value_name = "MS", default_value = "1.5", value_parser = milliseconds)]
     latency_ms: Duration,
     /// Faults: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
-    /// Times real time; 0 is as fast as the host reads
+    /// Pace, as a multiple of real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0, value_parser = source::not_negative)]
     speed: f64,
     /// Seed of a simulation, and of the board's temperature
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// One object with the path
+    /// Print one JSON object with the path
     #[arg(long)]
     json: bool,
 }

@@ -13,20 +13,20 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 /// `radome board list`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Ask every serial port whether a board is there, not only those whose USB ids are a board's: what hangs there is sent
-    /// requests that it may not know
+    /// Probe every serial port for a board, not only ports with a board's USB ids. Other devices then receive requests that
+    /// they may not know
     #[arg(long, alias = "ask-all")]
     probe: bool,
-    /// Say what is plugged in and unplugged, until stopped
+    /// Report what is plugged in or unplugged, until stopped
     #[arg(long, conflicts_with_all = ["reset", "udev_rules"])]
     watch: bool,
     /// Reset the chip on a debug probe. Former option, replaced by `radome board reset`
     #[arg(long, hide = true, value_name = "PROBE", conflicts_with = "udev_rules")]
     reset: Option<String>,
-    /// Print the udev rules that give every user access
+    /// Print the udev rules that give all users access
     #[arg(long)]
     udev_rules: bool,
-    /// One object a candidate
+    /// Print one JSON object per candidate
     #[arg(long)]
     json: bool,
 }

@@ -13,7 +13,7 @@ use crate::output;
 /// `radome board reset`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Debug probe: its path, its serial number, or the port of the kit that it belongs to
+    /// Debug probe: its path, its serial number, or the port of its kit
     probe: String,
     /// Print one JSON object
     #[arg(long)]

@@ -10,15 +10,15 @@ use crate::shard::Shard;
 /// `radome dataset build`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// TOML file: which map, which sources (fixtures/datasets has examples)
+    /// TOML file with the kind of map and the sources (examples in fixtures/datasets)
     spec: PathBuf,
-    /// Folder to make; with --shard, the folder that the shards come into
+    /// Folder to make; with --shard, the folder for the shards
     #[arg(short, long)]
     output: PathBuf,
     /// Make part I of N (from 0) for `dataset merge`; `auto/N` or `auto` takes I from a Slurm, HyperQueue or Kubernetes array
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -8,13 +8,13 @@ use crate::dataset::merge::merge;
 /// `radome dataset merge`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// All shards of one build, or datasets of the same kind of maps, in the order in which they are to follow
+    /// All shards of one build, or datasets with the same kind of maps, in the order of the result
     #[arg(required = true)]
     parts: Vec<PathBuf>,
     /// Folder to make
     #[arg(short, long)]
     output: PathBuf,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

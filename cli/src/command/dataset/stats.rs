@@ -15,19 +15,19 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// Only the maps of this split; all of them if absent
+    /// Use only the maps of this split; all maps if absent
     #[arg(long, value_enum)]
     split: Option<SplitName>,
-    /// Instead: what the maps show of people, each feature beside its measured value
+    /// Show features of people in the maps instead, each beside its measured value
     #[arg(long)]
     features: bool,
-    /// With --features: recordings of an empty room, or scenes, whose frames show how clutter jitters and drifts
+    /// With --features: recordings of an empty room, or scenes, to measure jitter and drift of static echoes
     #[arg(long, requires = "features", value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     frames: Vec<String>,
-    /// With --features: what was measured; fixtures/features/walking.toml if absent
+    /// With --features: file of measured values; fixtures/features/walking.toml if absent
     #[arg(long, requires = "features", value_name = "FILE")]
     measured: Option<PathBuf>,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

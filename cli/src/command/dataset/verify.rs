@@ -12,10 +12,10 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// Property that no two splits may share beside sequences
+    /// Property, besides the sequence, that no two splits may share
     #[arg(long, value_enum, default_value_t = By::Sequence)]
     by: By,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

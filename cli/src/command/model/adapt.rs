@@ -21,29 +21,29 @@ use crate::output_file::Overwrite;
 pub struct Arguments {
     /// Model file
     model: PathBuf,
-    /// Recordings of the room: with labels of their own, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
-    /// RECORDING=two where all of it shows that. Two or more that show the same are held out in turn: that measures what is gained
+    /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
+    /// RECORDING=two for a recording of one class. Of two or more with the same classes, each is held out in turn to measure the gain
     #[arg(value_name = "RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present_any = ["empty", "curve"])]
     recordings: Vec<String>,
-    /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
+    /// Recording of the empty room, the same as RECORDING=empty; may be given several times
     #[arg(long, value_name = "RECORDING")]
     empty: Vec<PathBuf>,
-    /// Dataset folder with simulated maps to mix in, so that the model keeps what it knows of other rooms
+    /// Dataset folder with simulated maps to mix in, so that the model keeps its accuracy in other rooms
     #[arg(long, value_name = "DATASET")]
     simulated: Option<PathBuf>,
-    /// Accuracy against minutes of labels instead, on the simulated rooms of a file such as fixtures/strangers.toml: the model is
-    /// adapted to each of them and judged on other recordings of it, and of the other rooms
+    /// Measure accuracy against minutes of labels instead, on the simulated rooms of a file such as fixtures/strangers.toml. The
+    /// model is adapted to each room and evaluated on other recordings of this room and of the other rooms
     #[arg(long, value_name = "ROOMS.toml", conflicts_with_all = ["recordings", "empty", "output"])]
     curve: Option<PathBuf>,
-    /// Model file to write; without one, only what would be gained is told
+    /// Model file to write. Without it, only report the gain
     #[arg(short, long)]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Write the model even where it judges recordings that were held out worse than before
+    /// Write the model even if it is worse than before on the held-out recordings
     #[arg(long)]
     force: bool,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

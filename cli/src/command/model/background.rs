@@ -15,7 +15,7 @@ use crate::source::{self, SourceArgs};
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Model that will judge the room
+    /// Model that you will use in the room
     #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
     /// File to write, for `live --background`
@@ -23,10 +23,10 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Seconds to measure, by the frames' own clock
+    /// Duration of the measurement by the frames' own clock, s
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -26,50 +26,49 @@ use crate::output;
 /// `radome model evaluate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model file, or cfar for the classical detector; the first of what follows if not given here. With --ladder several can be
-    /// given
+    /// Model file, or cfar for the classical detector; the first input if this option is absent. With --ladder it may be given
+    /// several times
     #[arg(long)]
     model: Vec<PathBuf>,
-    /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two (two people or
-    /// more), RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it holds labels. Frames
+    /// Dataset folder, or recordings with their labels: RECORDING=empty, RECORDING=one, RECORDING=two (two people or more),
+    /// RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it contains labels. Frames
     /// without a label are left out. With --ladder: further models
     #[arg(value_name = "DATASET|RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present = "ladder")]
     inputs: Vec<String>,
-    /// Each frame of a recording by itself, as a dataset's maps are, rather than as `live` answers: through the causal filter
-    /// over the frames before it
+    /// Evaluate each frame of a recording by itself, as for the maps of a dataset. By default the causal filter over earlier
+    /// frames is applied, as in `live`
     #[arg(long)]
     no_smoothing: bool,
-    /// Ends with status 0 although the model refused some recordings. They are listed and left out either way; without this the
-    /// status is 1
+    /// End with exit status 0 instead of 1 if the model refuses some recordings. They are listed and left out in either case
     #[arg(long)]
     skip_refused: bool,
     /// Split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
-    /// Measures recordings also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's,
+    /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
     /// dB
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
     thermal_snr_db: Vec<f64>,
-    /// Also with parts of the maps replaced by noise of the same level, and with echoes moved and weakened: shows what the model
-    /// goes by
+    /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
+    /// which parts of a map the model relies on
     #[arg(long)]
     ablate: bool,
-    /// A folder of rungs, or one rung: sets of recordings that are simulated and put to all models. Every set differs in one way
-    /// from what models are trained on. Frames in which someone enters or leaves are left out
+    /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
+    /// from training data in one way. Frames in which someone enters or leaves are left out
     #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused"])]
     ladder: Option<PathBuf>,
-    /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
+    /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
     keep: Option<PathBuf>,
-    /// Hours of each rung's rooms without people, which replace its recordings: recordings of six minutes whose seeds are not the
-    /// rung's. They give the false alarms an hour
+    /// Evaluate each rung's rooms without people for this number of hours instead of its recordings, to count false alarms an
+    /// hour. These recordings of six minutes have seeds other than the rung's
     #[arg(long, value_name = "HOURS", requires = "ladder")]
     empty_hours: Option<f64>,
-    /// Also fits the settings of the causal filter to the answers of all models to the ladder, as [smoothing] of a training's
-    /// file takes them
+    /// Also fit the settings of the causal filter to the answers of all models on the ladder; they go under [smoothing] in a
+    /// training's file
     #[arg(long, requires = "ladder", conflicts_with = "empty_hours")]
     fit_smoothing: bool,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

@@ -9,11 +9,11 @@ use crate::{files, output};
 
 /// Text below the options in the help.
 const NOTES: &str = "\
-The input `map` is float32 [batch, 1, range, doppler], standardised; the output `logits` is [batch, 3]: empty, one, two. What \
-maps the model wants and how they are standardised stands in the metadata, as JSON under the key `radome`, so that the file \
-is put to work as the model itself: --model FILE.onnx. That needs onnxruntime:\n\n  \
+The input `map` is float32 [batch, 1, range, doppler], standardised; the output `logits` is [batch, 3]: empty, one, two. The \
+metadata describe the kind of map and its standardisation, as JSON under the key `radome`. You can therefore use the file in \
+place of the model: --model FILE.onnx. This requires onnxruntime:\n\n  \
 pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
-A library of its own is named by ORT_DYLIB_PATH, or that of python3's onnxruntime is taken.\n\n\
+ORT_DYLIB_PATH names the library; without it, the library of python3's onnxruntime is used.\n\n\
 The networks descriptor_linear and descriptor_hqnn have no ONNX form: use their model files.";
 
 /// `radome model export`
@@ -27,7 +27,7 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

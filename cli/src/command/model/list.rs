@@ -2,13 +2,13 @@ use crate::output;
 
 /// Text below the options in the help.
 const NOTES: &str = "\
-hqnn                     the paper's: two convolutions, two numbers, a circuit of two qubits
+hqnn                     the paper's network: two convolutions, two numbers, a circuit of two qubits
 estimator_matched, dequantization, squashed_linear, squashed_dequantization, trigonometric, frozen_angles
                          the same with other heads than a trained circuit
 doppler_net, resnet18, efficientnet_b0, efficientnet_b0_rgb
                          larger networks
-descriptor_linear        43 plain numbers of a map and a linear head: what any other network should be better than
-descriptor_hqnn          the same 43, two numbers and the paper's circuit, or any head of the training spec
+descriptor_linear        43 plain numbers of a map and a linear head: a baseline for all other networks
+descriptor_hqnn          the same 43 numbers, two numbers and the paper's circuit, or any head of the training spec
 
 The last two read maps over their own noise: their training spec needs reference = { over_noise = { skip_range_bins = 3 } }. \
 They have no ONNX form.";
@@ -17,7 +17,7 @@ They have no ONNX form.";
 #[derive(clap::Args)]
 #[command(after_help = NOTES)]
 pub struct Arguments {
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

@@ -13,10 +13,10 @@ pub struct Arguments {
     spec: PathBuf,
     #[command(flatten)]
     array: Array,
-    /// Dataset folder; made by the first task from the study's `dataset` if not given
+    /// Dataset folder. Without it, the first task builds one from the study's `dataset`
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Dataset folder of a condition, which the spec may name or not, as `study` takes it
+    /// Dataset folder of a condition, in the spec or not; see `radome model study`
     #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
     condition: Vec<study::Given>,
 }

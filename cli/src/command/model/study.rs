@@ -26,29 +26,29 @@ use crate::{files, output};
 /// `radome model study`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// TOML file: which networks, seeds, shares of labels and noise
+    /// TOML file with the networks, seeds, shares of labels and noise to compare
     spec: PathBuf,
-    /// Folder of the study: results as they come, report, times and plots. What is there is carried on with
+    /// Folder for results, report, times and plots. The study resumes with the results that it contains
     #[arg(short, long)]
     output: PathBuf,
-    /// Dataset folder; made from the spec's `dataset` if not given
+    /// Dataset folder. Without it, the study builds one from the spec's `dataset`
     #[arg(long)]
     dataset: Option<PathBuf>,
-    /// Dataset folder of a condition, which the spec may name or not: its maps are put to the models without training them again
+    /// Dataset folder of a condition, in the spec or not. The trained models are evaluated on its maps
     #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
     condition: Vec<Given>,
-    /// Only part I of N of the trainings (from 0), in the same folder as the others; `auto/N` or `auto` takes I from a Slurm,
-    /// HyperQueue or Kubernetes array. When all are done, --report-only writes the report
+    /// Do only part I of N of the trainings (from 0), in the same folder as the other parts; `auto/N` or `auto` takes I from a
+    /// Slurm, HyperQueue or Kubernetes array. When all are done, --report-only writes the report
     #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
     shard: Shard,
-    /// The report of what is there, without training anything
+    /// Only write the report of the present results
     #[arg(long)]
     report_only: bool,
-    /// Count the trainings that there are and that are done, and the hours that the others take, by a few steps of each network;
-    /// count the scores under conditions that are left
+    /// Only report the numbers of all trainings and of finished ones, the hours that the others take (by a few steps of each
+    /// network), and the number of scores under conditions that are left
     #[arg(long, conflicts_with_all = ["report_only", "shard"])]
     plan: bool,
-    /// One object a training, and the report; with --plan, one object
+    /// Print one JSON object per training, and the report; with --plan, print one object
     #[arg(long)]
     json: bool,
 }

@@ -20,7 +20,7 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// TOML file with the settings of the training; defaults for what it leaves out
+    /// TOML file with the settings of the training; absent settings have defaults
     #[arg(long)]
     spec: Option<PathBuf>,
     /// Network, as `radome model list` names it; descriptor_linear and descriptor_hqnn need `reference.over_noise` in the spec
@@ -35,13 +35,13 @@ pub struct Arguments {
     /// Seed of initial weights and order
     #[arg(long)]
     seed: Option<u64>,
-    /// The recording (sequence) that alone is the test split
+    /// The only recording (sequence) of the test split
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
-    /// File that holds the training after each epoch; one that is there is carried on with. OUTPUT.checkpoint if not given
+    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: OUTPUT.checkpoint
     #[arg(long)]
     checkpoint: Option<PathBuf>,
-    /// One object an epoch and one at the end
+    /// Print one JSON object per epoch and one at the end
     #[arg(long)]
     json: bool,
 }

@@ -12,17 +12,17 @@ use crate::{files, output};
 /// `radome recording answers`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recording that `live -o` has made
+    /// Recording of `radome live -o`
     recording: PathBuf,
-    /// CSV file to write; without one they go to stdout
+    /// CSV file to write, instead of stdout
     #[arg(short, long, alias = "csv", value_name = "FILE.csv")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Only where the number of people changes
+    /// Show only answers at which the number of people changes
     #[arg(long)]
     changes: bool,
-    /// One object a frame
+    /// Print one JSON object per frame
     #[arg(long, conflicts_with = "output")]
     json: bool,
 }

@@ -20,10 +20,10 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Format to write, where the name does not say
+    /// Format to write, if the name of the output does not determine it
     #[arg(long, value_enum)]
     to: Option<To>,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -32,7 +32,7 @@ pub struct Arguments {
     /// Angle offsets between this board's receivers, from a file that --reflector wrote
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
-    /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: measure the receivers' angle offsets
+    /// Measure the receivers' angle offsets with a reflector at this place, in metres and degrees to the left and up; nothing may move
     #[arg(
         long,
         value_name = "RANGE_M,AZIMUTH_DEG,ELEVATION_DEG",
@@ -41,12 +41,12 @@ pub struct Arguments {
         num_args = 1
     )]
     reflector: Option<Vec<f64>>,
-    /// File for the angle offsets
+    /// File to write the angle offsets to
     #[arg(short, long, requires = "reflector")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// One object a frame
+    /// Print one JSON object per frame
     #[arg(long)]
     json: bool,
 }

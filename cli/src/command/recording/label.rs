@@ -17,19 +17,19 @@ use crate::{labels, output, source};
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").multiple(true))]
 pub struct Arguments {
-    /// Recording of any kind; labels go into an MCAP file, or into a file beside other kinds
+    /// Recording of any kind; labels are stored in an MCAP file, or in a file beside another kind
     recording: PathBuf,
-    /// A stretch of time and what it shows, such as 0.5:12=empty; may be given again and again
+    /// Interval and its label, such as 0.5:12=empty; may be given several times
     #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span)]
     span: Vec<LabelSpan>,
     /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long, group = "what")]
     from: Option<PathBuf>,
-    /// Labels from the frames' own truth, which simulations have, or from a classical detector
+    /// Add labels from the truth of the frames, which simulations have, or from a classical detector
     #[arg(long, value_enum, group = "what")]
     propose: Option<Proposer>,
-    /// Write the labels to this file, .txt or .label, instead of adding them to the recording; without --span, --from and --propose
-    /// those that the recording has
+    /// Write the labels to this file, .txt or .label, instead of adding them to the recording. Without --span, --from and --propose,
+    /// write the labels of the recording
     #[arg(short, long)]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Author of the labels, stored with them
     #[arg(long, requires = "what")]
     who: Option<String>,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

@@ -17,13 +17,13 @@ pub struct Arguments {
     export: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Add the labels of such a file
+    /// Add the labels of a file of these formats
     #[arg(long)]
     import: Option<PathBuf>,
     /// Author of the imported labels, stored with them
     #[arg(long, requires = "import")]
     who: Option<String>,
-    /// A list of objects
+    /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
 }

@@ -40,13 +40,13 @@ pub struct Arguments {
     /// Mean power of all receive channels
     #[arg(long)]
     incoherent: bool,
-    /// Remove what stands still: slow-time mean
+    /// Remove static echoes: subtract the slow-time mean
     #[arg(long)]
     remove_static: bool,
-    /// One map from the last so many frames instead of one from the chirps of each
+    /// Compute one map from this number of last frames, instead of one from the chirps of each frame
     #[arg(long)]
     across_frames: Option<usize>,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

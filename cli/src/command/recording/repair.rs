@@ -13,14 +13,14 @@ use crate::output_file::Overwrite;
     after_help = "Exit status: 0 if all of the file could be read, 3 if chunks or frames of it are lost, 1 if there is no new file."
 )]
 pub struct Arguments {
-    /// MCAP recording that was cut or damaged; it is only read
+    /// Cut or damaged MCAP recording; it is not changed
     file: PathBuf,
     /// MCAP file to write
     #[arg(short, long)]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -8,7 +8,7 @@ use crate::output;
 pub struct Arguments {
     #[command(flatten)]
     settings: Settings,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

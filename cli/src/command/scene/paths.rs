@@ -21,28 +21,28 @@ use crate::{files, output};
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
-    /// Time from the first frame on, s
+    /// Time since the first frame, s
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     time: f64,
-    /// Only paths by way of this person, by the list's number: the first is 0
+    /// List only paths by way of the person with this number; the first is 0
     #[arg(long, value_name = "N")]
     person: Option<usize>,
-    /// People that the scene is forced to have; the scene's own program if absent
+    /// Number of people, instead of the scene's own
     #[arg(long)]
     people: Option<usize>,
     /// Seed of everything random
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// Leave out paths this far below the noise of a cell of the map, dB; simulations with 0.5 dB of error leave out those 10 dB
-    /// below it
+    /// Leave out paths this far below the noise of a cell of the map, dB. Simulations with an error of 0.5 dB leave out paths
+    /// 10 dB below it
     #[arg(long, default_value_t = 10.0, allow_hyphen_values = true)]
     margin_db: f64,
-    /// PNG file to draw the paths of the first receiver into: from above and from the side
+    /// PNG file to write: the paths of the first receiver, from above and from the side
     #[arg(short, long, alias = "preview", value_name = "FILE.png")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }

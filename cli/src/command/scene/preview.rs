@@ -20,7 +20,7 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Frames during which people are drawn
+    /// Number of frames for which people are drawn
     #[arg(long, default_value_t = 400)]
     frames: u64,
     /// Seed of everything random

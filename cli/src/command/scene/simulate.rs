@@ -20,31 +20,31 @@ use crate::{files, kept, output};
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
-    /// MCAP file to write; without one the frames are made, and what it took is told
+    /// MCAP file to write. Without it, simulate the frames and only report the time taken
     #[arg(short, long)]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Frames
+    /// Number of frames
     #[arg(long, default_value_t = 400)]
     frames: u64,
     /// Seed of everything random
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// People that the scene is forced to have; the scene's own program if absent
+    /// Number of people, instead of the scene's own
     #[arg(long)]
     people: Option<usize>,
-    /// Error of the echoes in the maps that is asked for, dB; 0.5 if absent
+    /// Largest error of the echoes in the maps, dB; 0.5 if absent
     #[arg(long)]
     tolerance_db: Option<f64>,
-    /// Only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto` takes I from a
-    /// Slurm, HyperQueue or Kubernetes array
+    /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto`
+    /// takes I from a Slurm, HyperQueue or Kubernetes array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
     /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`
     #[arg(long, hide = true, value_name = "FILE.png")]
     preview: Option<PathBuf>,
-    /// One object at the end
+    /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
 }

@@ -48,7 +48,7 @@ pub struct Settings {
     /// Recording of any kind, or another source with --frames
     #[arg(value_hint = clap::ValueHint::AnyPath)]
     recording: String,
-    /// Scene file: room, furniture, radar, receiver. Its people and waveform are not used
+    /// Scene file with room, furniture, radar and receiver; its people and waveform are not used
     scene: PathBuf,
     /// Dataset folder to make
     #[arg(short, long)]
@@ -56,34 +56,34 @@ pub struct Settings {
     /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long)]
     labels: Option<PathBuf>,
-    /// Number of people wherever no label says otherwise
+    /// Number of people in frames without a label
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
-    /// Positions of people at times when they were not seen: TOML, [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
+    /// TOML file with positions of people when they were not visible: [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
     #[arg(long)]
     waypoints: Option<PathBuf>,
     /// Body height of the people, m
     #[arg(long, default_value_t = 1.75)]
     height_m: f64,
-    /// Those who stay in one place sit
+    /// People who stay in one place are sitting
     #[arg(long)]
     seated: bool,
     /// Kind of map
     #[arg(long, alias = "map", value_enum, default_value_t)]
     preset: MapPreset,
-    /// Name of the pair; the recording's without
+    /// Name of the pair; the name of the recording if absent
     #[arg(long)]
     name: Option<String>,
     /// Name of the person in the recording
     #[arg(long)]
     subject: Option<String>,
-    /// Number of times that the trajectory is corrected by following the mirror
+    /// Number of corrections of the trajectory, each from tracking people in the mirrored scene
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=4))]
     corrections: u8,
     /// End after this many frames
     #[arg(long)]
     frames: Option<u64>,
-    /// Seed of what is random in the mirror
+    /// Seed of the mirrored scene
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
 }

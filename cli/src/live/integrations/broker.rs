@@ -31,8 +31,8 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Options that name a broker.
 #[derive(clap::Args, Default)]
 pub struct BrokerArguments {
-    /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// encrypted. The user may also stand
-    /// in RADOME_MQTT_USER
+    /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// with encryption. RADOME_MQTT_USER may
+    /// name the user instead
     #[arg(long = "mqtt", id = "mqtt", value_name = "URL")]
     url: Option<String>,
     /// File whose first line is the password at the broker; only its owner and group may read it. Without it, the password

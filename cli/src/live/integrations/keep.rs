@@ -23,17 +23,17 @@ use crate::panics::Panicked;
 /// Options of what is kept.
 #[derive(clap::Args, Default)]
 pub struct Arguments {
-    /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: by a button of the hub, by
-    /// POST to /report/empty on the metrics' address, or by SIGUSR1 (false alarm)
+    /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button of the hub, with
+    /// POST to /report/empty on the metrics' address, or with SIGUSR1 (false alarm)
     #[arg(long, value_name = "FOLDER")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to")]
     keep_last_s: f64,
-    /// Memory for it; what does not fit is not kept
+    /// Memory for these frames; older frames are dropped
     #[arg(long, value_name = "MIB", default_value_t = 256, requires = "keep_to")]
     keep_memory_mib: u64,
-    /// Reports are refused when the folder holds so much
+    /// Size of the folder above which reports are refused
     #[arg(long, value_name = "MIB", default_value_t = 4096, requires = "keep_to")]
     keep_disk_mib: u64,
 }

@@ -35,17 +35,17 @@ use super::sink::Sink;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in Home Assistant; also its identity, where no board has one
+    /// Name of the radar in Home Assistant; also its identity if the board has none
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant", requires = "mqtt")]
     mqtt_discovery_prefix: String,
-    /// Certificates to trust the broker by, instead of the system's
+    /// Certificates to verify the broker with, instead of the system's
     #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
     mqtt_ca: Option<PathBuf>,
-    /// Serve /metrics for Prometheus, and /health. Where the network reaches them, --token-file is needed, and Prometheus sends the
-    /// token as authorization: credentials_file
+    /// Serve /metrics for Prometheus, and /health. If the network can reach this address, --token-file is required, and Prometheus
+    /// sends the token as authorization: credentials_file
     #[arg(long, value_name = "ADDRESS:PORT")]
     metrics: Option<SocketAddr>,
     #[command(flatten)]

@@ -11,7 +11,7 @@ pub const WINDOW_S: f64 = 10.0;
 /// `radome scene calibrate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recordings by one receiver with one waveform: MCAP files, Infineon folders or text files
+    /// Recordings of one receiver with one waveform: MCAP files, Infineon folders or text files
     #[arg(required = true, value_name = "RECORDING")]
     pub recordings: Vec<PathBuf>,
     /// Receiver file to write
@@ -19,29 +19,29 @@ pub struct Arguments {
     pub output: Option<PathBuf>,
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// The scene that the recordings show; an empty space without one. Its waveform must be theirs. What stands still in it and
-    /// in them says how strong echoes are, and who moves is compared
+    /// Scene that the recordings show, with their waveform; empty space if absent. Static echoes in the scene and the recordings
+    /// give the strength of echoes, and moving people are compared
     #[arg(long)]
     pub scene: Option<PathBuf>,
-    /// Receiver file that what is not measured is taken from; datasheet typicals without one
+    /// Receiver file with the values that are not measured; typical values of the datasheet if absent
     #[arg(long)]
     pub base: Option<PathBuf>,
-    /// The first part of each recording, to which the receiver is fitted; the rest judges
+    /// Fraction of each recording, from its start, that the receiver is fitted to; the rest tests the fit
     #[arg(long, default_value_t = 0.5, value_name = "0..1")]
     pub part: f64,
-    /// People in the scene; the scene's own number without
+    /// Number of people in the scene, instead of its own
     #[arg(long)]
     pub people: Option<usize>,
-    /// First seed of what is random in the simulated copies
+    /// First seed of the simulated copies
     #[arg(long, default_value_t = DEFAULT_SEED)]
     pub seed: u64,
-    /// Simulated copies of ten seconds, each of another seed
+    /// Number of simulated copies of ten seconds, each with its own seed
     #[arg(long, default_value_t = 16)]
     pub copies: u64,
-    /// Name of the receiver; the first recording's without
+    /// Name of the receiver; the name of the first recording if absent
     #[arg(long)]
     pub name: Option<String>,
-    /// One object
+    /// Print one JSON object
     #[arg(long)]
     pub json: bool,
 }
