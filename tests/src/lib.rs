@@ -67,6 +67,25 @@ pub fn convert(from: &Path, to: &Path) -> Value {
     json_lines(subcommand("recording convert").args([from, to]).arg("--json")).remove(0)
 }
 
+/// Labels of a recording, complete or not.
+///
+/// # Panics
+/// If the program fails.
+pub fn labels_of(recording: &Path) -> Vec<Value> {
+    let list = json_lines(subcommand("recording label --json").arg(recording)).remove(0);
+    list.as_array().expect("a list").clone()
+}
+
+/// Range-Doppler maps of a recording, as an NPY file.
+///
+/// # Panics
+/// If the program fails.
+pub fn maps_of(recording: &Path) -> Vec<u8> {
+    let Output { status, stdout, stderr } = run(subcommand("recording maps -o -").arg(recording));
+    assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
+    stdout
+}
+
 /// Frames of a recording, and the gaps between them.
 ///
 /// # Panics

@@ -16,8 +16,12 @@ fn codes(folder: &Path) -> Vec<u16> {
     npyz::NpyFile::new(BufReader::new(file)).expect("npy").into_vec().expect("u16")
 }
 
-fn desk(frames: usize, fed: &Path) {
-    simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), fed);
+/// Folder with a recording of a simulated desk, and the path of the recording.
+fn fed(frames: usize) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), &fed);
+    (folder, fed)
 }
 
 /// Records frames of a board, which then disconnects for good.
@@ -28,9 +32,7 @@ fn record(_board: Running, source: &str, frames: usize, recorded: &Path) -> Outp
 
 #[test]
 fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(FRAMES + 20, &fed);
+    let (folder, fed) = fed(FRAMES + 20);
     let source = folder.path().join("fed");
     convert(&fed, &source);
     let expected = codes(&source);
@@ -78,9 +80,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
 /// Asserts that a PSoC 6 kit reports its waveform, so that no option has to name one.
 #[test]
 fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(40, &fed);
+    let (folder, fed) = fed(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "deepcraft"]);
     let recorded = folder.path().join("recorded.mcap");
     let summary = json_lines(
@@ -93,9 +93,7 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
 /// program it.
 #[test]
 fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(40, &fed);
+    let (_folder, fed) = fed(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
     let judged = json_lines(radome().args(["live", &format!("serial:{port}"), "--frames", "10", "--json"]));
     assert!(judged.iter().filter(|line| line["probabilities"].is_object()).count() >= 10, "{judged:?}");
@@ -106,9 +104,7 @@ mod hard_cases {
 
     #[test]
     fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let fed = folder.path().join("fed.mcap");
-        desk(80, &fed);
+        let (folder, fed) = fed(80);
         let link = folder.path().join("board").display().to_string();
         let (board, port) =
             emulated_board(&fed, &["--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link", &link]);
@@ -208,9 +204,7 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
 
 #[test]
 fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(60, &fed);
+    let (folder, fed) = fed(60);
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let (other, _) = other_waveform(folder.path());
     let client = Mcu7Board::open(&Address::Serial((&port).into())).expect("a board");
@@ -227,9 +221,7 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
 
 #[test]
 fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(30, &fed);
+    let (folder, fed) = fed(30);
 
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let mut client =
@@ -260,9 +252,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
 
 #[test]
 fn a_link_is_one_boards_and_goes_with_it() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(30, &fed);
+    let (folder, fed) = fed(30);
     let link = folder.path().join("board");
     let link_text = link.display().to_string();
     let arguments = ["--speed", "0", "--loop", "--link", &link_text];
@@ -292,9 +282,7 @@ fn a_link_is_one_boards_and_goes_with_it() {
 
 #[test]
 fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let fed = folder.path().join("fed.mcap");
-    desk(60, &fed);
+    let (folder, fed) = fed(60);
     let (_board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);
     for number in 0..5 {
         let recorded = folder.path().join(format!("killed-{number}.mcap"));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, shared, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 
 fn number(value: &Value) -> f64 {
@@ -89,13 +89,7 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
     let scene = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
     std::fs::write(folder.join("scene.toml"), scene.replace("../receivers/paper.toml", "loud.toml")).expect("written");
     let recording = folder.join(format!("corridor-{seed}.mcap"));
-    let (seed, frames) = (seed.to_string(), frames.to_string());
-    json_lines(
-        subcommand("scene simulate")
-            .arg(folder.join("scene.toml"))
-            .args(["--people", "0", "--seed", &seed, "--frames", &frames, "--json", "-o"])
-            .arg(&recording),
-    );
+    simulate(&folder.join("scene.toml"), &format!("--people 0 --seed {seed} --frames {frames}"), &recording);
     recording
 }
 

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    convert, fails_with, failure, fixture, fixture_text, frames, json_lines, model_of_one_waveform, npy, radome,
-    simulate, subcommand, success,
+    convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of, model_of_one_waveform, npy,
+    radome, simulate, subcommand, success,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -390,8 +390,8 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
         (0..150).filter(|i| at(&truth, f64::from(*i) * 0.1 + 0.05) == at(&found, f64::from(*i) * 0.1 + 0.05)).count();
     assert!(agree > 120, "{agree} of 150 frames: {found}");
     // The recording now contains the labels, and a dataset is built from them.
-    let held = json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0);
-    assert_eq!(held, found);
+    let held = labels_of(&path("one.mcap"));
+    assert_eq!(Some(&held), found.as_array());
 
     // Labels that overlap, run backwards or lie outside the recording are refused by name, and nothing is written.
     for (span, what) in [
@@ -401,7 +401,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     ] {
         fails_with(label("one.mcap").args(["--span", span]), &[what]);
     }
-    assert_eq!(json_lines(subcommand("recording labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
+    assert_eq!(labels_of(&path("one.mcap")), held);
     json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
 
     // A folder keeps its labels beside the samples; a label file is imported.

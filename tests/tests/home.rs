@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, emulated_board, free_port, wait_for};
-use radome_tests::{emulated_corridor, fixture, installed, json_lines, live_command, skip, subcommand};
+use radome_tests::{emulated_corridor, fixture, installed, json_lines, labels_of, live_command, skip, subcommand};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -445,9 +445,9 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
         // Each report covers three seconds, less the frames that the board lost on a busy machine.
         let span_s = (times[times.len() - 1] - times[0]) as f64 * 1e-9;
         assert!((2.0..3.05).contains(&span_s), "{span_s} s");
-        let found = json_lines(subcommand("recording labels").arg(path).arg("--json"));
-        assert_eq!(found[0].as_array().map(Vec::len), Some(1), "{found:?}");
-        labels.push(found[0][0]["label"].as_str().expect("a label").to_owned());
+        let found = labels_of(path);
+        assert_eq!(found.len(), 1, "{found:?}");
+        labels.push(found[0]["label"].as_str().expect("a label").to_owned());
         let frames = json_lines(&mut live_command(path, "--json"));
         let judged = frames.iter().filter(|line| line["sequence"].is_u64()).count();
         assert_eq!(judged, answers.len(), "as many frames as answers");

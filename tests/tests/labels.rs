@@ -5,7 +5,9 @@ use std::process::Command;
 
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, simulate, subcommand, success};
+use radome_tests::{
+    failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
+};
 use serde_json::Value;
 use tungstenite::Message;
 
@@ -14,11 +16,7 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
-    let maps = |name: &str| {
-        json_lines(subcommand("recording maps").arg(path("run.mcap")).arg("--json").arg("-o").arg(path(name)));
-        std::fs::read(path(name)).expect("maps")
-    };
-    let before = maps("before.npy");
+    let before = maps_of(&path("run.mcap"));
     std::fs::write(path("track.txt"), "0.500000\t1.250000\tempty\n1.250000\t3.000000\tone\n").expect("writable");
     let import = ["--who", "a test", "--json", "--import"];
     let spans =
@@ -30,19 +28,11 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     );
     let text = std::fs::read_to_string(path("out.label")).expect("written");
     assert!(text.starts_with("Time(Seconds),Length(Seconds),") && text.contains("1.250000,1.750000,one,"), "{text}");
-    assert_eq!(maps("after.npy"), before);
+    assert!(maps_of(&path("run.mcap")) == before);
 
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
     let said = failure(subcommand("recording labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
-}
-
-/// Labels of a recording, complete or not.
-fn spans(recording: &Path) -> Vec<Value> {
-    match json_lines(subcommand("recording labels").arg(recording).arg("--json")).remove(0) {
-        Value::Array(spans) => spans,
-        other => panic!("{other}"),
-    }
 }
 
 /// Asserts that labels that the page reports as saved are in the file, even if the program is killed.
@@ -57,9 +47,9 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     while !socket.read().expect("a message").is_binary() {}
     for (key, ended) in [("one", 0), ("two", 1), ("empty", 2)] {
         // Waits for more frames, so that the previous label has a length.
-        let before = spans(&made).last().map_or(0.0, |span| span["end_s"].as_f64().expect("a time"));
+        let before = labels_of(&made).last().map_or(0.0, |span| span["end_s"].as_f64().expect("a time"));
         wait_for("a label that grows in the file", || {
-            (ended == 0 || spans(&made).last()?["end_s"].as_f64()? > before).then_some(())
+            (ended == 0 || labels_of(&made).last()?["end_s"].as_f64()? > before).then_some(())
         });
         socket.send(Message::text(format!("{{\"do\":\"label\",\"occupancy\":\"{key}\"}}"))).expect("sent");
         loop {
@@ -75,7 +65,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     }
     // Dropping kills the program by SIGKILL.
     drop(served);
-    let killed = spans(&made);
+    let killed = labels_of(&made);
     let names: Vec<&str> = killed.iter().filter_map(|span| span["label"].as_str()).collect();
     assert!(names == ["one", "two", "empty"] || names == ["one", "two"], "{killed:?}");
     for pair in killed.windows(2) {
@@ -84,7 +74,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let repaired = folder.path().join("repaired.mcap");
     // The program may have been killed within a chunk, which is then lost.
     json_lines_of(subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
-    assert_eq!(spans(&repaired), killed);
+    assert_eq!(labels_of(&repaired), killed);
 }
 
 /// Asserts that the page shows the command that adapts the model by the labels, that it reports missing labels, and

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_tests::running::Running;
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, radome, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
 
 /// Small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -201,8 +201,7 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     assert!(table.contains("replaced by noise") && table.contains("far ranges"), "{table}");
 
     let recording = folder.path().join("one.mcap");
-    let arguments = ["scene", "simulate", "--people", "1", "--seed", "9", "--frames", "6", "--json", "-o"];
-    json_lines(radome().args(arguments).arg(&recording).arg(fixture("scenes/hall.toml")));
+    simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 9 --frames 6", &recording);
     let labelled = format!("{}=one", recording.display());
     let on_recording = |name: &Path| {
         let mut command = subcommand("model evaluate");

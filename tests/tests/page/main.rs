@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
+use radome_tests::{fixture, json_lines, labels_of, live_command, maps_of, radome, simulate, subcommand};
 use serde_json::{Value, json};
 
 /// Simulates a recording of a corridor in which one person walks between two ranges.
@@ -25,12 +25,11 @@ fn replay(recording: &Path, speed: &str) -> Served {
 }
 
 fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
-    let spans = json_lines(subcommand("recording labels").arg(recording).arg("--json")).remove(0);
     let span = |s: &Value| {
         let time = |name: &str| s[name].as_f64().expect("a time");
         (time("start_s"), time("end_s"), s["label"].as_str().expect("a label").to_owned())
     };
-    spans.as_array().expect("a list").iter().map(span).collect()
+    labels_of(recording).iter().map(span).collect()
 }
 
 fn sequence(browser: &mut Browser) -> u64 {
@@ -72,9 +71,7 @@ fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
 fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 8.0, 60);
-    let before = json_lines(
-        subcommand("recording maps").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")),
-    );
+    let before = maps_of(&recording);
     let served = replay(&recording, "1");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
     browser.wait_until("window.radome?.header && radome.labels");
@@ -149,12 +146,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     assert!(served.stop());
     let kept = labels(&recording);
     assert!(kept.len() == 3 && kept[2].2 == "empty" && near(kept[2].0, 3.0) && near(kept[2].1, 3.1), "{kept:?}");
-    let after = json_lines(
-        subcommand("recording maps").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")),
-    );
-    assert_eq!(before[0]["frames"], after[0]["frames"]);
-    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("maps");
-    assert!(read("a.npy") == read("b.npy"), "labels leave frames alone");
+    assert!(maps_of(&recording) == before, "labels leave frames alone");
 }
 
 #[test]
