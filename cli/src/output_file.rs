@@ -83,13 +83,13 @@ mod tests {
 
     #[test]
     fn a_folder_and_a_pattern_give_names_that_are_free() {
-        let folder = std::env::temp_dir().join(format!("radome-dated-{}", std::process::id()));
-        std::fs::create_dir(&folder).expect("creates");
+        let temporary = tempfile::tempdir().expect("a folder");
+        let folder = temporary.path();
         let stamp = "20261122T212200Z";
-        let first = dated_at(&folder, stamp);
+        let first = dated_at(folder, stamp);
         assert_eq!(first, folder.join("20261122T212200Z.mcap"));
         std::fs::write(&first, "").expect("writes");
-        assert_eq!(dated_at(&folder, stamp), folder.join("20261122T212200Z-2.mcap"));
+        assert_eq!(dated_at(folder, stamp), folder.join("20261122T212200Z-2.mcap"));
         let pattern = folder.join("night-{time}.mcap");
         assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z.mcap"));
         std::fs::write(folder.join("night-20261122T212200Z.mcap"), "").expect("writes");
@@ -97,7 +97,6 @@ mod tests {
         // Names without a placeholder stay, and a missing folder is reported when the file is written.
         assert_eq!(dated_at(&folder.join("a.mcap"), stamp), folder.join("a.mcap"));
         assert_eq!(dated_at(Path::new("no/such/"), stamp), Path::new("no/such/20261122T212200Z.mcap"));
-        std::fs::remove_dir_all(&folder).expect("removes");
     }
 
     #[test]
@@ -111,13 +110,13 @@ mod tests {
 
     #[test]
     fn a_file_that_exists_is_refused_and_a_device_is_not() {
-        let path = std::env::temp_dir().join(format!("radome-exists-{}", std::process::id()));
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        Overwrite::default().check(&path).expect("free");
         std::fs::write(&path, "").expect("writes");
         let said = Overwrite::default().check(&path).expect_err("refused").to_string();
         assert!(said.contains("exists already") && said.contains("--overwrite"), "{said}");
         Overwrite { overwrite: true }.check(&path).expect("allowed");
-        std::fs::remove_file(&path).expect("removes");
-        Overwrite::default().check(&path).expect("free");
         if Path::new("/dev/null").exists() {
             Overwrite::default().check(Path::new("/dev/null")).expect("a device");
         }

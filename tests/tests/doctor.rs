@@ -5,7 +5,7 @@ use std::io::{Cursor, Read};
 use std::net::TcpListener;
 use std::path::Path;
 
-use radome_tests::{convert, fixture, json_lines, radome, subcommand};
+use radome_tests::{convert, fixture, help, json_lines, radome, subcommand, success};
 use serde_json::Value;
 
 fn doctor() -> std::process::Command {
@@ -205,11 +205,10 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =
         |name: &str| std::fs::read_to_string(radome_tests::root().join("packaging").join(name)).expect("packaged");
-    let printed = subcommand("board list").arg("--udev-rules").output().expect("runs");
-    assert_eq!(String::from_utf8_lossy(&printed.stdout).trim(), read("udev/70-radome.rules").trim());
+    let (printed, _) = success(subcommand("board list").arg("--udev-rules"));
+    assert_eq!(printed.trim(), read("udev/70-radome.rules").trim());
     let unit = read("systemd/radome.service");
-    let help = radome().args(["live", "--help"]).output().expect("runs");
-    let help = String::from_utf8_lossy(&help.stdout).into_owned();
+    let help = help("live");
     let options: Vec<&str> = unit.split_whitespace().map(|word| word.trim_start_matches("RADOME_OPTIONS=")).collect();
     let options: Vec<&str> =
         options.into_iter().filter(|word| word.starts_with("--m") || word.starts_with("--keep")).collect();

@@ -185,7 +185,6 @@ fn write_all(
 
 #[cfg(test)]
 mod tests {
-    use radome_driver::chip::RegisterList;
     use radome_driver::{BoardError, McapReader};
     use radome_dsp::FrameSource;
 
@@ -198,8 +197,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("run.mcap");
         let waveform = Panicking::after(0).waveform().clone();
-        let header = RecordingHeader { waveform, board: None, registers: RegisterList::new(), judge: None };
-        let recorder = Recorder::create(&path, &header).expect("a file");
+        let recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("a file");
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));

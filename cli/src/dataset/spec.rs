@@ -317,13 +317,11 @@ mod tests {
 
         #[test]
         fn a_spec_that_is_too_long_or_no_file_is_not_read() {
-            let folder = std::env::temp_dir().join(format!("radome-spec-{}", std::process::id()));
-            std::fs::create_dir_all(&folder).expect("a folder");
-            let path = folder.join("set.toml");
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("set.toml");
             std::fs::write(&path, vec![b'#'; (1 << 20) + 1]).expect("written");
             let long = format!("{:#}", BuildSpec::load(&path).expect_err("too long"));
-            let none = format!("{:#}", BuildSpec::load(&folder).expect_err("a folder"));
-            std::fs::remove_dir_all(&folder).expect("removed");
+            let none = format!("{:#}", BuildSpec::load(folder.path()).expect_err("a folder"));
             assert!(long.contains("set.toml") && long.contains("at most 1048576"), "{long}");
             assert!(none.contains("not a regular file"), "{none}");
         }

@@ -249,26 +249,21 @@ impl Writer {
 mod tests {
     use std::time::Instant;
 
-    use radome_driver::chip::RegisterList;
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, Waveform};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
     use crate::panics::tests::{Failing, Panicking};
-
-    fn header(waveform: &Waveform) -> RecordingHeader {
-        RecordingHeader { waveform: waveform.clone(), board: None, registers: RegisterList::new(), judge: None }
-    }
 
     /// Records a source until it ends.
     fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
         let mut pipeline = Pipeline::new();
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
-        let mut sink = RecorderSink::start(path, &header(source.waveform()), &RecorderOptions::default(), inlet)
-            .expect("a recorder");
+        let header = RecordingHeader::new(source.waveform().clone());
+        let mut sink = RecorderSink::start(path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -300,7 +295,8 @@ mod tests {
             on_delay_s: 0.5,
             off_delay_s: 3.0,
         };
-        let header = RecordingHeader { judge: Some(judge), ..header(Panicking::after(0).waveform()) };
+        let waveform = Panicking::after(0).waveform().clone();
+        let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
         let has_gaps = Arc::default();
         // The frames are numbered anew, so no frame has the number of an answer.
@@ -352,9 +348,8 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
-        let waveform = Panicking::after(0).waveform().clone();
-        let mut sink =
-            RecorderSink::start(&path, &header(&waveform), &RecorderOptions::default(), inlet).expect("a recorder");
+        let header = RecordingHeader::new(Panicking::after(0).waveform().clone());
+        let mut sink = RecorderSink::start(&path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");

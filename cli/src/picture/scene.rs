@@ -637,7 +637,7 @@ mod tests {
     #[test]
     fn every_shipped_scene_is_drawn() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes");
-        let file = std::env::temp_dir().join(format!("radome-preview-{}.png", std::process::id()));
+        let file = tempfile::NamedTempFile::new().expect("a file");
         let mut drawn = 0;
         for entry in std::fs::read_dir(folder).expect("folder") {
             let path = entry.expect("entry").path();
@@ -646,13 +646,12 @@ mod tests {
             }
             let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
             let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0, paths: &[] };
-            draw(&preview, &file).expect("a picture");
-            let (_, pixels) = rgb_of(&file);
+            draw(&preview, file.path()).expect("a picture");
+            let (_, pixels) = rgb_of(file.path());
             let inked = pixels.iter().filter(|pixel| **pixel != [255; 3]).count();
             assert!(inked as f64 > 0.1 * pixels.len() as f64, "{}", path.display());
             drawn += 1;
         }
-        std::fs::remove_file(&file).expect("the picture");
         assert!(drawn >= 8);
     }
 
@@ -661,11 +660,10 @@ mod tests {
     fn openings_are_gaps_in_the_plan() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
         let scene = Scene::load(&path).expect("a scene");
-        let file = std::env::temp_dir().join(format!("radome-openings-{}.png", std::process::id()));
+        let file = tempfile::NamedTempFile::new().expect("a file");
         let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 0.1, paths: &[] };
-        draw(&preview, &file).expect("a picture");
-        let (width, pixels) = rgb_of(&file);
-        std::fs::remove_file(&file).expect("the picture");
+        draw(&preview, file.path()).expect("a picture");
+        let (width, pixels) = rgb_of(file.path());
         let [plan, _] = views(&scene);
         let differ = |a: [f64; 2], b: [f64; 2]| {
             let [a, b] = [a, b].map(|[x, y]| plan.at(DVec3::new(x, y, 0.0)));
