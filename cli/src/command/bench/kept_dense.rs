@@ -79,7 +79,7 @@ impl DenseFrame<'_> {
 
     fn compute(&self) -> anyhow::Result<DenseSamples> {
         let [receivers, chirps, _] = self.shape();
-        let bar = output::progress(chirps as u64, "chirps the slow way");
+        let bar = output::progress(chirps as u64, "chirps by dense physical optics");
         let started = Instant::now();
         let chirp = |chirp| {
             if output::interrupted() {

@@ -1,12 +1,10 @@
 //! `radome bench scene`: times of frames, or, for one scene with skinned people, error against time over tolerances.
 
-use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{FrameShape, Window};
-
 use radome_sim::receiver::noise::density_lsb2;
 use radome_sim::scene_file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -81,10 +79,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
     let scene = Scene::load(path)?;
     if scene.file().people.body != BodyFile::Mesh {
-        bail!(
-            "{}: people are ellipsoids, which have no slow way\n\nhint: body = \"mesh\" under [people]",
-            path.display()
-        );
+        bail!("{}: people are ellipsoids, not meshes\n\nhint: body = \"mesh\" under [people]", path.display());
     }
     let simulator = |tolerance_db: f64| {
         let (seed, people) = (arguments.seed, arguments.people);
@@ -171,9 +166,7 @@ fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
 
 /// Mean noise power in the cells of each range.
 fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
-    let energy = |length: usize| -> f64 {
-        (0..length).map(|i| (0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).powi(2)).sum()
-    };
+    let energy = |length: usize| -> f64 { Window::Hann.weights(length).iter().map(|weight| weight.powi(2)).sum() };
     let gain = energy(shape.samples) * energy(shape.chirps);
     density_lsb2.iter().take(shape.samples / 2).map(|d| d * gain).collect()
 }
@@ -181,7 +174,7 @@ fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
 /// Rms error over the cells above noise, dB; number of these cells; and the fraction of them that is more than 1 dB
 /// off.
 fn error(exact: &[Complex64], found: &[Complex64], floor: &[f64], shape: FrameShape) -> (f64, usize, f64) {
-    let (mut squares, mut cells, mut beyond) = (0.0, 0, 0);
+    let (mut squares, mut cells, mut beyond) = (0.0, 0usize, 0usize);
     for (i, (exact, found)) in exact.iter().zip(found).enumerate() {
         if exact.norm_sqr() <= floor[i % (shape.samples / 2)] {
             continue;
@@ -191,6 +184,6 @@ fn error(exact: &[Complex64], found: &[Complex64], floor: &[f64], shape: FrameSh
         cells += 1;
         beyond += usize::from(off_db.abs() > 1.0);
     }
-    let count = f64::from(u32::try_from(cells.max(1)).unwrap_or(u32::MAX));
-    ((squares / count).sqrt(), cells, f64::from(u32::try_from(beyond).unwrap_or(u32::MAX)) / count)
+    let count = cells.max(1) as f64;
+    ((squares / count).sqrt(), cells, beyond as f64 / count)
 }

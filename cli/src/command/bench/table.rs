@@ -66,7 +66,7 @@ fn print(points: &[Point]) -> anyhow::Result<()> {
             significant(point.milliseconds / own_ms)
         ))?;
     }
-    output::text_line("\n* somebody else's")
+    output::text_line("\n* another program or library")
 }
 
 fn duration(milliseconds: f64) -> String {
