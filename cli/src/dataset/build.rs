@@ -58,7 +58,7 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
             let _lock = parts.enter(plan)?;
             let found = parts.make(plan)?;
             match shard {
-                Some(_) => parts.finish_shard(&target)?,
+                Some(_) => rename_synced(&parts.folder, &target)?,
                 None => {
                     merge_units(&parts.folder, &plan.card, 1, &target, |_| parts.folder.clone())?;
                     parts.remove()?;
@@ -173,11 +173,6 @@ impl Parts {
         }
         eprintln!("{made} of {all} units are done and kept in {}", self.folder.display());
         Err(error)
-    }
-
-    /// Gives the units of a shard the shard's name.
-    fn finish_shard(&self, target: &Path) -> anyhow::Result<()> {
-        Ok(rename_synced(&self.folder, target)?)
     }
 
     fn remove(&self) -> anyhow::Result<()> {
