@@ -173,6 +173,16 @@ pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
     command
 }
 
+/// Command that may write this number of blocks to a file, which stands for a full disk. Blocks have 512 bytes or 1 KiB,
+/// depending on the shell.
+pub fn limited(blocks: u32, command: &Command) -> Command {
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\""), "sh"]);
+    shell.arg(command.get_program()).args(command.get_args());
+    shell.current_dir(root());
+    shell
+}
+
 /// SOURCE argument that replays the corridor scene through an emulated board.
 pub fn emulated_corridor() -> String {
     format!("emulated:{}", fixture("scenes/corridor.toml").display())

@@ -7,7 +7,10 @@ use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
-use radome_tests::{convert, failure, fixture, frames, json_lines_of, radome, shared, simulate, subcommand, success};
+use radome_tests::{
+    convert, fails_with, failure, fixture, frames, json_lines_of, limited, radome, shared, simulate, subcommand,
+    success,
+};
 use serde_json::Value;
 
 /// All frames of a recording, and the number of lost frames.
@@ -176,11 +179,9 @@ mod hard_cases {
         simulated(&input, "12");
         for name in ["session", "y.txt", "y.mcap"] {
             let folder = tempfile::tempdir().expect("a folder");
-            let program = radome().get_program().to_owned();
-            let mut shell = std::process::Command::new("sh");
-            shell.args(["-c", "trap '' XFSZ; ulimit -f 1000; exec \"$@\"", "sh"]).arg(program);
-            let said = failure(shell.args(["recording", "convert"]).arg(&input).arg(folder.path().join(name)));
-            assert!(said.contains(name) && said.contains("cannot be"), "{said}");
+            let output = folder.path().join(name);
+            let mut convert = limited(1000, subcommand("recording convert").arg(&input).arg(output));
+            fails_with(&mut convert, &[name, "cannot be"]);
             assert!(left_over(folder.path()).is_empty());
         }
     }

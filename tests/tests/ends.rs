@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{failure, fixture, frames, outcome, radome, simulate, skip, subcommand};
+use radome_tests::{failure, fixture, frames, limited, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Simulates a desk recording with this number of frames.
@@ -293,15 +293,6 @@ mod full_disk {
     /// others do not.
     const FRAMES: u64 = 240;
     const BLOCKS: u32 = 120;
-
-    /// Command that may write this number of blocks to a file. Blocks have 512 bytes or 1 KiB, depending on the shell.
-    fn limited(blocks: u32, command: &Command) -> Command {
-        let mut shell = Command::new("sh");
-        shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\""), "sh"]);
-        shell.arg(command.get_program()).args(command.get_args());
-        shell.current_dir(radome_tests::root());
-        shell
-    }
 
     fn first_cause(said: &str) {
         let error = said.lines().find(|line| line.starts_with("error: ")).unwrap_or_else(|| panic!("no error: {said}"));
