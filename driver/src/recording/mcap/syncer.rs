@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
+use crossbeam::channel::{Receiver, SendTimeoutError, Sender, bounded, select};
 
 use crate::recording::{RecordingError, disk};
 
@@ -53,6 +53,14 @@ impl Failure {
 
     fn sync(source: &io::Error) -> Self {
         Failure::io("cannot be brought to the disk", source)
+    }
+
+    /// Failure of a thread that has ended with this outcome.
+    fn ended(outcome: Option<io::Result<()>>) -> Self {
+        match outcome {
+            Some(Err(source)) => Failure::sync(&source),
+            _ => Failure::sync(&io::Error::other("the thread that syncs has ended")),
+        }
     }
 
     /// Converts the failure to an error that names the recording.
@@ -122,19 +130,17 @@ impl Syncer {
             Err(SendTimeoutError::Timeout(_)) => return Err(Failure::Stalled(self.patience)),
             Err(SendTimeoutError::Disconnected(_)) => return Err(self.ended()),
         }
-        match is_done.recv_timeout(self.patience) {
-            Ok(()) => Ok(()),
-            Err(RecvTimeoutError::Timeout) => Err(Failure::Stalled(self.patience)),
-            Err(RecvTimeoutError::Disconnected) => Err(self.ended()),
+        // A thread that fails at this moment leaves the request in the queue, so its outcome is awaited, too.
+        select! {
+            recv(is_done) -> done => done.map_err(|_| self.ended()),
+            recv(self.outcome) -> outcome => Err(Failure::ended(outcome.ok())),
+            default(self.patience) => Err(Failure::Stalled(self.patience)),
         }
     }
 
     /// Returns the failure that ended the thread.
     fn ended(&self) -> Failure {
-        match self.outcome.recv_timeout(self.patience) {
-            Ok(Err(source)) => Failure::sync(&source),
-            _ => Failure::sync(&io::Error::other("the thread that syncs has ended")),
-        }
+        Failure::ended(self.outcome.recv_timeout(self.patience).ok())
     }
 }
 
