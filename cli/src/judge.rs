@@ -42,8 +42,19 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
     Ok(if is_built_in(name) {
         radome_models::Model::from_bytes(name, BUILT_IN_FILE)?
     } else {
+        check_exists(name)?;
         radome_models::Model::load(name)?
     })
+}
+
+/// Checks that a model's file is there.
+fn check_exists(name: &Path) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        name.exists(),
+        "{}: there is no such model\n\nhint: name a model's file, or {BUILT_IN}, which is built in",
+        name.display()
+    );
+    Ok(())
 }
 
 /// Returns whether a name is that of the built-in model, with no file of that name.
@@ -140,6 +151,7 @@ impl Model {
         if is_built_in(name) {
             return Ok(Model::Network(Box::new(Classifier::new(network(name)?))));
         }
+        check_exists(name)?;
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
 

@@ -438,7 +438,9 @@ mod hard_cases {
                 let board = board(&waveform(&[1], 8, 64, 0.1), 1, kind, &[fault]);
                 Mcu7Board::open(board.address()).err().expect("refused")
             };
-            assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
+            let silent = open(Fault::ForeignChip(0));
+            assert!(matches!(silent, BoardError::ChipSilent { .. }));
+            assert!(silent.to_string().contains("does not answer"), "{silent}");
             assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
             assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
             let error = open(Fault::WrongVersion(5)).to_string();

@@ -148,7 +148,9 @@ mod hard_cases {
         let bytes = record(&path);
         let both = [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")];
         std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("writes");
-        assert!(matches!(set_labels(&path, &both), Err(RecordingError::Unfinished { .. })));
+        let error = set_labels(&path, &both).expect_err("not finished");
+        assert!(matches!(error, RecordingError::Unfinished { .. }), "{error}");
+        assert!(error.to_string().contains("radome recording repair"), "{error}");
         let mut damaged = bytes.clone();
         let (start, end) = chunks(&bytes)[2];
         damaged[(start + end) / 2] ^= 1;

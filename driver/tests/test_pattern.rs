@@ -1,7 +1,7 @@
 //! Test of the chip's test pattern through registers, board, link and unpacking.
 
 use radome_driver::chip::test_pattern::PatternCheck;
-use radome_driver::{Address, Fault, Kind, Mcu7Board};
+use radome_driver::{Fault, Kind, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 use crate::common::{Pattern, board, waveform};
@@ -9,10 +9,7 @@ use crate::common::{Pattern, board, waveform};
 /// Result of the check over a number of frames, and the last of them.
 fn check(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (PatternCheck, Frame) {
     let board = board(waveform, u64::MAX, Kind::default(), faults);
-    let mut stream = Mcu7Board::open(&Address::Serial(board.path().into()))
-        .expect("opens")
-        .start_test_pattern(waveform)
-        .expect("starts");
+    let mut stream = Mcu7Board::open(board.address()).expect("opens").start_test_pattern(waveform).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut check, mut received) = (PatternCheck::new(), 0);
     while received < frames {

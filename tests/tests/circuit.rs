@@ -25,9 +25,9 @@ fn values_and_gradients_agree_with_qiskit() {
                 assert!((got[key].as_f64().expect("number") - want).abs() < 1e-12, "{point}");
                 for (gradient, by) in [("grad_theta", "theta"), ("grad_x", "x")] {
                     let got = numbers(&got[format!("{key}_grad_{by}")]);
-                    for (got, want) in got.iter().zip(numbers(&point[gradient][name])) {
-                        assert!((got - want).abs() < 1e-9, "{point}");
-                    }
+                    let want = numbers(&point[gradient][name]);
+                    assert_eq!(got.len(), want.len(), "{point}");
+                    assert!(got.iter().zip(want).all(|(got, want)| (got - want).abs() < 1e-9), "{point}");
                 }
             }
         }

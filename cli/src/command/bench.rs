@@ -34,7 +34,7 @@ enum Stage {
     Solver(solver::Arguments),
     /// Measure samples from paths: 128 chirps of 256 samples on one thread; compare with the sum of exponentials
     Synthesis(synthesis::Arguments),
-    /// Measure frames of scenes; compare with scipy's maps, or people with skins in one scene with dense physical optics
+    /// Measure frames of scenes beside scipy's maps; with a SCENE, people with skins beside dense physical optics
     Scene(scene::Arguments),
     /// Measure a training step of the networks with maps of 128 x 128; compare with PyTorch
     Train(networks::Arguments),

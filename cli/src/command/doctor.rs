@@ -21,8 +21,8 @@ pub use wire::WireLog;
 /// `radome doctor`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ... Without it, only identify attached
-    /// boards
+    /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ... Without it, attached boards
+    /// are only identified
     #[arg(value_hint = clap::ValueHint::AnyPath)]
     source: Option<String>,
     /// Model to check: whether it can be read, and whether it fits the source

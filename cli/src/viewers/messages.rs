@@ -45,7 +45,7 @@ macro_rules! field_type {
     };
 }
 
-/// Defines a message, whose fields are numbered from 1 on, and the constant that describes its type.
+/// Defines a message, whose fields are numbered from 1 on (new ones go last), and the constant that describes its type.
 macro_rules! message {
     (
         $(#[$doc:meta])*

@@ -72,7 +72,7 @@ fn folder() -> PathBuf {
     std::env::temp_dir().join(format!("radome-board-{}-{next}", std::process::id()))
 }
 
-fn place(options: &EmulatorOptions) -> Result<HostLine, EmulatorError> {
+fn host_line(options: &EmulatorOptions) -> Result<HostLine, EmulatorError> {
     match (options.kind, &options.terminal) {
         (Kind::Mcu7Bulk, Some(path)) => Err(EmulatorError::NoTerminal { path: path.clone() }),
         (Kind::Mcu7Bulk, None) => Ok(HostLine::Endpoints(options.link.clone().unwrap_or_else(folder))),
@@ -94,16 +94,16 @@ impl EmulatedBoard {
         {
             return Err(EmulatorError::Speed { speed });
         }
-        let place = place(&options)?;
+        let line = host_line(&options)?;
         let claim = options.link.as_deref().map(port::claim).transpose()?;
         let shared = Arc::new(Shared::default());
         let mut firmware = firmware(feed, &options, &shared)?;
-        let what = place.description();
-        let address = match &place {
+        let what = line.description();
+        let address = match &line {
             HostLine::Pseudoterminal { .. } | HostLine::Terminal(_) => None,
             HostLine::Endpoints(folder) => Some(Address::Usb(UsbAddress::Emulated(folder.clone()))),
         };
-        let mut wire = Wire::new(place, &options, shared.clone()).map_err(|source| match &options.link {
+        let mut wire = Wire::new(line, &options, shared.clone()).map_err(|source| match &options.link {
             Some(link) if source.kind() == ErrorKind::AlreadyExists => EmulatorError::LinkExists { link: link.clone() },
             _ => EmulatorError::Line { what, source },
         })?;

@@ -46,7 +46,7 @@ pub(super) trait Firmware {
 /// Line to the host.
 pub(super) struct Wire {
     port: Port,
-    place: HostLine,
+    line: HostLine,
     faults: Vec<Fault>,
     /// A message to be sent after its successor.
     held: Vec<u8>,
@@ -77,10 +77,10 @@ pub(super) enum FaultAction {
 
 impl Wire {
     /// Opens the line: plugs the board in.
-    pub fn new(place: HostLine, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
+    pub fn new(line: HostLine, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
         let wire = Wire {
-            port: place.open()?,
-            place,
+            port: line.open()?,
+            line,
             faults: options.faults.clone(),
             held: Vec::new(),
             out: Vec::new(),
@@ -97,7 +97,7 @@ impl Wire {
     }
 
     fn make_link(&self) -> std::io::Result<()> {
-        match &self.place {
+        match &self.line {
             HostLine::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
             _ => Ok(()),
         }
@@ -105,7 +105,7 @@ impl Wire {
 
     /// Removes the link, unless the link of another board has replaced it.
     fn remove_link(&self) -> std::io::Result<()> {
-        match &self.place {
+        match &self.line {
             HostLine::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
             _ => Ok(()),
         }
@@ -296,10 +296,10 @@ impl Wire {
     /// Unplugs the board and plugs it in later at the same place: a terminal under another name.
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut is_back = None;
-        match &self.place {
+        match &self.line {
             HostLine::Pseudoterminal { .. } => {
                 // Opened before the old one is closed, so that it has another name.
-                is_back = Some(self.place.open()?);
+                is_back = Some(self.line.open()?);
                 self.remove_link()?;
             }
             HostLine::Terminal(_) | HostLine::Endpoints(_) => {}
@@ -313,7 +313,7 @@ impl Wire {
             is_stopped = self.shared.stop.load(Ordering::Acquire);
             if Instant::now() >= end && is_back.is_none() {
                 // The terminal of a gadget may be absent for a while.
-                is_back = self.place.open().ok();
+                is_back = self.line.open().ok();
             }
         }
         if let Some(mut port) = is_back {
@@ -342,7 +342,7 @@ impl Wire {
 
     /// Path for the host.
     pub fn path(&self) -> &Path {
-        match &self.place {
+        match &self.line {
             HostLine::Pseudoterminal { link: Some(link) } => link,
             _ => self.port.path(),
         }
@@ -353,7 +353,7 @@ impl Drop for Wire {
     /// The system will use the terminal's name again: no link may point to it.
     fn drop(&mut self) {
         if let Err(error) = self.remove_link() {
-            tracing::warn!(%error, place = %self.place.description(), "the link could not be removed");
+            tracing::warn!(%error, line = %self.line.description(), "the link could not be removed");
         }
     }
 }

@@ -56,12 +56,9 @@ pub enum RecordingError {
         "{path}: cut short at byte {offset}: {whole_frames} whole frames can be read, {expected_frames} were promised"
     )]
     Truncated { path: PathBuf, offset: u64, whole_frames: u64, expected_frames: u64 },
-    /// The file was never finished and ends within a record.
-    #[error(
-        "{path}: the recording was not finished: its last whole chunk ends at byte {offset}; radome recording repair FILE -o OUT \
-         makes a finished one"
-    )]
-    Unfinished { path: PathBuf, offset: u64 },
+    /// The file was never finished.
+    #[error("{path}: the recording was not finished; radome recording repair FILE -o OUT makes a finished one")]
+    Unfinished { path: PathBuf },
     /// The file was written by a newer program.
     #[error("{path}: format version {got}, this program reads up to {supported}; update it")]
     Newer { path: PathBuf, got: String, supported: &'static str },

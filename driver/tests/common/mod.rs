@@ -48,14 +48,10 @@ pub fn cases(count: u32) -> ProptestConfig {
 
 /// Options of an emulated board with these faults that sends as fast as it is read.
 pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
-    EmulatorOptions {
-        pace: Pace::AsFastAsRead,
-        kind,
-        faults: faults.to_vec(),
-        // Faults are counted in messages, whose number must not depend on the time of a request.
-        latency: Duration::ZERO,
-        ..EmulatorOptions::default()
-    }
+    let usual = EmulatorOptions::default();
+    // Faults of DEEPCRAFT are counted in messages, whose number must not depend on the time of a request.
+    let latency = if kind == Kind::Deepcraft { Duration::ZERO } else { usual.latency };
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), latency, ..usual }
 }
 
 /// The same with the board's link in this folder, since the terminal number of a closed board is soon reused.

@@ -17,6 +17,11 @@ pub enum DatasetError {
     /// A file operation failed.
     #[error("{path}: {action} failed: {source}")]
     Io { path: PathBuf, action: &'static str, source: std::io::Error },
+    /// There is no dataset here.
+    #[error(
+        "{path}: this is no dataset, which is a folder with dataset.json in it\n\nhint: radome dataset build SPEC.toml -o FOLDER makes one"
+    )]
+    NoDataset { path: PathBuf },
     /// The folder to create exists already.
     #[error("{path} exists already\n\nhint: choose another name or move it away")]
     Exists { path: PathBuf },

@@ -207,6 +207,9 @@ fn read(dir: &Path, name: &str, limit_bytes: u64) -> Result<(PathBuf, String), D
 
 /// Reads `dataset.json`, and checks that its entries agree.
 fn read_header(dir: &Path) -> Result<DatasetHeader, DatasetError> {
+    if !dir.join("dataset.json").exists() {
+        return Err(DatasetError::NoDataset { path: dir.to_owned() });
+    }
     let (path, text) = read(dir, "dataset.json", TEXT_LIMIT_BYTES)?;
     let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
     // Reads the version alone first: a newer header may have other fields.

@@ -182,7 +182,7 @@ impl Parameters {
                     candle_core::bail!("parameter {name} has {} values, expected {:?}", numbers.len(), variable.dims());
                 }
                 None if is_transient(name) => {}
-                None => candle_core::bail!("parameter {name} is missing"),
+                None => candle_core::bail!("parameter {name} {:?} is missing", variable.dims()),
             }
         }
         self.set_statistics(values)

@@ -19,9 +19,9 @@ use super::sin_cos;
 pub struct CircuitPoint {
     /// `[<ZI>, <IZ>]`: Z on qubit 1 and Z on qubit 0.
     pub expectations: [f64; 2],
-    /// `[observable][angle]`
+    /// Derivatives of the expectations by the angles, `[observable][angle]`.
     pub by_theta: [[f64; 4]; 2],
-    /// `[observable][input]`
+    /// Derivatives of the expectations by the inputs, `[observable][input]`.
     pub by_x: [[f64; 2]; 2],
 }
 

@@ -24,21 +24,27 @@ fn cosine_and_sine(m: usize, length_m: f64, q_per_m: f64) -> [Complex64; 2] {
     [0.5 * (up + down), (up - down) / Complex64::new(0.0, 2.0)]
 }
 
+/// Largest number of modes that are summed: a second's work.
+const MOST_MODES: f64 = 1e7;
+
 /// Cross-section of a conducting cavity of this width (y), height (z) and depth, open towards +x, for a far radar, m^2.
+/// `None` if the aperture is so large that it has more than ten million modes.
 ///
 /// With `I_n = int (E x h_n - e_n x H) . x` over the aperture, and `Y_n` the admittance of mode n, the reaction of the
 /// returning modes with the wave of the receiver is `V = -sum I_n^2 e^{-2j beta_n d}/(2 Y_n)`; the cross-section is
 /// `k^2 |V|^2/4 pi`, with admittances relative to that of free space.
-pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64) -> f64 {
+pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64) -> Option<f64> {
     let k = setup.wavenumber_per_m();
     let towards = setup.towards();
     let electric = setup.path(DVec3::ZERO).tx_polarisation;
     let magnetic = electric.cross(towards);
     let highest = |length_m: f64| (k * length_m / PI) as usize;
+    (highest(width_m) as f64 * highest(height_m) as f64 <= MOST_MODES).then_some(())?;
     let mut reaction = Complex64::ZERO;
+    let upright: Vec<_> = (0..=highest(height_m)).map(|n| cosine_and_sine(n, height_m, k * towards.z)).collect();
     for m in 0..=highest(width_m) {
         let [cos_y, sin_y] = cosine_and_sine(m, width_m, k * towards.y);
-        for n in 0..=highest(height_m) {
+        for (n, &[cos_z, sin_z]) in upright.iter().enumerate() {
             let (across, up) = (m as f64 * PI / width_m, n as f64 * PI / height_m);
             let cutoff_square = across * across + up * up;
             let along_square = k * k - cutoff_square;
@@ -46,7 +52,6 @@ pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64
                 continue;
             }
             let along = along_square.sqrt();
-            let [cos_z, sin_z] = cosine_and_sine(n, height_m, k * towards.z);
             let halves = if m == 0 { 1.0 } else { 2.0 } * if n == 0 { 1.0 } else { 2.0 };
             let scale = (halves / (width_m * height_m * cutoff_square)).sqrt();
             let (y, z) = (scale * cos_y * sin_z, scale * sin_y * cos_z);
@@ -62,5 +67,5 @@ pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64
             }
         }
     }
-    k * k * reaction.norm_sqr() / (2.0 * TAU)
+    Some(k * k * reaction.norm_sqr() / (2.0 * TAU))
 }

@@ -53,7 +53,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
         Target::Cavity { width_m, height_m, depth_m } => {
             conductor(setup)?;
             (far && d.x > 0.0).then_some(())?;
-            (cavity::cross_section_m2(setup, width_m, height_m, depth_m), "waveguide modes, far field")
+            (cavity::cross_section_m2(setup, width_m, height_m, depth_m)?, "waveguide modes, far field")
         }
         Target::Sphere { radius_m } => match setup.range_m {
             None => match setup.boundary {

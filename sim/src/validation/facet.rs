@@ -22,7 +22,7 @@ pub struct Sample {
     pub length_m: f64,
     /// Integrand without the phase of the path; zero in the shadow.
     pub amplitude: Complex64,
-    /// Whether both ends see the point's front.
+    /// Whether the transmitter, or its image, sees the point's front.
     pub lit: bool,
 }
 

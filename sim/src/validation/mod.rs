@@ -9,7 +9,8 @@
 //! solved to a tolerance. Far from the target the cross-section is the textbook's. Near it, the cross-section is the
 //! one that a radar at that range would report: `4 pi (k/2 pi)^2 |I|^2 R^4`. The range is measured to the target's
 //! reference point: the middle of a plate or of an aperture, the corner of a dihedral or trihedral, the pole of a mirror,
-//! and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit field in every direction.
+//! and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit field in
+//! every direction.
 
 pub mod bistatic_path;
 pub mod cavity;
@@ -237,7 +238,7 @@ pub enum Method {
     Skin,
     /// Physical optics over facets, cut until the phase is nearly linear inside each.
     Facets,
-    /// Images by every sequence of plane faces, with physical optics on the last: corners.
+    /// Images by every sequence of plane faces, with physical optics on the last: corners and cavities.
     Images,
     /// Physical optics summed over a grid of patches of constant phase: the slow reference.
     Dense,
@@ -329,6 +330,21 @@ pub enum RcsError {
         range_m: f64,
         /// Least range.
         reach_m: f64,
+    },
+    /// The radar does not look into the aperture of a cavity.
+    #[error(
+        "the radar does not look into the aperture of the cavity, which opens towards +x\n\nhint: choose an azimuth and an elevation that are less than 90 degrees from it"
+    )]
+    BesideAperture,
+    /// A wave takes too many bounces in a cavity.
+    #[error(
+        "the wave takes {bounces} bounces in the cavity, and at most {most} are followed\n\nhint: look closer along its axis, or make it less deep"
+    )]
+    TooManyBounces {
+        /// Bounces from the aperture and back.
+        bounces: f64,
+        /// Largest number.
+        most: usize,
     },
     /// The method does not suit the target.
     #[error(

@@ -89,8 +89,8 @@ impl Problem {
     /// by their normals.
     ///
     /// # Errors
-    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target, the method does not suit
-    /// the target, or the mesh would be empty or too fine.
+    /// [`RcsError`] if a length or an angle is out of range, the radar is inside the target or beside its aperture, the
+    /// method does not suit the target, waves bounce too often in it, or the mesh would be empty or too fine.
     pub fn new(target: &Target, setup: &Setup, method: Method, mesh_edge_m: Option<f64>) -> Result<Self, RcsError> {
         check("the frequency", setup.frequency_hz, "Hz", 1e8, 1e12)?;
         check("the azimuth", setup.azimuth_rad, "rad", -10.0, 10.0)?;
@@ -340,10 +340,14 @@ fn cavity_bounces(setup: &Setup, across_m: [f64; 2], depth_m: f64) -> Result<usi
         None => [towards.y.abs(), towards.z.abs(), towards.x],
         Some(r) => [r * towards.y.abs() + half_width_m, r * towards.z.abs() + half_height_m, r * towards.x],
     };
-    check("the radar's distance from the plane of the aperture", x_m, "m", 1e-6, f64::MAX)?;
+    if x_m < 1e-6 {
+        return Err(RcsError::BesideAperture);
+    }
     let across = |slope_m: f64, size_m: f64| (2.0 * depth_m * slope_m / (x_m * size_m)).ceil();
     let bounces = 1.0 + across(y_m, across_m[0]) + across(z_m, across_m[1]);
-    check("the number of bounces in the cavity", bounces, "", 1.0, MAX_ORDER as f64)?;
+    if bounces > MAX_ORDER as f64 {
+        return Err(RcsError::TooManyBounces { bounces, most: MAX_ORDER });
+    }
     Ok(bounces as usize)
 }
 
@@ -436,7 +440,7 @@ fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
             shape::mirror(radius_m, 0.5 * aperture_m, edge_m)
         }
         Target::Surface { ref surface } => surface.clone(),
-        // Corners are represented by faces, never by meshes.
+        // Corners and cavities are represented by faces, never by meshes.
         Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Cavity { .. } => Surface::default(),
     })
 }

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// Along z (cavity: 0.05)
     #[arg(long)]
     height_m: Option<f64>,
-    /// Depth of a cavity
+    /// Depth (cavity: 0.05)
     #[arg(long)]
     depth_m: Option<f64>,
     /// Length of a trihedral's edges
@@ -75,7 +75,7 @@ pub struct Arguments {
     /// Use a mesh with edges of this length instead of the exact shape
     #[arg(long)]
     mesh_edge_m: Option<f64>,
-    /// Largest numerical error
+    /// Numerical error to aim for, dB
     #[arg(long, default_value_t = 0.1)]
     tolerance_db: f64,
     /// Rounds; the fastest counts

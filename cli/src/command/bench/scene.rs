@@ -25,7 +25,7 @@ pub struct Arguments {
     /// Python with numpy and scipy, and sionna-rt to time it too; `python3` if absent
     #[arg(long, conflicts_with = "scene")]
     python: Option<PathBuf>,
-    /// Number of frames to compute by dense physical optics too, which takes minutes for each
+    /// Indices of the frames to compute by dense physical optics too, which takes minutes for each
     #[arg(long, value_delimiter = ',', default_value = "10,30,50", requires = "scene")]
     frames: Vec<u64>,
     /// Tolerances, dB

@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Remove static echoes: subtract the slow-time mean
     #[arg(long)]
     remove_static: bool,
-    /// Compute one map from this number of last frames, instead of one from the chirps of each frame
+    /// Compute each map from this number of frames up to its own, instead of from the chirps of one frame
     #[arg(long)]
     across_frames: Option<usize>,
     /// Print one JSON object at the end

@@ -34,7 +34,7 @@ pub struct Arguments {
     /// Number of people, instead of the scene's own
     #[arg(long)]
     people: Option<usize>,
-    /// Largest error of the echoes in the maps, dB; 0.5 if absent
+    /// Error of the echoes in the maps to aim for, rms over the cells above noise, dB; 0.5 if absent
     #[arg(long)]
     tolerance_db: Option<f64>,
     /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto`

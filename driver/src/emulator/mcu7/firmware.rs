@@ -108,7 +108,12 @@ impl Requests {
 
     /// Computes the payload of the answer, or the error status.
     pub fn answer(&mut self, request: &Request) -> Result<Vec<u8>, Status> {
-        Command::from_request(request).and_then(|command| self.run(&command))
+        let command = Command::from_request(request);
+        // A configuration that is refused stops the data, too.
+        if command == Err(Status::InvalidParameter) {
+            self.data_started = false;
+        }
+        command.and_then(|command| self.run(&command))
     }
 
     fn run(&mut self, command: &Command) -> Result<Vec<u8>, Status> {

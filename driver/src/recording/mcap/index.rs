@@ -1,6 +1,8 @@
 //! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use mcap::records::{Record, op};
 
@@ -61,10 +63,7 @@ impl Index {
             index.drop_torn_end(records, channels)?;
         }
         if !index.complete && index.end.is_none() {
-            tracing::warn!(
-                "{}: never finished: it is read up to its last whole chunk; radome recording repair makes a finished one",
-                records.path.display()
-            );
+            warn_of_missing_end(&records.path);
         }
         index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
         Ok(index)
@@ -187,6 +186,17 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
             }
             Next::CutShort => return Ok(index),
         }
+    }
+}
+
+/// Warns that a recording has no end, once a process: a command opens a recording several times.
+fn warn_of_missing_end(path: &Path) {
+    static WARNED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+    if WARNED.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned()) {
+        tracing::warn!(
+            "{}: not finished, or still being recorded: it is read up to its last whole chunk; radome recording repair makes a finished one",
+            path.display()
+        );
     }
 }
 

@@ -119,7 +119,7 @@ pub fn stage_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingEr
 /// Offset of the DATA_END record of a finished recording.
 fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     let length = records.length;
-    let unfinished = RecordingError::Unfinished { path: records.path.clone(), offset: length };
+    let unfinished = RecordingError::Unfinished { path: records.path.clone() };
     let Some(summary_start) = summary_start(records)? else { return Err(unfinished) };
     let no_summary = || records.corrupt(length, "its summary is not where its footer says".into());
     let end = summary_start.checked_sub(DATA_END_BYTES).filter(|_| summary_start <= length - FOOTER);

@@ -191,3 +191,17 @@ impl Work {
         done
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The request is still in the queue of a thread that has just failed.
+    #[test]
+    fn a_failure_while_its_end_is_awaited_is_said_at_once() {
+        let ((requests, _queue), (sender, outcome)) = (bounded(1), bounded(1));
+        sender.send(Err(io::Error::from_raw_os_error(5))).expect("room for one");
+        let syncer = Syncer { requests, outcome, since: Arc::default(), patience: Duration::from_secs(600) };
+        assert!(matches!(syncer.wait(), Err(Failure::Io { code: Some(5), .. })));
+    }
+}
