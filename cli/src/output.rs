@@ -2,10 +2,13 @@
 
 use std::io::{IsTerminal, Read, StdoutLock, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 
 /// Writes one JSON object on a line of its own, and flushes it.
 ///
@@ -109,7 +112,11 @@ pub fn progress(length: u64, what: &'static str) -> ProgressBar {
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Makes Ctrl-C and SIGTERM request an orderly end; a second one ends the program at once.
+/// Time after the first signal in which others are taken for the same: a terminal that closes sends several.
+const SAME_SIGNAL: Duration = Duration::from_secs(1);
+
+/// Makes Ctrl-C, SIGTERM and a closed terminal request an orderly end; a later second one ends the program at once.
+/// Under `nohup` the terminal's end is ignored.
 ///
 /// # Errors
 /// The system refuses the handler.
@@ -119,12 +126,27 @@ pub fn catch_interrupts() -> anyhow::Result<()> {
     if CAUGHT.swap(true, Ordering::SeqCst) {
         return Ok(());
     }
-    ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::SeqCst) {
-            std::process::exit(130);
+    let hangup = (!is_hangup_ignored()).then_some(SIGHUP);
+    let mut signals = Signals::new([SIGINT, SIGTERM].into_iter().chain(hangup)).context("cannot catch Ctrl-C")?;
+    let wait = move || {
+        let mut first = None;
+        for _ in signals.forever() {
+            let first = *first.get_or_insert_with(Instant::now);
+            if INTERRUPTED.swap(true, Ordering::SeqCst) && first.elapsed() > SAME_SIGNAL {
+                std::process::exit(130);
+            }
         }
-    })
-    .context("cannot catch Ctrl-C")
+    };
+    std::thread::Builder::new().name("signals".into()).spawn(wait).context("cannot catch Ctrl-C")?;
+    Ok(())
+}
+
+/// Returns whether the process was started with SIGHUP ignored, as `nohup` does. The mask of ignored signals has SIGHUP in
+/// its lowest bit.
+fn is_hangup_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
 }
 
 /// Returns whether an orderly end has been requested.

@@ -1,5 +1,6 @@
 //! Atomic writing of files: a file is complete or absent.
 
+use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,11 +10,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     static WRITTEN: AtomicU64 = AtomicU64::new(0);
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    // Another process or thread may write the same file; the last to finish wins.
-    name.push(format!(".partial-{}-{}", std::process::id(), WRITTEN.fetch_add(1, Ordering::Relaxed)));
+    // Another process or thread may write the same file; the last to finish wins. Processes in containers have the same
+    // number, so a random one tells them apart.
+    let random = RandomState::new().hash_one(WRITTEN.fetch_add(1, Ordering::Relaxed));
+    name.push(format!(".partial-{}-{random:x}", std::process::id()));
     let temporary = path.with_file_name(name);
     let attempt = || {
-        let mut file = std::fs::File::create(&temporary)?;
+        let mut file = std::fs::File::create_new(&temporary)?;
         file.write_all(bytes)?;
         file.sync_all()?;
         std::fs::rename(&temporary, path)?;

@@ -277,11 +277,52 @@ fn what_is_stopped_by_a_signal_ends_in_order_with_0() {
     let mut record = patient(command, &recording);
     wait_for_frames(&record);
     record.signal("TERM");
+    // A terminal that closes sends several signals at once.
+    record.signal("HUP");
     assert_eq!(record.wait().code(), Some(0), "{:?}", record.stderr.all());
     assert!(read(&recording).0);
     board.signal("TERM");
     assert_eq!(board.wait().code(), Some(0), "{:?}", board.stderr.all());
     assert!(board.stderr.all().iter().any(|line| line.contains("packets sent")), "{:?}", board.stderr.all());
+}
+
+#[test]
+fn a_recording_under_nohup_survives_its_terminal() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("night.mcap");
+    let mut command = Command::new("nohup");
+    command.arg(radome().get_program()).args(["record", "--frames", "40", "--speed", "1"]);
+    command.arg(fixture("scenes/desk.toml")).arg("-o").arg(&recording);
+    let mut record = Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"));
+    wait_for_frames(&record);
+    record.signal("HUP");
+    assert_eq!(record.wait().code(), Some(0), "{:?}", record.stderr.all());
+    let (is_finished, frames, _) = read(&recording);
+    assert!(is_finished && frames == 40, "{frames}");
+}
+
+#[test]
+fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (desk_path, recording) = (folder.path().join("desk.mcap"), folder.path().join("run.mcap"));
+    desk(1200, &desk_path);
+    let mut live = radome();
+    live.arg("live").arg(&desk_path).args(["--model", "cfar", "--json", "-o"]).arg(&recording);
+    live.env("RADOME_LOG", "warn,radome_driver::recording=trace").stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = live.spawn().expect("starts");
+    // The pipe and the queue hold some hundred answers.
+    let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
+    let recorded = said.by_ref().filter(|line| line.contains("frame recorded")).take(400).count();
+    assert_eq!(recorded, 400);
+    let rest = std::thread::spawn(move || said.filter(|line| line.contains("error")).collect::<Vec<_>>());
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let status = Command::new("kill").args(["-s", "TERM", &child.id().to_string()]).status();
+    assert!(status.is_ok_and(|status| status.success()));
+    let status = wait_for("the program's end", || child.try_wait().ok().flatten());
+    let errors = rest.join().expect("no panic");
+    assert_eq!(status.code(), Some(1), "{errors:?}");
+    assert!(errors.iter().any(|line| line.contains("stdout is not read")), "{errors:?}");
+    assert!(read(&recording).0);
 }
 
 /// Tests with a file-size limit in place of a full disk.

@@ -12,7 +12,7 @@ use crate::live::background::Background;
 use crate::live::classify::{FrameClassifier, run as run_classifier};
 use crate::live::integrations::{self, Integrations};
 use crate::live::pipeline::{Pipeline, Policy};
-use crate::live::recorder::RecorderSink;
+use crate::live::recorder::{PATIENCE, RecorderSink};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -103,7 +103,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         judge: Some(named),
     };
     let mut integrations = Integrations::open(&arguments.integrations, arguments.view.access(), &header, started)?;
-    let screen = Screen::new(arguments.json)?;
+    let screen = Screen::new(arguments.json, source.is_live)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
@@ -164,7 +164,7 @@ impl Arguments {
         pipeline: &mut Pipeline,
         is_live: bool,
     ) -> anyhow::Result<RecorderSink> {
-        let policy = if is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+        let policy = if is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
         RecorderSink::start(path, header, &options, pipeline.consumer("recorder", 64, policy))
     }

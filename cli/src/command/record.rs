@@ -8,7 +8,7 @@ use radome_dsp::Gap;
 use serde_json::json;
 
 use crate::exit::Ended;
-use crate::live::pipeline::{Failure, Inlet, Item, Pipeline, Policy};
+use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
@@ -138,7 +138,7 @@ fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) 
     (tally, end)
 }
 
-/// Writes all items; returns the source's error, if it failed.
+/// Writes all items, also those that wait when the user stops; returns the source's error, if it failed.
 fn write_all(
     inlet: &Inlet,
     recorder: &mut Recorder,
@@ -148,36 +148,51 @@ fn write_all(
     let mut is_unflushed = false;
     let mut next_sequence = 0;
     while !output::interrupted() {
-        let delivery = match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
-            Ok(delivery) => delivery,
-            Err(RecvTimeoutError::Timeout) => {
-                // A silent board may never come back, so its frames are flushed to the disk.
-                if std::mem::take(&mut is_unflushed) {
-                    recorder.flush()?;
+        match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
+            Ok(delivery) => {
+                if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
+                    return Ok(end.err());
                 }
-                continue;
-            }
-            Err(RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
-        };
-        match delivery.item {
-            Item::Frame(frame) => {
-                recorder.frame(&frame)?;
-                tally.frames += 1;
-                next_sequence = frame.sequence.saturating_add(1);
+                bar.set_position(tally.frames);
                 is_unflushed = true;
-                bar.inc(1);
             }
-            Item::Gap(missing) => {
+            // A silent board may never come back, so its frames are flushed to the disk.
+            Err(RecvTimeoutError::Timeout) if std::mem::take(&mut is_unflushed) => recorder.flush()?,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
+        }
+    }
+    let waiting = inlet.receiver.len();
+    for delivery in inlet.receiver.try_iter().take(waiting) {
+        if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
+            return Ok(end.err());
+        }
+    }
+    Ok(None)
+}
+
+/// Writes an item; returns the end of the stream if it is the last.
+fn write(
+    item: Item,
+    recorder: &mut Recorder,
+    tally: &mut Tally,
+    next_sequence: &mut u64,
+) -> anyhow::Result<Option<End>> {
+    match item {
+        Item::Frame(frame) => {
+            recorder.frame(&frame)?;
+            tally.frames += 1;
+            *next_sequence = frame.sequence.saturating_add(1);
+        }
+        Item::Gap(missing) => {
+            tally.gap(recorder, &missing)?;
+            *next_sequence = missing.first_sequence.saturating_add(missing.frames);
+        }
+        Item::End(end) => {
+            if let Some(missing) = end.as_ref().err().and_then(|failure| failure.gap(*next_sequence)) {
                 tally.gap(recorder, &missing)?;
-                next_sequence = missing.first_sequence.saturating_add(missing.frames);
             }
-            Item::End(end) => {
-                let failure = end.err();
-                if let Some(missing) = failure.as_ref().and_then(|failure| failure.gap(next_sequence)) {
-                    tally.gap(recorder, &missing)?;
-                }
-                return Ok(failure);
-            }
+            return Ok(Some(end));
         }
     }
     Ok(None)

@@ -81,6 +81,9 @@ pub enum Policy {
     DropOldest,
     /// No frame may be lost. If the consumer stalls for this long, the pipeline stops with an error.
     Lossless(Duration),
+    /// No frame may be lost. A consumer that stalls for this long is left behind ([`Inlet::is_left_behind`]), and the others
+    /// go on.
+    LosslessOrGone(Duration),
 }
 
 struct Outlet {
@@ -91,6 +94,7 @@ struct Outlet {
     /// is noticed.
     oldest: Option<Receiver<Delivery>>,
     missed: Arc<AtomicU64>,
+    is_left_behind: Arc<AtomicBool>,
     end: Arc<OnceLock<End>>,
 }
 
@@ -100,6 +104,8 @@ pub struct Inlet {
     pub receiver: Receiver<Delivery>,
     /// Frames dropped because this consumer was too slow.
     pub missed: Arc<AtomicU64>,
+    /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
+    pub is_left_behind: Arc<AtomicBool>,
     /// Result of the stream. It is set before any consumer receives it.
     pub end: Arc<OnceLock<End>>,
 }
@@ -124,10 +130,17 @@ impl Pipeline {
     /// Adds a consumer with a queue of `capacity` items.
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
-        let (missed, end) = (Arc::new(AtomicU64::new(0)), Arc::new(OnceLock::new()));
-        let oldest = matches!(policy, Policy::DropOldest).then(|| receiver.clone());
-        self.outlets.push(Outlet { name, policy, sender, oldest, missed: missed.clone(), end: end.clone() });
-        Inlet { receiver, missed, end }
+        let inlet = Inlet { receiver, missed: Arc::default(), is_left_behind: Arc::default(), end: Arc::default() };
+        self.outlets.push(Outlet {
+            name,
+            policy,
+            sender,
+            oldest: matches!(policy, Policy::DropOldest).then(|| inlet.receiver.clone()),
+            missed: inlet.missed.clone(),
+            is_left_behind: inlet.is_left_behind.clone(),
+            end: inlet.end.clone(),
+        });
+        inlet
     }
 
     /// Starts the reader. `limit` ends the stream after this number of frames.
@@ -212,13 +225,21 @@ fn read(
     Ok(())
 }
 
+/// Message about a consumer that must not lose frames and has stalled.
+pub fn stalled(name: &str, patience: Duration) -> String {
+    let patience_s = patience.as_secs_f64();
+    format!(
+        "the {name} has not taken a frame for {patience_s:.1} s; stopped, because it must not lose any\n\nhint: write to a faster disk"
+    )
+}
+
 impl Outlet {
     /// Sends the last item. Waits at most ten seconds for a consumer to take it.
     fn finish(&self, end: End) {
         let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
         if self.oldest.is_some() {
             let _ = self.send(delivery);
-        } else {
+        } else if !self.is_left_behind.load(Ordering::SeqCst) {
             let _ = self.sender.send_timeout(delivery, Duration::from_secs(10));
         }
     }
@@ -233,12 +254,14 @@ impl Outlet {
                 if let Err(error) = self.sender.send_timeout(delivery, deadline)
                     && error.is_timeout()
                 {
-                    return Err(format!(
-                        "the {} has not taken a frame for {:.1} s; stopped, because it must not lose any\n\nhint: write to a faster disk",
-                        self.name,
-                        deadline.as_secs_f64()
-                    )
-                    .into());
+                    return Err(stalled(self.name, deadline).into());
+                }
+            }
+            Policy::LosslessOrGone(_) if self.is_left_behind.load(Ordering::SeqCst) => {}
+            Policy::LosslessOrGone(deadline) => {
+                let sent = self.sender.send_timeout(delivery, deadline);
+                if sent.is_err_and(|error| error.is_timeout()) {
+                    self.is_left_behind.store(true, Ordering::SeqCst);
                 }
             }
             Policy::DropOldest => {
@@ -246,9 +269,12 @@ impl Outlet {
                 while let Err(TrySendError::Full(back)) = self.sender.try_send(delivery) {
                     delivery = back;
                     let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
-                    if let Some(Delivery { item: Item::Frame(_), .. }) = oldest {
-                        self.missed.fetch_add(1, Ordering::Relaxed);
-                    }
+                    let missed = match oldest.map(|delivery| delivery.item) {
+                        Some(Item::Frame(_)) => 1,
+                        Some(Item::Gap(gap)) => gap.frames,
+                        Some(Item::End(_)) | None => 0,
+                    };
+                    self.missed.fetch_add(missed, Ordering::Relaxed);
                 }
             }
         }
@@ -358,6 +384,20 @@ mod tests {
         drop(reader);
         let Some(Delivery { item: Item::End(Err(error)), .. }) = items.last() else { panic!("no error") };
         assert!(error.to_string().contains("recorder"), "{error}");
+    }
+
+    #[test]
+    fn a_stalled_recorder_is_left_behind_and_the_others_go_on() {
+        let mut pipeline = Pipeline::new();
+        let stalled = pipeline.consumer("recorder", 2, Policy::LosslessOrGone(Duration::from_millis(50)));
+        let other = pipeline.consumer("classifier", 64, Policy::Wait);
+        let _reader = pipeline.start(Counter::new(50), None);
+        let sent: Vec<_> = other.receiver.iter().collect();
+        assert!(matches!(sent.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
+        assert_eq!(sent.len(), 51);
+        assert!(stalled.is_left_behind.load(Ordering::SeqCst));
+        // What was sent before remains, without an end: the consumer must not take it for all.
+        assert_eq!(stalled.receiver.iter().count(), 2);
     }
 
     mod hard_cases {

@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
@@ -14,13 +14,17 @@ use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
 use super::health::Health;
-use super::pipeline::{Delivery, Failure, Inlet, Item};
+use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
 use super::sink::{Moment, Sink};
 use crate::output;
 use crate::panics::Panicked;
 
 /// Capacity of the queue of answers to the recorder, larger than the number of frames in its frame queue.
 const WAITING_RESULTS: usize = 1024;
+/// Time for which the recorder may take no frame.
+pub const PATIENCE: Duration = Duration::from_secs(5);
+/// Time for which the recorder may take no item at the end. A sync may take ten seconds, and another may be under way.
+const LAST_PATIENCE: Duration = Duration::from_secs(30);
 /// Silence of a source after which written data are flushed, since the source may never come back.
 const SILENCE: Duration = Duration::from_millis(500);
 
@@ -40,16 +44,24 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
     }
 }
 
+fn left_behind() -> String {
+    stalled("recorder", PATIENCE)
+}
+
 /// Sink that passes answers to the recorder's thread, which receives frames and gaps from the pipeline.
 ///
-/// If the recorder fails, for example on a full disk, the error is printed on stderr at once and the file stays marked
+/// If the recorder fails, for example on a full disk or on one that hangs, the error is printed on stderr at once and the file stays marked
 /// unfinished. The run continues without it, since occupancy needs no disk, and fails with that error when it ends.
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
     thread: Option<JoinHandle<anyhow::Result<Recorded>>>,
     /// Error of a recorder that ended before the run.
     failure: Option<anyhow::Error>,
+    /// Number of items that the recorder has taken.
+    taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
+    /// Whether the pipeline has given the recorder up.
+    is_left_behind: Arc<AtomicBool>,
     file: String,
 }
 
@@ -73,13 +85,22 @@ impl RecorderSink {
     ) -> anyhow::Result<Self> {
         let recorder = Recorder::with_options(path, header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
-        let has_gaps = Arc::new(AtomicBool::new(false));
-        let mut writer =
-            Writer { recorder, ahead: VecDeque::new(), newest: None, frames: 0, has_gaps: has_gaps.clone() };
+        let (has_gaps, is_left_behind) = (Arc::new(AtomicBool::new(false)), inlet.is_left_behind.clone());
+        let taken = Arc::new(AtomicU64::new(0));
+        let mut writer = Writer {
+            recorder,
+            ahead: VecDeque::new(),
+            newest: None,
+            frames: 0,
+            taken: taken.clone(),
+            has_gaps: has_gaps.clone(),
+        };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
-            written.with_context(|| format!("the recording ended after {} frames", writer.frames))?;
+            written
+                .and_then(|()| if inlet.is_left_behind.load(Ordering::SeqCst) { bail!(left_behind()) } else { Ok(()) })
+                .with_context(|| format!("the recording ended after {} frames", writer.frames))?;
             Ok(match inlet.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
                 // A recording that its source or its user ended is complete.
@@ -87,7 +108,15 @@ impl RecorderSink {
             })
         });
         let file = path.display().to_string();
-        Ok(RecorderSink { results: Some(results), thread: Some(thread), failure: None, has_gaps, file })
+        Ok(RecorderSink {
+            results: Some(results),
+            thread: Some(thread),
+            failure: None,
+            taken,
+            has_gaps,
+            is_left_behind,
+            file,
+        })
     }
 
     /// Returns the flag that tells whether frames are missing in the recording.
@@ -95,9 +124,21 @@ impl RecorderSink {
         self.has_gaps.clone()
     }
 
+    /// Waits for the end of the thread. One that the disk blocks is abandoned.
     fn join(&mut self) -> anyhow::Result<Recorded> {
         self.results.take();
         let Some(thread) = self.thread.take() else { bail!("the recorder has ended") };
+        let (mut since, mut taken) = (Instant::now(), 0);
+        while !thread.is_finished() {
+            let now = self.taken.load(Ordering::Relaxed);
+            if std::mem::replace(&mut taken, now) != now {
+                since = Instant::now();
+            }
+            if self.is_left_behind.load(Ordering::SeqCst) || since.elapsed() > LAST_PATIENCE {
+                bail!("{} is not whole: {}", self.file, left_behind());
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let joined = thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()));
         joined.with_context(|| format!("{} is not whole", self.file))
     }
@@ -106,9 +147,13 @@ impl RecorderSink {
 impl Sink for RecorderSink {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let Some(results) = &self.results else { return Ok(()) };
-        match results.try_send(frame_result(moment)) {
+        let sent = match self.is_left_behind.load(Ordering::SeqCst) {
+            false => results.try_send(frame_result(moment)),
+            true => Err(TrySendError::Disconnected(frame_result(moment))),
+        };
+        match sent {
             Ok(()) => Ok(()),
-            // The recorder has ended; its own error tells why.
+            // The recorder has ended, and its own error tells why, or its disk hangs.
             Err(TrySendError::Disconnected(_)) => {
                 let joined = self.join();
                 let failure = joined.err().unwrap_or_else(|| anyhow!("the recorder of {} has ended", self.file));
@@ -155,6 +200,7 @@ struct Writer {
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
     frames: u64,
+    taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
 }
 
@@ -214,6 +260,7 @@ impl Writer {
 
     /// Writes an item; `true` if it is the last.
     fn take(&mut self, delivery: Delivery) -> anyhow::Result<bool> {
+        self.taken.fetch_add(1, Ordering::Relaxed);
         match delivery.item {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
@@ -247,8 +294,6 @@ impl Writer {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Instant;
-
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
     use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
@@ -298,9 +343,9 @@ mod tests {
         let waveform = Panicking::after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
-        let has_gaps = Arc::default();
+        let (taken, has_gaps) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, has_gaps };
+        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, taken, has_gaps };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,

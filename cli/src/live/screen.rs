@@ -1,36 +1,97 @@
 //! Output of answers on the terminal, or as JSON lines.
 
 use std::io::IsTerminal;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
+use anyhow::{Context, bail};
+use crossbeam::channel::{SendTimeoutError, Sender, bounded};
 use radome_dsp::{Gap, Occupancy};
+use serde::Serialize;
 use serde_json::json;
 
 use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
 use crate::output;
+use crate::panics::Panicked;
+
+/// Number of lines that may wait for a reader of stdout.
+const WAITING_LINES: usize = 256;
+/// Interval at which a wait for the reader looks for an interrupt.
+const CHECK: Duration = Duration::from_millis(100);
+/// Time for which the reader is awaited after an interrupt.
+const LAST_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Sink that prints answers as JSON lines or as text. The text has one line per change; on a terminal, the current line
 /// is updated in place.
+///
+/// A thread prints, so that a reader that stops reading stops neither the classifier nor other sinks of a live board.
+/// Its answers are then lost, and counted. A recording or a simulation waits for the reader.
 pub struct Screen {
     json: bool,
     is_terminal: bool,
+    is_live: bool,
     last: Option<(Option<Occupancy>, Option<Occupancy>)>,
+    lines: Option<Sender<String>>,
+    thread: Option<JoinHandle<anyhow::Result<()>>>,
+    /// Number of lines that were lost.
+    unread: u64,
 }
 
 impl Screen {
-    /// Creates a screen and writes its heading, if it has one.
+    /// Creates a screen and writes its heading, if it has one. Frames of a live source do not wait.
     ///
     /// # Errors
-    /// Standard output cannot be written.
-    pub fn new(json: bool) -> anyhow::Result<Self> {
+    /// Standard output cannot be written, or the thread cannot be started.
+    pub fn new(json: bool, is_live: bool) -> anyhow::Result<Self> {
         let is_terminal = !json && std::io::stdout().is_terminal();
         if !json {
             let head =
                 format!("{:>8}  {:7} {:^23}  {:7} {:>10}", "time", "label", "empty   one     two", "truth", "latency");
             output::text_line(&head)?;
         }
-        Ok(Screen { json, is_terminal, last: None })
+        let (lines, receiver) = bounded::<String>(WAITING_LINES);
+        let print = move || receiver.iter().try_for_each(|line| output::text(&line));
+        let thread = std::thread::Builder::new().name("stdout".into()).spawn(print)?;
+        let (lines, thread) = (Some(lines), Some(thread));
+        Ok(Screen { json, is_terminal, is_live, last: None, lines, thread, unread: 0 })
+    }
+
+    /// Prints a JSON object on a line of its own.
+    fn json_line(&mut self, value: &impl Serialize) -> anyhow::Result<()> {
+        let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
+        self.print(line + "\n")
+    }
+
+    /// Passes text to the thread, and waits for room unless the source is live.
+    fn print(&mut self, mut text: String) -> anyhow::Result<()> {
+        let Some(lines) = &self.lines else { return Ok(()) };
+        loop {
+            match lines.send_timeout(text, if self.is_live { Duration::ZERO } else { CHECK }) {
+                Ok(()) => return Ok(()),
+                Err(SendTimeoutError::Disconnected(_)) => return self.join(),
+                Err(SendTimeoutError::Timeout(_)) if self.is_live || output::interrupted() => {
+                    self.unread += 1;
+                    return Ok(());
+                }
+                Err(SendTimeoutError::Timeout(back)) => text = back,
+            }
+        }
+    }
+
+    /// Waits until all is printed. After an interrupt a reader that does not read is abandoned.
+    fn join(&mut self) -> anyhow::Result<()> {
+        self.lines = None;
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        let mut interrupted = None;
+        while !thread.is_finished() {
+            if output::interrupted() && interrupted.get_or_insert_with(Instant::now).elapsed() > LAST_PATIENCE {
+                bail!("stdout is not read: the last answers are lost");
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()))
     }
 }
 
@@ -38,7 +99,7 @@ impl Sink for Screen {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let answer = moment.answer;
         if self.json {
-            return output::json_line(answer);
+            return self.json_line(answer);
         }
         let state = (answer.label, answer.truth);
         let is_change = self.last != Some(state);
@@ -60,9 +121,9 @@ impl Sink for Screen {
         if self.is_terminal {
             // A line with a change is kept; an unchanged line is overwritten.
             let end = if is_change && self.last.is_some() { "\n" } else { "" };
-            output::text(&format!("{end}\r{line}\x1b[K"))?;
+            self.print(format!("{end}\r{line}\x1b[K"))?;
         } else {
-            output::text_line(&line)?;
+            self.print(line + "\n")?;
         }
         self.last = Some(state);
         Ok(())
@@ -70,18 +131,22 @@ impl Sink for Screen {
 
     fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
         if self.json {
-            return output::json_line(&json!({ "gap": gap }));
+            return self.json_line(&json!({ "gap": gap }));
         }
         eprintln!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
         Ok(())
     }
 
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
+        if self.unread > 0 {
+            eprintln!("{} answers were not printed, because stdout was not read", self.unread);
+        }
         if self.json {
-            return output::json_line(&json!({ "summary": summary }));
+            self.json_line(&json!({ "summary": summary }))?;
+            return self.join();
         }
         if self.is_terminal {
-            output::text_line("")?;
+            self.print("\n".to_owned())?;
         }
         let mut line = format!("{} frames, {} dropped", summary.frames, summary.dropped);
         if let Some(accuracy) = summary.balanced_accuracy {
@@ -94,6 +159,7 @@ impl Sink for Screen {
             );
         }
         line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
-        output::text_line(&line)
+        self.print(line + "\n")?;
+        self.join()
     }
 }

@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let recorder = written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
     let simulated = Simulated::record(&mut simulator, recorder, end - first)?;
     if let (Some(_), Some(written), Some(file)) = (arguments.shard, &written, &file) {
-        if output::interrupted() {
+        if simulated.frames < end - first && output::interrupted() {
             let _ = std::fs::remove_file(written);
             bail!("interrupted: {} was not finished", file.display());
         }

@@ -533,6 +533,8 @@ impl Keeper {
                     .with_context(|| format!("{count} labels were not saved"))?;
             } else if let Some(fault) = &state.fault {
                 bail!("labels were not saved: {fault}");
+            } else if state.saved != state.book.revision {
+                bail!("{count} labels were not saved: the thread that saves them has ended");
             }
             place.settle().with_context(|| format!("{count} labels are in a file beside the recording"))?;
         }

@@ -13,6 +13,9 @@ use crate::recording::{RecordingError, disk};
 /// Duration of a sync beyond which a warning is logged.
 const SLOW: Duration = Duration::from_secs(1);
 
+/// Interval at which a wait looks at the sync in progress.
+const CHECK: Duration = Duration::from_millis(50);
+
 /// Limits on how far the disk lags behind a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SyncOptions {
@@ -122,19 +125,26 @@ impl Syncer {
         }
     }
 
-    /// Syncs all data written so far and waits for it. A thread that the disk blocks is abandoned.
+    /// Syncs all data written so far and waits for it, as long as no single sync exceeds the patience. A thread that the
+    /// disk blocks is abandoned.
     pub fn wait(&self) -> Result<(), Failure> {
         let (done, is_done) = bounded(1);
-        match self.requests.send_timeout(Some(done), self.patience) {
-            Ok(()) => {}
-            Err(SendTimeoutError::Timeout(_)) => return Err(Failure::Stalled(self.patience)),
-            Err(SendTimeoutError::Disconnected(_)) => return Err(self.ended()),
+        let mut request = Some(done);
+        loop {
+            match self.requests.send_timeout(request, CHECK) {
+                Ok(()) => break,
+                Err(SendTimeoutError::Timeout(back)) => request = back,
+                Err(SendTimeoutError::Disconnected(_)) => return Err(self.ended()),
+            }
+            self.check()?;
         }
-        // A thread that fails at this moment leaves the request in the queue, so its outcome is awaited, too.
-        select! {
-            recv(is_done) -> done => done.map_err(|_| self.ended()),
-            recv(self.outcome) -> outcome => Err(Failure::ended(outcome.ok())),
-            default(self.patience) => Err(Failure::Stalled(self.patience)),
+        loop {
+            // A thread that fails at this moment leaves the request in the queue, so its outcome is awaited, too.
+            select! {
+                recv(is_done) -> done => return done.map_err(|_| self.ended()),
+                recv(self.outcome) -> outcome => return Err(Failure::ended(outcome.ok())),
+                default(CHECK) => self.check()?,
+            }
         }
     }
 
@@ -171,6 +181,8 @@ impl Work {
                 }
             }
             earliest = Instant::now() + self.interval;
+            // A request that has come by now is served by this sync, too.
+            waiting.extend(self.requests.try_iter().flatten());
             self.sync()?;
             for done in waiting {
                 let _ = done.send(());
