@@ -77,7 +77,7 @@ pub struct Delivery {
 pub enum Policy {
     /// The reader waits. For sources that can wait (files, simulations), where every frame counts.
     Wait,
-    /// The oldest waiting frame is dropped and counted. For views and classifiers of a live board.
+    /// The oldest waiting frame or gap is dropped and counted. For views and classifiers of a live board.
     DropOldest,
     /// No frame may be lost. If the consumer stalls for this long, the pipeline stops with an error.
     Lossless(Duration),
@@ -102,7 +102,7 @@ struct Outlet {
 pub struct Inlet {
     /// Items in order.
     pub receiver: Receiver<Delivery>,
-    /// Frames dropped because this consumer was too slow.
+    /// Frames dropped because this consumer was too slow, and the missing frames of dropped gaps.
     pub missed: Arc<AtomicU64>,
     /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
     pub is_left_behind: Arc<AtomicBool>,
@@ -358,7 +358,8 @@ mod tests {
             .collect();
         assert_eq!(sequences, [19, 20], "the newest stay");
         assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
-        assert_eq!(inlet.missed.load(Ordering::Relaxed), 18);
+        // Numbers 0 to 18: eighteen frames and the one that was lost before.
+        assert_eq!(inlet.missed.load(Ordering::Relaxed), 19);
     }
 
     #[test]
