@@ -33,7 +33,7 @@ pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
         // The reader of stdout has closed it and needs no more.
         Err(error) if output::is_closed_stdout(error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", output::chain(error));
+            message!("error: {}", output::chain(error));
             ExitCode::FAILURE
         }
     }

@@ -92,17 +92,6 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
-/// Fails if an output would replace the input.
-///
-/// # Errors
-/// Both paths lead to the same file or folder.
-pub fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
-    if output.canonicalize().is_ok_and(|output| input.canonicalize().is_ok_and(|input| output == input)) {
-        bail!("{} is input and output at once\n\nhint: choose another name", output.display());
-    }
-    Ok(())
-}
-
 /// Fails early if the folder of an output file is missing.
 ///
 /// # Errors

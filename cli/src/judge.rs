@@ -135,7 +135,7 @@ impl std::fmt::Display for FaultyReceiver {
 fn say_fault(faulty: FaultyReceiver) {
     static SAID: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
     if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(faulty) {
-        eprintln!("warning: {faulty}");
+        message!("warning: {faulty}");
     }
 }
 
@@ -291,7 +291,7 @@ fn say_losses(losses: &[String]) {
     }
     let text = losses.join("; ");
     if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
-        eprintln!("note: frames of another waveform than the model's own are brought onto its axes: {text}");
+        message!("note: frames of another waveform than the model's own are brought onto its axes: {text}");
     }
 }
 

@@ -76,6 +76,14 @@ pub fn rewrite_beside(
     Ok(partial.finish()?)
 }
 
+/// Says how many labels a recording of another's frames does not take over.
+pub fn tell_left_behind(source: &Path) {
+    let count = of(source).map_or(0, |labels| labels.len());
+    if count > 0 {
+        message!("{count} labels of {} are not carried over; radome recording convert copies them", source.display());
+    }
+}
+
 /// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
 pub fn name_beside(recording: &Path) -> PathBuf {
     if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }

@@ -3,6 +3,9 @@
 // Only the program prints; the libraries below it return results.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
+#[macro_use]
+mod message;
+
 mod command;
 mod dataset;
 mod exit;
@@ -62,7 +65,8 @@ fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     // Files and journals get no colour codes; https://no-color.org.
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let has_colours = std::io::stderr().is_terminal() && !is_plain;
-    let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours);
+    let talk =
+        tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours).log_internal_errors(false);
     let talk = talk.without_time().with_filter(filter);
     tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

@@ -25,23 +25,54 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
+    /// Replaces whatever is there.
+    pub fn yes() -> Self {
+        Overwrite { overwrite: true }
+    }
+
     /// Converts to the recording library's type.
     pub fn existing(self) -> Existing {
         if self.overwrite { Existing::Replace } else { Existing::Refuse }
     }
 
-    /// Fails early if the output could not be written later: its folder is missing, or a file has its name. Existing
-    /// non-files, such as devices, may be written to.
+    /// Fails early if the output file could not be written later, or would replace one of the files that are read.
     ///
     /// # Errors
-    /// The folder is missing, or the file exists and is not to be replaced.
-    pub fn check(self, path: &Path) -> anyhow::Result<()> {
+    /// Those of [`check_name`](Self::check_name), or the output is a folder.
+    pub fn check(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
+        self.check_name(path, inputs)?;
+        if path.is_dir() {
+            bail!("{} is a folder\n\nhint: name a file in it", path.display());
+        }
+        Ok(())
+    }
+
+    /// Fails early if an output, file or folder, could not be written later: its folder is missing, or a file has its
+    /// name. Existing non-files, such as devices, may be written to.
+    ///
+    /// # Errors
+    /// The folder is missing, the file exists and is not to be replaced, the output is an input or lies in one, or it is
+    /// named `-`, where this would be no stdout.
+    pub fn check_name(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
+        if is_stdout(path) {
+            bail!("this output does not go to stdout\n\nhint: name a file; ./- is one of this name");
+        }
         files::check_parent(path)?;
+        inputs.iter().try_for_each(|input| check_not_input(path, input))?;
         if !self.overwrite && path.is_file() {
             bail!("{} exists already\n\nhint: --overwrite replaces it; or choose another name", path.display());
         }
         Ok(())
     }
+}
+
+/// Fails if an output would replace an input or a part of it.
+fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
+    let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
+    if written.starts_with(read) {
+        bail!("{} is input and output at once\n\nhint: choose another name", output.display());
+    }
+    Ok(())
 }
 
 /// Returns the file to record to. In a folder, its name is the time; `{time}` in a name is replaced by the time, in
@@ -112,14 +143,14 @@ mod tests {
     fn a_file_that_exists_is_refused_and_a_device_is_not() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.mcap");
-        Overwrite::default().check(&path).expect("free");
+        Overwrite::default().check(&path, &[]).expect("free");
         std::fs::write(&path, "").expect("writes");
-        let said = Overwrite::default().check(&path).expect_err("refused").to_string();
+        let said = Overwrite::default().check(&path, &[]).expect_err("refused").to_string();
         assert!(said.contains("exists already") && said.contains("--overwrite"), "{said}");
-        Overwrite { overwrite: true }.check(&path).expect("allowed");
+        Overwrite { overwrite: true }.check(&path, &[]).expect("allowed");
         if Path::new("/dev/null").exists() {
-            Overwrite::default().check(Path::new("/dev/null")).expect("a device");
+            Overwrite::default().check(Path::new("/dev/null"), &[]).expect("a device");
         }
-        assert!(Overwrite::default().check(Path::new("no/such/folder/a.mcap")).is_err());
+        assert!(Overwrite::default().check(Path::new("no/such/folder/a.mcap"), &[]).is_err());
     }
 }

@@ -58,6 +58,11 @@ pub struct SourceArgs {
 }
 
 impl SourceArgs {
+    /// Path of the recording or scene that is read, if the source is one.
+    pub fn input(&self) -> &Path {
+        Path::new(self.source.strip_prefix("emulated:").unwrap_or(&self.source))
+    }
+
     /// Returns the options with which the source is opened.
     ///
     /// # Errors

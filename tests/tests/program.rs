@@ -1,5 +1,8 @@
 //! Tests of the small commands, and of behaviour that all commands share.
 
+use std::path::Path;
+use std::process::Stdio;
+
 use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, subcommand};
 use serde_json::json;
 
@@ -96,21 +99,64 @@ fn a_preview_is_drawn_and_replaces_no_file() {
 #[test]
 fn no_output_takes_the_place_of_what_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = fixture("formats/recording.mcap");
+    let (recording, scene) = ("formats/recording.mcap", "scenes/corridor.toml");
     for (command, input) in [
-        ("scene simulate", fixture("scenes/corridor.toml")),
-        ("scene preview", fixture("scenes/corridor.toml")),
-        ("scene calibrate", recording.clone()),
-        ("recording maps", recording),
-        ("model export", fixture("models/room-cnn.safetensors")),
+        ("scene simulate INPUT", scene),
+        ("scene preview INPUT", scene),
+        ("scene calibrate INPUT", recording),
+        ("recording maps INPUT", recording),
+        ("recording label INPUT", recording),
+        ("recording echoes INPUT --reflector 3,0,0", recording),
+        ("recording repair INPUT", recording),
+        ("record INPUT", recording),
+        ("record emulated:INPUT", recording),
+        ("live INPUT", recording),
+        ("model export INPUT", "models/room-cnn.safetensors"),
+        ("model adapt room-hqnn INPUT=empty", recording),
+        ("model background INPUT", recording),
     ] {
-        let copy = folder.path().join(input.file_name().expect("a name"));
-        std::fs::copy(&input, &copy).expect("copies");
+        let copy = folder.path().join(Path::new(input).file_name().expect("a name"));
+        std::fs::copy(fixture(input), &copy).expect("copies");
         let before = std::fs::read(&copy).expect("readable");
-        let said = failure(subcommand(command).arg(&copy).arg("-o").arg(&copy).arg("--overwrite"));
+        let words = command.split(' ').map(|word| word.replace("INPUT", &copy.to_string_lossy()));
+        let said = failure(radome().args(words).arg("-o").arg(&copy).arg("--overwrite"));
         assert!(said.contains("is input and output at once"), "{command}: {said}");
         assert!(std::fs::read(&copy).expect("readable") == before, "{command} changed its input");
     }
+}
+
+#[test]
+fn an_output_that_is_a_folder_is_refused_before_any_work() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (command, input) in [
+        ("model export", "models/room-cnn.safetensors"),
+        ("recording echoes --reflector 3,0,0", "formats/recording.mcap"),
+    ] {
+        let mut command = subcommand(command);
+        fails_with(command.arg(fixture(input)).arg("-o").arg(folder.path()), &["is a folder", "hint: "]);
+    }
+    let judged = fixture("formats/judged.mcap");
+    fails_with(radome().args(["recording", "answers"]).arg(&judged).args(["-o", "-"]), &["does not go to stdout"]);
+}
+
+/// A stderr that cannot be written, as that of a service whose journal is full.
+#[test]
+fn a_full_stderr_stops_nothing() {
+    if !Path::new("/dev/full").exists() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let to = folder.path().join("a.mcap");
+    let full = || std::fs::File::options().write(true).open("/dev/full").expect("a device");
+    let mut record = radome();
+    record.arg("record").arg(fixture("formats/recording.mcap")).arg("-o").arg(&to).arg("--allow-loss");
+    let status = record.stderr(full()).status().expect("runs");
+    assert!(status.success(), "{status}");
+    let desk = folder.path().join("desk.mcap");
+    simulate(&fixture("scenes/desk.toml"), "--frames 20", &desk);
+    let mut live = radome();
+    live.arg("live").arg(&desk).args(["--model", "cfar"]).stderr(full()).stdout(Stdio::null());
+    assert!(live.status().expect("runs").success());
 }
 
 #[test]

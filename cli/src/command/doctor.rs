@@ -144,14 +144,14 @@ fn pack(arguments: &Arguments, path: &Path, checks: &[Check], examined: Option<&
     let mut redactor = arguments.redactor(path);
     let parts = bundle::parts(checks, examined, arguments.model.as_deref(), &arguments.wire, &mut redactor)?;
     bundle::write(path, &parts)?;
-    eprintln!("{} packs:", path.display());
+    message!("{} packs:", path.display());
     for (name, bytes) in &parts {
-        eprintln!("{:>10} bytes  {name}", bytes.len());
+        message!("{:>10} bytes  {name}", bytes.len());
     }
     for (kind, count) in redactor.counts() {
-        eprintln!("{count} different texts were replaced by tokens <{}-N>", kind.word());
+        message!("{count} different texts were replaced by tokens <{}-N>", kind.word());
     }
-    eprintln!("{}: look at it before you send it anywhere", path.display());
+    message!("{}: look at it before you send it anywhere", path.display());
     Ok(())
 }
 

@@ -18,7 +18,7 @@ use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs, SourceOptions};
-use crate::{files, output};
+use crate::{labels, output};
 
 /// Seed of a simulation that no training of the shipped models has seen.
 pub const UNSEEN_SEED: u64 = 100_001;
@@ -78,18 +78,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let output = arguments.output.as_deref().map(output_file::dated);
     let output = output.as_deref();
     if let Some(path) = output {
-        files::check_not_input(path, Path::new(&arguments.source.source))?;
         output_file::check_is_mcap(path)?;
-        arguments.overwrite.check(path)?;
+        let background = arguments.background.as_deref().unwrap_or(Path::new(""));
+        arguments.overwrite.check(path, &[arguments.source.input(), &arguments.model, background])?;
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
     let named = model.named(&arguments.model, delays)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
-    eprintln!("{}", source.description);
-    eprintln!("judged by {}", arguments.model.display());
+    message!("{}", source.description);
+    if output.is_some() {
+        labels::tell_left_behind(arguments.source.input());
+    }
+    message!("judged by {}", arguments.model.display());
     let waveform = source.frames.waveform().clone();
+    if let (Some(background), Some(path)) = (&background, &arguments.background) {
+        background.check_waveform(path, &waveform)?;
+    }
     let mut judge = FrameClassifier::new(model, &waveform, delays, started)?.with_background(background);
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
@@ -122,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     outcome?;
     let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !arguments.allow_loss;
     if is_lost {
-        eprintln!("frames are missing in the recording; --allow-loss takes that for success");
+        message!("frames are missing in the recording; --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(is_lost))
 }

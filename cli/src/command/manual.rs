@@ -39,6 +39,6 @@ pub fn man(arguments: &ManArguments, program: clap::Command) -> anyhow::Result<(
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     clap_mangen::generate_to(program, folder)
         .with_context(|| format!("cannot write manual pages to {}", folder.display()))?;
-    eprintln!("manual pages in {}; read one with man -l {}", folder.display(), folder.join("radome.1").display());
+    message!("manual pages in {}; read one with man -l {}", folder.display(), folder.join("radome.1").display());
     Ok(())
 }

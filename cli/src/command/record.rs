@@ -11,7 +11,7 @@ use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs};
-use crate::{files, output};
+use crate::{labels, output};
 
 /// `radome record`
 #[derive(clap::Args)]
@@ -48,11 +48,12 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
-    files::check_not_input(&path, Path::new(&arguments.source.source))?;
     output_file::check_is_mcap(&path)?;
-    arguments.overwrite.check(&path)?;
+    let waveform = arguments.source.waveform.as_deref().unwrap_or("");
+    arguments.overwrite.check(&path, &[arguments.source.input(), Path::new(waveform)])?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
-    eprintln!("{}", source.description);
+    message!("{}", source.description);
+    labels::tell_left_behind(arguments.source.input());
     let header = RecordingHeader {
         waveform: source.frames.waveform().clone(),
         board: source.board.clone(),
@@ -82,7 +83,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         bail!("{dropped} frames were lost, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
-        eprintln!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
+        message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }
@@ -103,8 +104,8 @@ impl Tally {
         self.gaps += 1;
         self.dropped = self.dropped.saturating_add(gap.frames);
         match gap.frames {
-            0 => eprintln!("frames lost from {} on: {}", gap.first_sequence, gap.reason.name()),
-            frames => eprintln!("{frames} frames lost from {}: {}", gap.first_sequence, gap.reason.name()),
+            0 => message!("frames lost from {} on: {}", gap.first_sequence, gap.reason.name()),
+            frames => message!("{frames} frames lost from {}: {}", gap.first_sequence, gap.reason.name()),
         }
         Ok(())
     }
@@ -129,7 +130,7 @@ fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) 
                 (None, finished) => finished.map(drop),
                 (Some(failure), Ok(_)) => Err(failure.into()),
                 (Some(failure), Err(error)) => {
-                    eprintln!("error: {}", output::chain(&error));
+                    message!("error: {}", output::chain(&error));
                     Err(failure.into())
                 }
             }

@@ -84,7 +84,7 @@ fn shard_again(plan: &Plan, target: &Path) -> anyhow::Result<usize> {
     if let Some(difference) = plan.card.difference(&PlanCard::read(target)?) {
         bail!("{} is there already, but was {difference}\n\nhint: move it away", target.display());
     }
-    eprintln!("{} is there already", target.display());
+    message!("{} is there already", target.display());
     Ok(plan.units_of(plan.card.shard).count())
 }
 
@@ -145,7 +145,7 @@ impl Parts {
         let missing: Vec<usize> = plan.units_of(plan.card.shard).filter(|unit| !place(unit).exists()).collect();
         let found = all - missing.len();
         if found > 0 {
-            eprintln!("{}: {found} of {all} units are there", self.folder.display());
+            message!("{}: {found} of {all} units are there", self.folder.display());
         }
         let bar = output::progress(all as u64, "units");
         bar.set_position(found as u64);
@@ -171,7 +171,7 @@ impl Parts {
         if error.is::<Interrupted>() {
             bail!("interrupted: {made} of {all} units are done\n\nhint: the same command goes on with the others")
         }
-        eprintln!("{made} of {all} units are done and kept in {}", self.folder.display());
+        message!("{made} of {all} units are done and kept in {}", self.folder.display());
         Err(error)
     }
 

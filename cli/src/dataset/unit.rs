@@ -153,7 +153,7 @@ fn recording(
     }
     check_spans(spans, extent_s)?;
     if unlabelled > 0 {
-        eprintln!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);
+        message!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);
     }
     Ok(())
 }

@@ -110,7 +110,7 @@ fn make_token_file(path: &Path) -> anyhow::Result<String> {
         let _ = std::fs::remove_file(path);
         return Err(error).with_context(cannot);
     }
-    eprintln!("a new token is in {}", path.display());
+    message!("a new token is in {}", path.display());
     Ok(text)
 }
 

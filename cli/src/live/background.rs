@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use radome_driver::Judge;
 use radome_driver::recording::Existing;
-use radome_dsp::Rdm;
+use radome_dsp::{Rdm, Waveform};
 use serde::{Deserialize, Serialize};
 
 use crate::files;
@@ -32,6 +32,9 @@ pub struct Background {
     format: u32,
     /// SHA-256 of the model that the maps are made for.
     model_hash: String,
+    /// Waveform of the frames that the maps were made of; captures of before have none.
+    #[serde(default)]
+    waveform: Option<Waveform>,
     doppler: usize,
     range: usize,
     pub frames: usize,
@@ -68,7 +71,7 @@ impl Capture {
     ///
     /// # Errors
     /// Too few maps were captured.
-    pub fn finish(self, judge: &Judge) -> anyhow::Result<Background> {
+    pub fn finish(self, judge: &Judge, waveform: &Waveform) -> anyhow::Result<Background> {
         let Capture { maps, doppler, range } = self;
         if maps.len() < LEAST_FRAMES {
             bail!(
@@ -91,7 +94,8 @@ impl Capture {
             );
         }
         let (frames, model_hash) = (maps.len(), judge.model_hash.clone());
-        Ok(Background { format: FORMAT, model_hash, doppler, range, frames, threshold_db, level_db })
+        let waveform = Some(waveform.clone());
+        Ok(Background { format: FORMAT, model_hash, waveform, doppler, range, frames, threshold_db, level_db })
     }
 }
 
@@ -137,6 +141,26 @@ impl Background {
             );
         }
         Ok(background)
+    }
+
+    /// Checks that the capture is of frames like those of a waveform: the same shape, and ranges and velocities within a
+    /// hundredth.
+    ///
+    /// # Errors
+    /// The capture is of another waveform.
+    pub fn check_waveform(&self, path: &Path, waveform: &Waveform) -> anyhow::Result<()> {
+        let Some(captured) = &self.waveform else { return Ok(()) };
+        let is_close = |of: fn(&Waveform) -> f64| (of(captured) / of(waveform) - 1.0).abs() < 0.01;
+        let is_alike = captured.shape() == waveform.shape()
+            && is_close(Waveform::max_range_m)
+            && is_close(Waveform::max_velocity_m_per_s);
+        if !is_alike {
+            bail!(
+                "{} was captured with another waveform\n\nhint: radome model background captures the empty room anew",
+                path.display()
+            );
+        }
+        Ok(())
     }
 
     /// Writes the capture atomically.

@@ -207,7 +207,7 @@ pub fn run(
     let mut failed = failed.into_iter();
     let first = failed.next();
     for error in failed {
-        eprintln!("error: {}", output::chain(&error));
+        message!("error: {}", output::chain(&error));
     }
     match first.or(closed.into_iter().next()) {
         Some(error) => Err(error),

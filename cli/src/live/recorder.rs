@@ -157,8 +157,8 @@ impl Sink for RecorderSink {
             Err(TrySendError::Disconnected(_)) => {
                 let joined = self.join();
                 let failure = joined.err().unwrap_or_else(|| anyhow!("the recorder of {} has ended", self.file));
-                eprintln!("error: {}", output::chain(&failure));
-                eprintln!("{} is marked unfinished; the run goes on without recording", self.file);
+                message!("error: {}", output::chain(&failure));
+                message!("{} is marked unfinished; the run goes on without recording", self.file);
                 self.failure = Some(failure);
                 Ok(())
             }
@@ -184,10 +184,10 @@ impl Sink for RecorderSink {
         }
         match self.join()? {
             Recorded::Finished(RecordingSummary { frames, results, frames_lost, bytes, .. }) => {
-                eprintln!("{}: {frames} frames, {results} judged, {frames_lost} lost, {} MiB", self.file, bytes >> 20)
+                message!("{}: {frames} frames, {results} judged, {frames_lost} lost, {} MiB", self.file, bytes >> 20)
             }
             Recorded::Unfinished(frames) => {
-                eprintln!("{}: {frames} frames, marked unfinished because the source failed", self.file);
+                message!("{}: {frames} frames, marked unfinished because the source failed", self.file);
             }
         }
         Ok(())

@@ -133,13 +133,13 @@ impl Sink for Screen {
         if self.json {
             return self.json_line(&json!({ "gap": gap }));
         }
-        eprintln!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
+        message!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
         Ok(())
     }
 
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
         if self.unread > 0 {
-            eprintln!("{} answers were not printed, because stdout was not read", self.unread);
+            message!("{} answers were not printed, because stdout was not read", self.unread);
         }
         if self.json {
             self.json_line(&json!({ "summary": summary }))?;

@@ -153,24 +153,24 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<J
 /// Prints the address of the page on stderr, and how to open it.
 fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
     let Some(token) = token else {
-        eprintln!("live page: http://{address}");
+        message!("live page: http://{address}");
         return;
     };
     let is_terminal = std::io::stderr().is_terminal();
     // If stderr is not a terminal, it may be a journal that others read. A token in a file is available without it; one
     // of this run is not.
     if let Some(file) = token.file().filter(|_| !is_terminal) {
-        eprintln!("live page: http://{}/?token=TOKEN with the token in {}", reachable(address), file.display());
+        message!("live page: http://{}/?token=TOKEN with the token in {}", reachable(address), file.display());
     } else {
         let link = format!("http://{}/?token={}", reachable(address), token.text());
-        eprintln!("live page: {link}");
+        message!("live page: {link}");
         if is_terminal && !address.ip().is_loopback() {
             print_code(&link);
         }
     }
     if !address.ip().is_loopback() {
         let may = if is_read_only { "watch" } else { "watch and label" };
-        eprintln!("whoever has the token can {may}; the connection is not encrypted, so use a network that you trust");
+        message!("whoever has the token can {may}; the connection is not encrypted, so use a network that you trust");
     }
 }
 
@@ -200,7 +200,7 @@ fn print_code(link: &str) {
         Ok(code) => {
             let picture = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
             for line in picture.lines() {
-                eprintln!("\x1b[40;97m{line}\x1b[0m");
+                message!("\x1b[40;97m{line}\x1b[0m");
             }
         }
         Err(error) => tracing::debug!("no QR code of the link: {error}"),

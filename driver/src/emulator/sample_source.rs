@@ -209,7 +209,7 @@ impl SampleSource {
     fn now_ns(&self) -> Option<u64> {
         let Pace::RealTime(speed) = self.pace else { return None };
         let (instant, time_ns) = self.clock?;
-        Some(time_ns + (instant.elapsed().as_nanos() as f64 * speed) as u64)
+        Some(time_ns.saturating_add((instant.elapsed().as_nanos() as f64 * speed) as u64))
     }
 
     /// Samples the frames that are due, while the host reads nothing.

@@ -50,12 +50,12 @@ impl DenseFrame<'_> {
             let off_db = 20.0 * off.log10();
             if off <= CLOSE {
                 if off > SAME {
-                    eprintln!("{}: {off_db:.1} dB off what the program makes now", path.display());
+                    message!("{}: {off_db:.1} dB off what the program makes now", path.display());
                 }
                 let milliseconds = started.elapsed().as_secs_f64() * 1e3 * self.shape()[1] as f64;
                 return Ok(DenseSamples { samples, milliseconds });
             }
-            eprintln!("{}: {off_db:.1} dB off what the program makes now; computed anew", path.display());
+            message!("{}: {off_db:.1} dB off what the program makes now; computed anew", path.display());
         }
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         let computed = self.compute()?;

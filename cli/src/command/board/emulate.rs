@@ -113,12 +113,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     } else {
         output::text_line(&path)?;
     }
-    eprintln!("an emulated board with {description}; Ctrl-C stops it");
+    message!("an emulated board with {description}; Ctrl-C stops it");
     let cause = wait_for_end(&board, &description);
     let counts = board.counts();
     // Dropping the board stops it.
     drop(board);
-    eprintln!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
+    message!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
     match cause {
         Some(reason) => bail!("an emulated board with {description}: {reason}"),
         None => Ok(()),
@@ -137,7 +137,7 @@ fn wait_for_end(board: &EmulatedBoard, description: &str) -> Option<String> {
         if board.finished() && !has_ended {
             has_ended = true;
             let frames = board.counts().frames;
-            eprintln!(
+            message!(
                 "{description} has ended, {frames} frames were sent: the board is silent from here on; Ctrl-C stops it, --loop would \
                  begin again"
             );
@@ -167,7 +167,7 @@ fn serve_probe(node: &Path) -> anyhow::Result<()> {
             std::thread::sleep(Duration::from_millis(20));
         }
     });
-    let ready = || eprintln!("an emulated debug probe on {}; Ctrl-C stops it", node.display());
+    let ready = || message!("an emulated debug probe on {}; Ctrl-C stops it", node.display());
     let served = match node.is_dir() {
         true => function_fs::serve_probe(node, &mut probe, ready),
         false => probe.serve_hid(node, ready),

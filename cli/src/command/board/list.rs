@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         say(&Report { event: None, candidate, state }, arguments.json)?;
     }
     if is_empty && !arguments.json {
-        eprintln!("nothing found\n\nhint: radome demo needs no board; radome board emulate makes one");
+        message!("nothing found\n\nhint: radome demo needs no board; radome board emulate makes one");
     }
     Ok(())
 }

@@ -26,7 +26,7 @@ pub fn print(rows: &[Row], has_frames: bool, as_json: bool) -> anyhow::Result<()
         output::text_line(&format!("{:<width$} {range:>13} {found:>8} {spread:>15}{mark}", row.measured.name))?;
     }
     if !has_frames {
-        eprintln!("clutter is seen in frames only: name recordings of an empty room, or a scene, with --frames");
+        message!("clutter is seen in frames only: name recordings of an empty room, or a scene, with --frames");
     }
     Ok(())
 }

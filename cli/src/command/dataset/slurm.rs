@@ -26,7 +26,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Errors in the spec are reported here once rather than by every task.
     let plan = Plan::new(spec, Shard { index: 0, count: array.tasks })?;
     if plan.units.len() < array.tasks {
-        eprintln!("there are {} units for {} tasks: some will have nothing to do", plan.units.len(), array.tasks);
+        message!("there are {} units for {} tasks: some will have nothing to do", plan.units.len(), array.tasks);
     }
     let folder = word(&array.output)?;
     let shard = format!("dataset build {} -o {folder}", word(spec)?);

@@ -55,7 +55,16 @@ pub struct Arguments {
 /// The model or a recording cannot be read, nothing is labelled, or the adapted model is worse and not forced.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.output {
-        arguments.overwrite.check(path)?;
+        // The model may be replaced by the adapted one.
+        let file = |named: &String| PathBuf::from(named.split('=').next().unwrap_or_default());
+        let labels = |named: &String| PathBuf::from(named.split_once('=').map_or("", |(_, label)| label));
+        let inputs: Vec<PathBuf> = arguments
+            .recordings
+            .iter()
+            .flat_map(|named| [file(named), labels(named)])
+            .chain(arguments.empty.clone())
+            .collect();
+        arguments.overwrite.check(path, &inputs.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
     }
     if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
         bail!(
@@ -149,7 +158,7 @@ fn tell(
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
             _ => "each recording that shows it also shows something that no other one shows",
         };
-        eprintln!("warning: {class} cannot be measured: {why}");
+        message!("warning: {class} cannot be measured: {why}");
         not_measured.push(json!({ "class": class, "recordings": count, "why": why }));
     }
     let all = inputs.iter().zip(recordings).zip(held_out);

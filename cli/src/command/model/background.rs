@@ -37,14 +37,14 @@ pub struct Arguments {
 /// The model or the source cannot be opened, too few frames come, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    arguments.overwrite.check(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output, &[arguments.source.input(), &arguments.model])?;
     let model = Model::open(&arguments.model)?;
     let judge = model.named(&arguments.model, Default::default())?;
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
     let mut source = source::open(&arguments.source.source, &options)?;
-    eprintln!("{}; nobody should be in the room", source.description);
+    message!("{}; nobody should be in the room", source.description);
     let mut at_work = model.judge(source.frames.waveform())?;
     let mut frame = Frame::zeroed(source.frames.waveform().shape());
     let mut capture = Capture::new();
@@ -65,8 +65,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
-    let background: Background =
-        capture.finish(&judge).with_context(|| format!("{} is not captured", arguments.source.source))?;
+    let background: Background = capture
+        .finish(&judge, source.frames.waveform())
+        .with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;
     let file = arguments.output.display().to_string();
     if arguments.json {

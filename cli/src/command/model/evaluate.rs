@@ -294,14 +294,14 @@ impl<'a> Answers<'a> {
             return output::json_line(&answer);
         }
         for of in &thermal {
-            eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+            message!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
         }
         self.judged.iter().try_for_each(Judged::print)?;
         for of in &self.refused {
             output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
         }
         if !arguments.no_smoothing {
-            eprintln!("by single frames: balanced accuracy {alone:.4}");
+            message!("by single frames: balanced accuracy {alone:.4}");
         }
         print(&metrics)?;
         print_errors(&false_alarms, &metrics)?;
@@ -424,7 +424,7 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     let metrics = evaluate(classifier, &dataset, &indices)?;
     let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
     if classifier.card().standardisation.needs_labels() {
-        eprintln!("the labels of these maps were told to the model: it standardises by scene and class");
+        message!("the labels of these maps were told to the model: it standardises by scene and class");
     }
     if arguments.json {
         return output::json_line(&OfDataset { metrics: &metrics, ablation: ablated });
@@ -456,7 +456,7 @@ fn print(metrics: &Metrics) -> anyhow::Result<()> {
         output::text_line(&format!("{:>14} {:>7} {:>7} {:>7}", class.name(), row[0], row[1], row[2]))?;
     }
     for class in &metrics.absent {
-        eprintln!("no map is labelled {class}: the balanced accuracy is over the other classes");
+        message!("no map is labelled {class}: the balanced accuracy is over the other classes");
     }
     Ok(())
 }

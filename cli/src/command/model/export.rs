@@ -38,8 +38,7 @@ pub struct Arguments {
 /// # Errors
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    files::check_not_input(&arguments.output, &arguments.model)?;
-    arguments.overwrite.check(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output, &[&arguments.model])?;
     let model = Model::load(&arguments.model)?;
     let bytes = onnx::export(&model)?;
     files::write_output(&arguments.output, arguments.overwrite.existing(), |file| Ok(file.write_all(&bytes)?))?;

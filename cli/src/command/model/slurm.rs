@@ -34,7 +34,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     study::check_sources(path, &conditions, given)?;
     let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();
     if trainings < array.tasks && !spec.leave_one_recording_out {
-        eprintln!("there are {trainings} trainings for {} tasks: some will have nothing to do", array.tasks);
+        message!("there are {trainings} trainings for {} tasks: some will have nothing to do", array.tasks);
     }
     let mut command = format!("model study {} -o {}", word(path)?, word(&array.output)?);
     match dataset {

@@ -102,6 +102,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let maps = match &arguments.dataset {
         Some(maps) => maps.clone(),
+        None if arguments.report_only && !folder.join("dataset/dataset.json").exists() => bail!(
+            "{} holds no dataset\n\nhint: --dataset FOLDER names the one that the study was made with",
+            folder.display()
+        ),
         None => {
             let maps = folder.join("dataset");
             make_dataset(&maps, &source, || Plan::new(&named(&arguments.spec, &source)?, Shard::WHOLE))?;
@@ -127,11 +131,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Ok((report, _)) = &reported {
         let next = if is_shard { "when all shards are, --report-only reports" } else { "the same command carries on" };
         if report.done < report.planned {
-            eprintln!("{} of {} trainings are done; {next}", report.done, report.planned);
+            message!("{} of {} trainings are done; {next}", report.done, report.planned);
         }
         let (judged, planned) = conditions::count(report);
         if judged < planned {
-            eprintln!("{judged} of {planned} scores under conditions are done; {next}");
+            message!("{judged} of {planned} scores under conditions are done; {next}");
         }
     }
     worked?;
@@ -150,7 +154,7 @@ fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Pl
     while !is_dataset(maps) {
         let plan = plan()?;
         if !std::mem::replace(&mut is_told, true) {
-            eprintln!("building {} from {}", maps.display(), source.display());
+            message!("building {} from {}", maps.display(), source.display());
         }
         match build_plan(&plan, maps, None) {
             Ok(_) => return Ok(true),
@@ -233,7 +237,7 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
         }
         (None, None) => format!("{:.3} training, no test split", outcome.training),
     };
-    eprintln!(
+    message!(
         "{} rate {} labels {:.0} % seed {}: {what}, {:.0} s",
         job.variant,
         job.learning_rate,
@@ -250,7 +254,7 @@ fn told_judgement(judgement: &Judgement) -> anyhow::Result<()> {
         Some(metrics) => format!("balanced accuracy {:.3} of {} maps", metrics.balanced_accuracy, metrics.samples),
         None => "its training failed".to_owned(),
     };
-    eprintln!("{} rate {} seed {} on {condition}: {what}", job.variant, job.learning_rate, job.seed);
+    message!("{} rate {} seed {} on {condition}: {what}", job.variant, job.learning_rate, job.seed);
     Ok(())
 }
 

@@ -7,8 +7,8 @@ use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
 use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
+use crate::output;
 use crate::output_file::Overwrite;
-use crate::{files, output};
 
 /// `radome model train`
 #[derive(clap::Args)]
@@ -84,14 +84,16 @@ impl Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let checkpoint = arguments.checkpoint();
     // A resumed training passed this check when it began.
-    match checkpoint.exists() {
-        true => files::check_parent(&arguments.output)?,
-        false => arguments.overwrite.check(&arguments.output)?,
-    }
+    let overwrite = match checkpoint.exists() {
+        true => Overwrite::yes(),
+        false => arguments.overwrite,
+    };
+    let spec_file = arguments.spec.as_deref().unwrap_or(Path::new(""));
+    overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
     let dataset = Dataset::open(&arguments.dataset)?;
     let spec = arguments.spec()?;
     if checkpoint.exists() {
-        eprintln!("carrying on from {}", checkpoint.display());
+        message!("carrying on from {}", checkpoint.display());
     }
     let bar = output::progress(spec.all_epochs() as u64, "training");
     let mut trouble = None;
@@ -117,14 +119,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let outcome = outcome.inspect_err(|_| {
         if checkpoint.exists() {
-            eprintln!("the epochs so far are in {}; the same command carries on", checkpoint.display());
+            message!("the epochs so far are in {}; the same command carries on", checkpoint.display());
         }
     })?;
     for warning in &outcome.warnings {
-        eprintln!("warning: {warning}");
+        message!("warning: {warning}");
     }
     // The model is saved even if progress could not be printed.
     outcome.model.save(&arguments.output)?;
+    // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
+    let _ = std::fs::remove_file(&checkpoint);
     if let Some(error) = trouble {
         return Err(error);
     }

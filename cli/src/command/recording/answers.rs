@@ -42,9 +42,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "{named} holds no results\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
         );
     };
-    eprintln!(
+    message!(
         "judged by {} (SHA-256 {}), on after {} s, off after {} s",
-        judge.model, judge.model_hash, judge.on_delay_s, judge.off_delay_s
+        judge.model,
+        judge.model_hash,
+        judge.on_delay_s,
+        judge.off_delay_s
     );
     let mut people = None;
     let mut wanted = results.filter(|result| {
@@ -54,8 +57,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     });
     match &arguments.output {
         Some(path) => {
-            files::check_not_input(path, &arguments.recording)?;
-            arguments.overwrite.check(path)?;
+            arguments.overwrite.check(path, &[&arguments.recording])?;
             files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))
         }
         None if arguments.json => wanted.try_for_each(|result| output::json_line(&result?)),

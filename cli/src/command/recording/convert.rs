@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
-use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
+use anyhow::{Context, bail};
+use radome_driver::recording::{Existing, Format, Recording, RecordingError, RecordingWriter, WriteReport};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
@@ -70,15 +70,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             ),
         },
     };
-    files::check_not_input(path, input)?;
-    arguments.overwrite.check(path)?;
+    arguments.overwrite.check_name(path, &[input])?;
+    if format == Some(Format::Text) {
+        check_labels(arguments)?;
+    }
     let mut source = open(input)?;
     let report = match format {
         Some(format) => convert(arguments, format, &mut source),
         None => write_for_viewers(arguments, &mut source),
     }?;
     for what in &report.omitted {
-        eprintln!("not held by this format: {what}");
+        message!("not held by this format: {what}");
     }
     if arguments.json {
         return output::json_line(&json!({
@@ -100,6 +102,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ))
 }
 
+/// A text recording has its labels in a file beside it. Those of a recording that stood there are not the new one's.
+fn check_labels(arguments: &Arguments) -> anyhow::Result<()> {
+    let Some(labels) = labels::file_beside(&arguments.output) else { return Ok(()) };
+    if arguments.overwrite.existing() == Existing::Refuse {
+        bail!(
+            "{} would be taken for the labels of {}\n\nhint: move it away; --overwrite removes it",
+            labels.display(),
+            arguments.output.display()
+        );
+    }
+    std::fs::remove_file(&labels).with_context(|| format!("cannot remove {}", labels.display()))?;
+    message!("{} is removed: it held the labels of the old recording", labels.display());
+    Ok(())
+}
+
 /// Opens the input and reports known losses.
 fn open(input: &Path) -> anyhow::Result<Recording> {
     let source = match Recording::open(input) {
@@ -109,7 +126,7 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
         opened => opened?,
     };
     if matches!(source, Recording::Infineon(_)) {
-        eprintln!("not carried over: the descriptions in meta.json");
+        message!("not carried over: the descriptions in meta.json");
     }
     Ok(source)
 }

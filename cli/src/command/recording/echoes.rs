@@ -80,8 +80,10 @@ struct Said {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if let Some(path) = &arguments.output {
-        arguments.overwrite.check(path)?;
+        let angles = arguments.angles.as_deref().unwrap_or(Path::new(""));
+        arguments.overwrite.check(path, &[arguments.source.input(), angles])?;
     }
+    let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
     let frames = arguments.source.frames.unwrap_or(FRAMES);
     let options = SourceOptions { frames: Some(frames), ..arguments.source.options()? };
@@ -89,7 +91,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {
-        eprintln!("these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation");
+        let why = "these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation";
+        if truth.is_some() {
+            bail!(why);
+        }
+        message!("{why}");
     }
     let mut detector = Detector::new(&waveform, &receivers.baselines());
     let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
@@ -124,21 +130,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
-    let Some(truth) = &arguments.reflector else { return Ok(()) };
+    let Some(truth) = truth else { return Ok(()) };
+    if output::interrupted() {
+        return Err(output::Interrupted.into());
+    }
     let profiles: Vec<&RangeProfile> = profiles.iter().collect();
     calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
 }
 
-/// Computes angle offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
-/// in a range interval.
-fn calibrate(
-    arguments: &Arguments,
-    truth: &[f64],
-    receivers: &Receivers,
-    waveform: &Waveform,
-    find: impl FnOnce(Range<f64>) -> Option<Detection>,
-) -> anyhow::Result<()> {
-    let &[range_m, azimuth_deg, elevation_deg] = truth else {
+/// Position of the reflector: range, azimuth and elevation.
+fn reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
+    let &[range_m, azimuth_deg, elevation_deg] = numbers else {
         bail!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
     };
     if !(range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0) {
@@ -146,6 +148,18 @@ fn calibrate(
             "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
         );
     }
+    Ok([range_m, azimuth_deg, elevation_deg])
+}
+
+/// Computes angle offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
+/// in a range interval.
+fn calibrate(
+    arguments: &Arguments,
+    [range_m, azimuth_deg, elevation_deg]: [f64; 3],
+    receivers: &Receivers,
+    waveform: &Waveform,
+    find: impl FnOnce(Range<f64>) -> Option<Detection>,
+) -> anyhow::Result<()> {
     let echo = find(range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
         format!(
             "no range within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",

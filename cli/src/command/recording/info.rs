@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let model = header.judge.as_ref().map(|judge| judge.model.as_str());
     if arguments.json {
         return output::json_line(&json!({
-            "path": path,
+            "path": path.display().to_string(),
             "format": format,
             "finished": is_finished,
             "frames": frames,

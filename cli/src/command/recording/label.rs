@@ -62,7 +62,8 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
 /// The recording or a file of labels cannot be read or written, or the labels contradict each other or the recording.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.output {
-        arguments.overwrite.check(file)?;
+        let inputs = arguments.from.iter().chain([&arguments.recording]);
+        arguments.overwrite.check(file, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     }
     if arguments.span.is_empty() && arguments.from.is_none() && arguments.propose.is_none() {
         return show(arguments);
@@ -88,7 +89,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         None => labels::add(&arguments.recording, &spans)?,
     };
-    eprintln!("{} labels written to {}", spans.len(), place.display());
+    message!("{} labels written to {}", spans.len(), place.display());
     print(&spans, arguments.json)
 }
 

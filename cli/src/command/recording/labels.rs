@@ -37,11 +37,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let mut spans = labels::read(path)?;
         spans.iter_mut().for_each(|span| span.who.clone_from(&arguments.who));
         labels::add(&arguments.file, &spans)?;
-        eprintln!("{} labels added to {}", spans.len(), arguments.file.display());
+        message!("{} labels added to {}", spans.len(), arguments.file.display());
     }
     let spans = Recording::open(&arguments.file)?.labels()?;
     if let Some(path) = &arguments.export {
-        arguments.overwrite.check(path)?;
+        arguments.overwrite.check(path, &[&arguments.file])?;
         labels::write(path, arguments.overwrite.existing(), &spans)?;
     }
     if arguments.json {

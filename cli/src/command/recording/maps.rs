@@ -58,17 +58,19 @@ impl Arguments {
 
     /// Refuses outputs that cannot be written, before anything is computed.
     fn check_outputs(&self) -> anyhow::Result<()> {
-        let input = Path::new(&self.source.source);
-        self.output.iter().chain(&self.png).try_for_each(|output| files::check_not_input(output, input))?;
+        let input = self.source.input();
         if let Some(picture) = &self.png {
-            self.overwrite.check(picture)?;
+            self.overwrite.check(picture, &[input])?;
+            if self.output.as_ref() == Some(picture) {
+                bail!("-o and --png name one file\n\nhint: name two");
+            }
         }
         match &self.output {
             None if self.png.is_none() => {
                 bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
             }
             None => Ok(()),
-            Some(path) if !is_stdout(path) => self.overwrite.check(path),
+            Some(path) if !is_stdout(path) => self.overwrite.check(path, &[input]),
             Some(_) if self.json => {
                 bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
             }
@@ -209,7 +211,7 @@ fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()>
         }
     );
     if arguments.is_to_stdout() {
-        eprintln!("{said}");
+        message!("{said}");
         return Ok(());
     }
     output::text_line(&said)

@@ -33,19 +33,19 @@ pub struct Arguments {
 /// # Errors
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
-    arguments.overwrite.check(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output, &[&arguments.file])?;
     let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
     if !report.was_finished {
-        eprintln!("the recording was never finished; what came after its last chunk is lost");
+        message!("the recording was never finished; what came after its last chunk is lost");
     }
     for damage in &report.damage {
         let frames = damage.frames.map_or("frames unknown".into(), |frames| format!("{frames} frames"));
-        eprintln!("at byte {}: {} bytes lost, {frames}: {}", damage.offset, damage.bytes, damage.reason);
+        message!("at byte {}: {} bytes lost, {frames}: {}", damage.offset, damage.bytes, damage.reason);
     }
     for gap in &report.lost {
         match gap.frames {
-            0 => eprintln!("frames lost from {} on, nobody knows how many", gap.first_sequence),
-            frames => eprintln!("{frames} frames lost from {} on", gap.first_sequence),
+            0 => message!("frames lost from {} on, nobody knows how many", gap.first_sequence),
+            frames => message!("{frames} frames lost from {} on", gap.first_sequence),
         }
     }
     let file = arguments.output.display().to_string();

@@ -18,7 +18,6 @@ pub use self::arguments::Arguments;
 use self::copies::Copies;
 use self::measured::measure;
 use self::recordings::Recordings;
-use crate::files;
 
 /// Fits a receiver to the first part of recordings, and compares simulations with and without it with the rest.
 ///
@@ -26,9 +25,8 @@ use crate::files;
 /// A recording, the scene or the base receiver cannot be read, too few frames can be fitted, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(output) = &arguments.output {
-        let mut inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
-        inputs.try_for_each(|input| files::check_not_input(output, input))?;
-        arguments.overwrite.check(output)?;
+        let inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
+        arguments.overwrite.check(output, &inputs.map(std::path::PathBuf::as_path).collect::<Vec<_>>())?;
     }
     if !(arguments.part > 0.0 && arguments.part < 1.0) {
         bail!("--part is {}, expected a number between 0 and 1", arguments.part);

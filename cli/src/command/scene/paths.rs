@@ -59,8 +59,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bail!("--margin-db {} is no number of decibels", arguments.margin_db);
     }
     if let Some(path) = &arguments.output {
-        files::check_not_input(path, &arguments.scene)?;
-        arguments.overwrite.check(path)?;
+        arguments.overwrite.check(path, &[&arguments.scene])?;
     }
     let scene = Scene::load(&arguments.scene)?;
     Simulator::check_people(&scene, arguments.people)?;

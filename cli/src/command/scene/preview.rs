@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::bail;
+use radome_sim::path_list::PathListOptions;
 use radome_sim::{Scene, Simulator};
 use serde_json::json;
 
@@ -39,8 +41,7 @@ pub struct Arguments {
 /// # Errors
 /// The scene is not valid, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    files::check_not_input(&arguments.output, &arguments.scene)?;
-    arguments.overwrite.check(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output, &[&arguments.scene])?;
     let scene = Scene::load(&arguments.scene)?;
     draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;
     report(&arguments.scene, arguments.seed, &arguments.output, arguments.json)
@@ -55,6 +56,9 @@ pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: 
     Simulator::check_people(scene, people)?;
     let scene = scene.drawn(seed)?;
     let until_s = frames as f64 * scene.waveform().frame_interval_s();
+    if until_s > PathListOptions::LATEST_S {
+        bail!("--frames {frames} last {until_s:.0} s\n\nhint: a picture shows at most a day");
+    }
     scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)
 }
 

@@ -13,7 +13,7 @@ use super::preview;
 use crate::output_file::Overwrite;
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
-use crate::{files, kept, output};
+use crate::{kept, output};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
@@ -76,11 +76,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (first, end) = arguments.range();
     let file = arguments.file();
     if let Some(output) = &file {
-        files::check_parent(output)?;
-        files::check_not_input(output, &arguments.scene)?;
-        if arguments.shard.is_none() {
-            arguments.overwrite.check(output)?;
-        }
+        // A shard that is there is kept or made again.
+        let overwrite = if arguments.shard.is_some() { Overwrite::yes() } else { arguments.overwrite };
+        overwrite.check(output, &[&arguments.scene])?;
     }
     // A shard gets its final name when it is complete, so that an interrupted run can be repeated.
     let written = file.as_ref().map(|path| match arguments.shard {
@@ -207,7 +205,7 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
         compared.clear();
     }
     if kept::is_recording_of(output, simulator, frames, &compared) {
-        eprintln!("{} is there already", output.display());
+        message!("{} is there already", output.display());
         return Ok(true);
     }
     if overwrite.existing() == Existing::Refuse {
@@ -242,7 +240,7 @@ fn foretell(simulator: &Simulator, frames: u64) {
     }
     let frame_mb = (frame.codes.len() * size_of::<u16>()) as f64 * 1e-6;
     let (file_mb, memory_mb) = (frame_mb * frames as f64, resident_mb().unwrap_or(0.0) * threads as f64);
-    eprintln!(
+    message!(
         "about {:.0} min on {threads} threads; {file_mb:.0} MB of frames, up to {memory_mb:.0} MB of memory",
         (seconds / 60.0).max(1.0).round()
     );

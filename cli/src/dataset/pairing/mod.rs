@@ -218,11 +218,11 @@ impl<'a> Pairing<'a> {
     /// Finds the echoes of the recording and stores its maps.
     fn follow_recording(&self, mut source: Source, spans: &[LabelSpan], store: &mut Store) -> anyhow::Result<Followed> {
         if !self.sensor.tells_direction() {
-            eprintln!("no two receivers side by side: people are taken to move along the boresight");
+            message!("no two receivers side by side: people are taken to move along the boresight");
         }
         if self.stage.waveform_replaced {
             let scene = self.settings.scene.display();
-            eprintln!("{scene}: the mirror has the recording's waveform, not the scene's");
+            message!("{scene}: the mirror has the recording's waveform, not the scene's");
         }
         let mut watcher = self.watcher();
         let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
@@ -261,7 +261,7 @@ impl<'a> Pairing<'a> {
         bar.finish_and_clear();
         let first_ns = self.check(&taken, spans)?;
         if unlabelled > 0 {
-            eprintln!("{}: {unlabelled} maps without a label were left out", self.name);
+            message!("{}: {unlabelled} maps without a label were left out", self.name);
         }
         let times_s: Vec<f64> = taken.iter().map(|of| (of.time_ns - first_ns) as f64 * 1e-9).collect();
         let detections = watcher.finish(&times_s, &taken, &self.waveform);

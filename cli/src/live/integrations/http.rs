@@ -104,7 +104,9 @@ async fn report(
     };
     match &served.reports {
         None => (StatusCode::NOT_FOUND, "nothing is kept: start with --keep-to FOLDER\n"),
-        Some(reports) if reports.send(Report { truth, by: "http" }) => (StatusCode::ACCEPTED, "kept\n"),
+        Some(reports) if reports.send(Report { truth, by: "http" }) => {
+            (StatusCode::ACCEPTED, "accepted; the log says whether it is kept\n")
+        }
         Some(_) => {
             count(&served.latest.counters.reports_refused);
             (StatusCode::TOO_MANY_REQUESTS, "another report is being saved\n")

@@ -171,7 +171,7 @@ impl Keeper {
         let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
         let fits_s = (most_bytes / frame_bytes) as f64 * header.waveform.frame_interval_s();
         if fits_s < span_s {
-            eprintln!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");
+            message!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");
         }
         let ring =
             Ring { entries: VecDeque::new(), bytes: 0, span_ns: (span_s * 1e9) as u64, most_bytes, newest_ns: 0 };
@@ -256,7 +256,7 @@ impl Saving {
                 Ok(path) => {
                     last = Some(Instant::now());
                     count(&self.latest.counters.reports_kept);
-                    eprintln!("report by {}: it was {}; kept as {}", report.by, report.truth.name(), path.display());
+                    message!("report by {}: it was {}; kept as {}", report.by, report.truth.name(), path.display());
                 }
                 Err(error) => {
                     count(&self.latest.counters.reports_refused);

@@ -173,7 +173,7 @@ fn serve_metrics(
         format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
     })?;
     let address = listener.local_addr()?;
-    eprintln!("metrics: http://{address}/metrics");
+    message!("metrics: http://{address}/metrics");
     let access = Access::new(address, access, token.as_ref());
     runtime.spawn(http::serve(listener, access, latest, reports));
     Ok(())

@@ -539,7 +539,7 @@ impl Keeper {
             place.settle().with_context(|| format!("{count} labels are in a file beside the recording"))?;
         }
         if self.place.is_none() && state.book.revision > 0 && !state.book.spans.is_empty() {
-            eprintln!("{count} labels were made; they live in exports of the page alone");
+            message!("{count} labels were made; they live in exports of the page alone");
         }
         Ok(())
     }

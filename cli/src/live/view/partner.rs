@@ -49,7 +49,7 @@ impl Partner {
                 playback.path.display()
             )
         })?;
-        eprintln!("simulated partner: {}", folder.display());
+        message!("simulated partner: {}", folder.display());
         Ok(Some(partner))
     }
 

@@ -240,7 +240,7 @@ fn mean(curves: &[Curve]) -> Curve {
 }
 
 fn print(minutes: &[f64], curves: &[Curve]) -> anyhow::Result<()> {
-    eprintln!("balanced accuracy by frame / filtered, on other recordings of the room, by minutes of labels");
+    message!("balanced accuracy by frame / filtered, on other recordings of the room, by minutes of labels");
     let said = |scores: Option<Scores>| {
         scores.map_or("-".to_owned(), |scores| format!("{:.2}/{:.2}", scores.by_frame, scores.filtered))
     };

@@ -191,7 +191,7 @@ pub(super) fn open(
         if !is_work && given(&file.name).is_none() && !is_dataset(&maps) {
             unbuilt += 1;
             if arguments.report_only {
-                eprintln!("condition '{}' is left out: its dataset is not built yet", file.name);
+                message!("condition '{}' is left out: its dataset is not built yet", file.name);
             }
             continue;
         }

@@ -147,7 +147,7 @@ impl OfModel {
 
 /// Prints a table for each model.
 pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
-    eprintln!("frames in which someone enters or leaves are left out; `two` means two people or more");
+    message!("frames in which someone enters or leaves are left out; `two` means two people or more");
     let number = |value: Option<f64>, decimals: usize| value.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
     for of in answers {
         output::text_line(&of.model.display().to_string())?;
@@ -187,7 +187,7 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
         }
         for row in &of.rungs {
             if let Some(first) = row.refused.first() {
-                eprintln!("{}: {} refused: {}", of.model.display(), first.recording, first.reason);
+                message!("{}: {} refused: {}", of.model.display(), first.recording, first.reason);
             }
         }
     }
@@ -196,9 +196,10 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
 
 /// Prints the filter settings in the format of a training file.
 pub(super) fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
-    eprintln!(
+    message!(
         "log loss, the mean over models and rungs: {:.3} by frame, {:.3} through the fitted filter",
-        fit.log_loss_by_frame, fit.log_loss
+        fit.log_loss_by_frame,
+        fit.log_loss
     );
     output::text_line("[smoothing]")?;
     output::text_line(&format!("dwell_s = {:.2}", fit.smoothing.dwell_s))?;
