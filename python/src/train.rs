@@ -81,10 +81,6 @@ pub fn train<'py>(
             Err(payload) => Err(stopped(payload)),
         }
     })?;
-    if let Some(checkpoint) = &checkpoint {
-        // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
-        let _ = std::fs::remove_file(checkpoint);
-    }
     let TrainOutcome { model, history, validation, test, warnings } = outcome;
     let scores = json!({ "history": history, "validation": validation, "test": test, "warnings": warnings });
     Ok((Model::of(model), to_python(py, &scores)?))

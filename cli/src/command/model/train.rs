@@ -127,8 +127,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     // The model is saved even if progress could not be printed.
     outcome.model.save(&arguments.output)?;
-    // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
-    let _ = std::fs::remove_file(&checkpoint);
     if let Some(error) = trouble {
         return Err(error);
     }
