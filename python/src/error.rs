@@ -68,8 +68,10 @@ fn kind_of(error: &(dyn Error + 'static)) -> &'static str {
         Some(RecordingError::Occupied { .. }) => return "exists",
         _ => {}
     }
-    if let Some(DatasetError::Exists { .. }) = error.downcast_ref::<DatasetError>() {
-        return "exists";
+    match error.downcast_ref::<DatasetError>() {
+        Some(DatasetError::Exists { .. }) => return "exists",
+        Some(DatasetError::NoDataset { .. }) => return "not_found",
+        _ => {}
     }
     match error.downcast_ref::<BoardError>() {
         Some(BoardError::Absent { .. }) => "not_found",
