@@ -1,7 +1,7 @@
 //! Program `radome`: occupancy from a 60 GHz radar. Answers go to stdout, messages to stderr.
 
 // Only the program prints; the libraries below it return results.
-#![allow(clippy::print_stdout, clippy::print_stderr)]
+#![allow(clippy::print_stdout)]
 
 #[macro_use]
 mod message;

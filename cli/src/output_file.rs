@@ -51,7 +51,7 @@ impl Overwrite {
     /// name. Existing non-files, such as devices, may be written to.
     ///
     /// # Errors
-    /// The folder is missing, the file exists and is not to be replaced, the output is an input or lies in one, or it is
+    /// The folder is missing, the file exists and is not to be replaced, the output is an input or a file of one, or it is
     /// named `-`, where this would be no stdout.
     pub fn check_name(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
         if is_stdout(path) {
@@ -66,10 +66,25 @@ impl Overwrite {
     }
 }
 
-/// Fails if an output would replace an input or a part of it.
+/// Files of recordings and datasets that are folders.
+const PARTS: [&str; 9] = [
+    "radar.npy",
+    "radar_timestamp.csv",
+    "temperature.npy",
+    "temperature_timestamp.csv",
+    "config.json",
+    "meta.json",
+    "dataset.json",
+    "manifest.jsonl",
+    "radome.label",
+];
+
+/// Fails if an output would replace an input, or a file of an input that is a folder.
 fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
-    if written.starts_with(read) {
+    let name = written.file_name().unwrap_or_default().to_string_lossy();
+    let is_part = PARTS.contains(&&*name) || (name.starts_with("maps-") && name.ends_with(".npy"));
+    if written == read || (written.starts_with(read) && is_part) {
         bail!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Stdio;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success};
 use serde_json::json;
 
 #[test]
@@ -137,6 +137,44 @@ fn an_output_that_is_a_folder_is_refused_before_any_work() {
     }
     let judged = fixture("formats/judged.mcap");
     fails_with(radome().args(["recording", "answers"]).arg(&judged).args(["-o", "-"]), &["does not go to stdout"]);
+}
+
+#[test]
+fn labels_beside_a_text_recording_do_not_become_those_of_another() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 20", &at("desk.mcap"));
+    let convert = || {
+        let mut command = subcommand("recording convert");
+        command.arg(at("desk.mcap")).arg(at("old.txt")).arg("--overwrite");
+        command
+    };
+    success(&mut convert());
+    success(subcommand("recording label").arg(at("old.txt")).args(["--span", "0:1=two"]));
+    let before = [at("old.txt"), at("old.label")].map(|path| std::fs::read(path).expect("readable"));
+    fails_with(&mut convert(), &["old.label holds the labels of", "hint: move it away"]);
+    let after = [at("old.txt"), at("old.label")].map(|path| std::fs::read(path).expect("readable"));
+    assert!(before == after);
+}
+
+#[test]
+fn a_background_of_another_waveform_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let background = folder.path().join("empty.json");
+    let mut capture = subcommand("model background");
+    capture.arg(fixture("scenes/desk.toml")).args(["--frames", "100", "--model", "cfar", "-o"]).arg(&background);
+    success(&mut capture);
+    let live = |scene: &str| {
+        let mut command = radome();
+        command
+            .arg("live")
+            .arg(fixture(scene))
+            .args(["--frames", "5", "--model", "cfar", "--background"])
+            .arg(&background);
+        command
+    };
+    success(&mut live("scenes/desk.toml"));
+    fails_with(&mut live("scenes/hall.toml"), &["was captured with another waveform", "hint: "]);
 }
 
 /// A stderr that cannot be written, as that of a service whose journal is full.

@@ -266,7 +266,8 @@ struct Missed<'a> {
 impl Missed<'_> {
     /// Notes missed frames before the frame with this number is classified.
     fn note(&mut self, sequence: u64, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
-        let missed = self.inlet.missed.load(Ordering::Relaxed);
+        let dropped = self.inlet.missed.load(Ordering::Relaxed);
+        let missed = dropped.saturating_add(self.inlet.missed_in_gaps.load(Ordering::Relaxed));
         let first_sequence = std::mem::replace(&mut self.next_sequence, sequence.saturating_add(1));
         let frames = missed - std::mem::replace(&mut self.noted, missed);
         if frames > 0 {

@@ -94,6 +94,7 @@ struct Outlet {
     /// is noticed.
     oldest: Option<Receiver<Delivery>>,
     missed: Arc<AtomicU64>,
+    missed_in_gaps: Arc<AtomicU64>,
     is_left_behind: Arc<AtomicBool>,
     end: Arc<OnceLock<End>>,
 }
@@ -102,8 +103,10 @@ struct Outlet {
 pub struct Inlet {
     /// Items in order.
     pub receiver: Receiver<Delivery>,
-    /// Frames dropped because this consumer was too slow, and the missing frames of dropped gaps.
+    /// Frames dropped because this consumer was too slow.
     pub missed: Arc<AtomicU64>,
+    /// Missing frames of the gaps that were dropped with them.
+    pub missed_in_gaps: Arc<AtomicU64>,
     /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
     pub is_left_behind: Arc<AtomicBool>,
     /// Result of the stream. It is set before any consumer receives it.
@@ -130,13 +133,20 @@ impl Pipeline {
     /// Adds a consumer with a queue of `capacity` items.
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
-        let inlet = Inlet { receiver, missed: Arc::default(), is_left_behind: Arc::default(), end: Arc::default() };
+        let inlet = Inlet {
+            receiver,
+            missed: Arc::default(),
+            missed_in_gaps: Arc::default(),
+            is_left_behind: Arc::default(),
+            end: Arc::default(),
+        };
         self.outlets.push(Outlet {
             name,
             policy,
             sender,
             oldest: matches!(policy, Policy::DropOldest).then(|| inlet.receiver.clone()),
             missed: inlet.missed.clone(),
+            missed_in_gaps: inlet.missed_in_gaps.clone(),
             is_left_behind: inlet.is_left_behind.clone(),
             end: inlet.end.clone(),
         });
@@ -269,12 +279,11 @@ impl Outlet {
                 while let Err(TrySendError::Full(back)) = self.sender.try_send(delivery) {
                     delivery = back;
                     let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
-                    let missed = match oldest.map(|delivery| delivery.item) {
-                        Some(Item::Frame(_)) => 1,
-                        Some(Item::Gap(gap)) => gap.frames,
-                        Some(Item::End(_)) | None => 0,
-                    };
-                    self.missed.fetch_add(missed, Ordering::Relaxed);
+                    match oldest.map(|delivery| delivery.item) {
+                        Some(Item::Frame(_)) => drop(self.missed.fetch_add(1, Ordering::Relaxed)),
+                        Some(Item::Gap(gap)) => drop(self.missed_in_gaps.fetch_add(gap.frames, Ordering::Relaxed)),
+                        Some(Item::End(_)) | None => {}
+                    }
                 }
             }
         }
@@ -358,8 +367,9 @@ mod tests {
             .collect();
         assert_eq!(sequences, [19, 20], "the newest stay");
         assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
-        // Numbers 0 to 18: eighteen frames and the one that was lost before.
-        assert_eq!(inlet.missed.load(Ordering::Relaxed), 19);
+        assert_eq!(inlet.missed.load(Ordering::Relaxed), 18);
+        // The frame of the gap was missing before.
+        assert_eq!(inlet.missed_in_gaps.load(Ordering::Relaxed), 1);
     }
 
     #[test]

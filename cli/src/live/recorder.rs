@@ -44,14 +44,11 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
     }
 }
 
-fn left_behind() -> String {
-    stalled("recorder", PATIENCE)
-}
-
 /// Sink that passes answers to the recorder's thread, which receives frames and gaps from the pipeline.
 ///
-/// If the recorder fails, for example on a full disk or on one that hangs, the error is printed on stderr at once and the file stays marked
-/// unfinished. The run continues without it, since occupancy needs no disk, and fails with that error when it ends.
+/// If the recorder fails, for example on a full disk or on one that hangs, the error is printed on stderr at once and
+/// the file stays marked unfinished. The run continues without it, since occupancy needs no disk, and fails with that
+/// error when it ends.
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
     thread: Option<JoinHandle<anyhow::Result<Recorded>>>,
@@ -98,8 +95,9 @@ impl RecorderSink {
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
+            let is_left_behind = inlet.is_left_behind.load(Ordering::SeqCst);
             written
-                .and_then(|()| if inlet.is_left_behind.load(Ordering::SeqCst) { bail!(left_behind()) } else { Ok(()) })
+                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { Ok(()) })
                 .with_context(|| format!("the recording ended after {} frames", writer.frames))?;
             Ok(match inlet.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
@@ -134,8 +132,12 @@ impl RecorderSink {
             if std::mem::replace(&mut taken, now) != now {
                 since = Instant::now();
             }
-            if self.is_left_behind.load(Ordering::SeqCst) || since.elapsed() > LAST_PATIENCE {
-                bail!("{} is not whole: {}", self.file, left_behind());
+            let waited = match self.is_left_behind.load(Ordering::SeqCst) {
+                true => Some(PATIENCE),
+                false => (since.elapsed() > LAST_PATIENCE).then_some(LAST_PATIENCE),
+            };
+            if let Some(waited) = waited {
+                bail!("{} is not whole: {}", self.file, stalled("recorder", waited));
             }
             std::thread::sleep(Duration::from_millis(5));
         }

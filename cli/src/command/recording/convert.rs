@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
-use radome_driver::recording::{Existing, Format, Recording, RecordingError, RecordingWriter, WriteReport};
+use anyhow::bail;
+use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     arguments.overwrite.check_name(path, &[input])?;
     if format == Some(Format::Text) {
-        check_labels(arguments)?;
+        check_labels(path)?;
     }
     let mut source = open(input)?;
     let report = match format {
@@ -102,19 +102,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ))
 }
 
-/// A text recording has its labels in a file beside it. Those of a recording that stood there are not the new one's.
-fn check_labels(arguments: &Arguments) -> anyhow::Result<()> {
-    let Some(labels) = labels::file_beside(&arguments.output) else { return Ok(()) };
-    if arguments.overwrite.existing() == Existing::Refuse {
-        bail!(
-            "{} would be taken for the labels of {}\n\nhint: move it away; --overwrite removes it",
+/// Fails if labels stand beside the text recording that is to be replaced: they would be taken for those of the new one.
+fn check_labels(output: &Path) -> anyhow::Result<()> {
+    match labels::file_beside(output).filter(|_| output.exists()) {
+        Some(labels) => bail!(
+            "{} holds the labels of {}, and would be taken for those of the new recording\n\nhint: move it away",
             labels.display(),
-            arguments.output.display()
-        );
+            output.display()
+        ),
+        None => Ok(()),
     }
-    std::fs::remove_file(&labels).with_context(|| format!("cannot remove {}", labels.display()))?;
-    message!("{} is removed: it held the labels of the old recording", labels.display());
-    Ok(())
 }
 
 /// Opens the input and reports known losses.
