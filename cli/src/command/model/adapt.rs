@@ -2,7 +2,7 @@ mod curve;
 mod frames;
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy};
@@ -56,15 +56,12 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.output {
         // The model may be replaced by the adapted one.
-        let file = |named: &String| PathBuf::from(named.split('=').next().unwrap_or_default());
-        let labels = |named: &String| PathBuf::from(named.split_once('=').map_or("", |(_, label)| label));
-        let inputs: Vec<PathBuf> = arguments
-            .recordings
-            .iter()
-            .flat_map(|named| [file(named), labels(named)])
-            .chain(arguments.empty.clone())
-            .collect();
-        arguments.overwrite.check(path, &inputs.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+        let mut inputs: Vec<&Path> = arguments.empty.iter().map(PathBuf::as_path).collect();
+        for named in &arguments.recordings {
+            let (recording, labels) = named.rsplit_once('=').unwrap_or_default();
+            inputs.extend([named.as_str(), recording, labels].map(Path::new));
+        }
+        arguments.overwrite.check(path, &inputs)?;
     }
     if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
         bail!(
