@@ -1,14 +1,15 @@
 //! Sample times of the paths of people.
 //!
-//! A path is traced at the ends, the middle and the quarters of a frame. If the ends and quarters do not predict the
-//! middle in delay and amplitude together, the segment is halved. Each half is tested in the same way, with its own
-//! quarters. A trunk therefore has two samples in a frame and a foot two or three. A limb whose specular point passes
-//! behind another limb takes more. The quarters are needed because diffraction losses are short: one may begin and end
-//! within half a frame, which middles alone would miss.
+//! A path is traced at the ends and in the middle of a frame. If nobody obstructs it there, and the ends nearly predict
+//! the middle, these three samples suffice ([`PathSegment::through_three`]). Other paths are traced at the quarters,
+//! too: diffraction losses are short, and one may begin and end within half a frame. If the ends and quarters do not
+//! predict the middle in delay and amplitude together, the segment is halved. Each half is tested in the same way. A
+//! limb whose specular point passes behind another limb is halved several times.
 //!
-//! A path that needs one segment is traced five times, and four more times for each halving. All paths of a person
-//! advance together, instant by instant, so that their specular points are searched side by side
+//! All paths of a person advance together, instant by instant, so that their specular points are searched side by side
 //! ([`Paths::trace_all`]).
+//!
+//! [`PathSegment::through_three`]: crate::path_segment::PathSegment::through_three
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -213,7 +214,8 @@ impl Tracer<'_> {
         // Diffraction by people in the way makes no path louder.
         let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
         let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
-        let mut received: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
+        let mut received = Vec::with_capacity((0..first.len()).filter(may_be_heard).count());
+        received.extend((0..first.len()).filter(may_be_heard).map(open));
         for (i, instant) in at.into_iter().enumerate() {
             let numbered = received.iter_mut().map(|open| (open.path, &mut open.met[i]));
             self.paths.shade(numbered, self.instants.people(instant));
@@ -227,6 +229,19 @@ impl Tracer<'_> {
     /// `intervals` counts the segments of each path.
     fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], intervals: &mut [usize]) {
         let interval_s = self.instants.span_s / f64::from(1u32 << halvings);
+        let mut rest = Vec::with_capacity(all.len());
+        for open in all {
+            match self.calm(open, interval_s) {
+                Some((track, missed_lsb, loudest_lsb)) => {
+                    self.keep((halvings, place), track, [missed_lsb, loudest_lsb], interval_s);
+                    if let Some(count) = intervals.get_mut(open.number) {
+                        *count += 1;
+                    }
+                }
+                None => rest.push(*open),
+            }
+        }
+        let all = rest;
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
         let asked = |end: usize| -> Vec<(usize, Option<DVec3>)> {
             all.iter().map(|open| (open.path, open.met[end].place)).collect()
@@ -245,15 +260,40 @@ impl Tracer<'_> {
             let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
             let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
             if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-                self.out.missed += missed_lsb * missed_lsb * interval_s;
-                self.out.power += loudest_lsb * loudest_lsb * interval_s;
-                self.out.tracks.push(halvings, place, track);
                 *count += 1;
+                self.keep((halvings, place), track, [missed_lsb, loudest_lsb], interval_s);
                 continue;
             }
             next[2 * place].push(Open { met: [first, before, middle], ..*open });
             next[2 * place + 1].push(Open { met: [middle, after, last], ..*open });
         }
+    }
+
+    /// Interpolates a path by its samples at both ends and in the middle, if these suffice. Returns also the error
+    /// estimate and the largest amplitude, LSB.
+    fn calm(&self, open: &Open, interval_s: f64) -> Option<(Track, f64, f64)> {
+        let is_clear = |met: &TracedPath| met.is_clear && met.place.is_some();
+        if self.demand.halvings.is_some() || !open.met.iter().all(is_clear) {
+            return None;
+        }
+        let keys = open.met.each_ref().map(|met| met.keys());
+        let (track, missed_lsb) = Track::through_three(keys, interval_s, self.demand.frequency_hz)?;
+        let loudest_lsb = keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
+        let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
+        is_met.then_some((track, missed_lsb, loudest_lsb))
+    }
+
+    /// Keeps a track over segment `place` of a frame that is halved `halvings` times.
+    fn keep(
+        &mut self,
+        (halvings, place): (u32, usize),
+        track: Track,
+        [missed_lsb, loudest_lsb]: [f64; 2],
+        interval_s: f64,
+    ) {
+        self.out.missed += missed_lsb * missed_lsb * interval_s;
+        self.out.power += loudest_lsb * loudest_lsb * interval_s;
+        self.out.tracks.push(halvings, place, track);
     }
 }
 

@@ -111,6 +111,19 @@ impl Track {
         Some((Track { first, others }, missed_lsb))
     }
 
+    /// Interpolates the samples of every receiver at the ends and in the middle of a segment. Also returns the error
+    /// estimate of the first receiver ([`PathSegment::through_three`]); `None` without a receiver.
+    pub fn through_three(receivers: [&[PathSample]; 3], interval_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
+        let [begin, middle, end] = receivers;
+        let first = [begin.first()?, middle.first()?, end.first()?];
+        let (segment, missed_lsb) = PathSegment::through_three(&first.map(|key| *key), interval_s, frequency_hz);
+        let mut others = [Aside::default(); OTHERS];
+        for (aside, (a, b)) in others.iter_mut().zip(begin.iter().zip(end).skip(1)) {
+            *aside = Aside::between([first[0], first[2]], [a, b], interval_s);
+        }
+        Some((Track { first: segment, others }, missed_lsb))
+    }
+
     /// Returns the same path multiplied by its delays ([`PathSegment::by_delay`]).
     pub fn by_delay(&self) -> Self {
         let delays_s = [0.0, 1.0].map(|u| self.first.delay(u).0);

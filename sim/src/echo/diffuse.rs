@@ -15,7 +15,7 @@ use crate::diffuse::{LEAST_LEG_M, WallPoint};
 use crate::em::image::Element;
 use crate::em::{fresnel, specular::Ellipsoid};
 use crate::material::SKIN_PERMITTIVITY;
-use crate::people::body::CHEST;
+use crate::people::body::{CHEST, SEGMENTS};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::OTHERS;
@@ -51,18 +51,21 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
     4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
 }
 
+/// Returns the largest number of a person's diffuse echoes in an interval.
+pub fn most_echoes(prepared: &PreparedScene, points_a_segment: usize) -> usize {
+    /// Number of paths over a point.
+    const WAYS: usize = 3;
+    WAYS * SEGMENTS * points_a_segment.min(prepared.wall_points.len())
+}
+
 /// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
 /// intervals. Each segment of the body takes `points_a_segment` of the points, with echoes scaled so that the mean
 /// power does not depend on that number.
 pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], intervals: &mut [HeldEchoes]) {
-    /// Number of paths over a point.
-    const WAYS: usize = 3;
     let points = &prepared.wall_points;
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
-    let most = WAYS * segments.len() * points_a_segment.min(points.len());
-    intervals.iter_mut().for_each(|interval| interval.reserve(most));
     let audible = audible(prepared, own, &segments);
     let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
     // One pair of points stands for as many pairs as there are points.

@@ -9,7 +9,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
-use super::obstruction::{Bystanders, SharedWays, limb_column, opposite};
+use super::obstruction::{Bystanders, SharedWays, Way, limb_column, opposite};
 use super::path_rows::{Drift, ReceivedRows, WideFields, launched, received, reflected};
 use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
 use crate::diffraction::weaken_rows;
@@ -18,7 +18,7 @@ use crate::em::image::{BoxRoom, order};
 use crate::em::specular::LEAST_COSINE;
 use crate::em::specular_rows::{SpecularRows, specular_points};
 use crate::lanes::vector::store;
-use crate::lanes::{WIDE, WideRow, WideRow3, wide_lane};
+use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
 use crate::path_segment::PathSample;
@@ -42,13 +42,15 @@ pub struct TracedPath {
     point: DVec3,
     /// Whether obstruction by people has not been applied.
     is_bare: bool,
+    /// Whether people, and the limbs and trunk of the person that reflects, leave the path as it is.
+    pub is_clear: bool,
 }
 
 impl TracedPath {
     /// Builds a path from a sample for each receiver.
     pub fn new(keys: &[PathSample], place: Option<DVec3>) -> Self {
         let mut met =
-            TracedPath { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false };
+            TracedPath { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false, is_clear: false };
         for (own, key) in met.keys.iter_mut().zip(keys) {
             *own = *key;
             met.receivers += 1;
@@ -129,6 +131,7 @@ impl Paths<'_> {
             // Images of the transmitter and of the receivers are some millimetres apart, so they have separate entries.
             let left =
                 bystanders.past(2 * images[0], there, met.point) * bystanders.past(2 * images[1] + 1, back, met.point);
+            met.is_clear &= left == 1.0;
             met.keys.iter_mut().for_each(|key| key.amplitude *= left);
         }
     }
@@ -163,7 +166,8 @@ impl Paths<'_> {
         }
         let mut seen = SpecularRows::default();
         specular_points(self.level, ellipsoid, &sources, &mut seen);
-        let factors = self.factors(segment, own, &sources, &seen);
+        let bare = self.bare_factors(segment, &seen);
+        let factors = self.past_limbs(segment, own, &sources, &seen, &bare);
         let fields = self.fields(room, &pairs, &factors, &seen);
         let mut amplitude = [[0.0; WIDE]; 2];
         reflected(self.level, SKIN_PERMITTIVITY, &seen, &fields, &factors, &mut amplitude);
@@ -180,6 +184,7 @@ impl Paths<'_> {
             report.clamped += usize::from(nearest_m < LEAST_DISTANCE_M);
             met.place = Some(vector(&seen.unit, l));
             met.point = vector(&seen.point, l);
+            met.is_clear = factors[l] == bare[l];
             met.is_bare = amplitude[0][l] != 0.0 || amplitude[1][l] != 0.0;
         }
         self.hear_lanes(lanes, &pairs, &seen, &drift, &amplitude, met);
@@ -210,9 +215,9 @@ impl Paths<'_> {
         }
     }
 
-    /// Computes factors of amplitudes other than fields and spreading: aperture, clothes, walls of the room, grazing
-    /// incidence, and the person's own limbs and trunk. They are zero where no specular point was found.
-    fn factors(&self, segment: usize, own: &Snapshot, sources: &[WideRow3; 2], seen: &SpecularRows) -> WideRow {
+    /// Computes factors of amplitudes other than fields, spreading and obstruction: aperture, clothes, walls of the
+    /// room, grazing incidence. They are zero where no specular point was found.
+    fn bare_factors(&self, segment: usize, seen: &SpecularRows) -> WideRow {
         let prepared = self.prepared;
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let common = 0.5 * prepared.aperture_m() * cloth;
@@ -222,11 +227,24 @@ impl Paths<'_> {
             let faded = smooth_step((seen.cosine[l] - 0.2) / 0.1);
             *factor = common * faded * inside_room(prepared, vector(&seen.point, l));
         }
+        factors
+    }
+
+    /// Returns these factors times the obstruction by the person's own limbs and trunk.
+    fn past_limbs(
+        &self,
+        segment: usize,
+        own: &Snapshot,
+        sources: &[WideRow3; 2],
+        seen: &SpecularRows,
+        bare: &WideRow,
+    ) -> WideRow {
+        let mut factors = *bare;
         if segment >= 3 {
             let other = opposite(segment).and_then(|other| own.body.get(other)).map(limb_column);
             for column in [Some(own.trunk), other].iter().flatten() {
                 for source in sources {
-                    weaken_rows(self.level, &seen.point, source, column, prepared.wavelength_m, &mut factors);
+                    weaken_rows(self.level, &seen.point, source, column, self.prepared.wavelength_m, &mut factors);
                 }
             }
         }
@@ -244,18 +262,42 @@ impl Paths<'_> {
                 store(&mut signs, l, pair.signs[side]);
             }
             launched(self.level, antenna, &signs, &seen.towards[side], &mut fields.re);
-            for (l, pair) in pairs.iter().enumerate().filter(|&(l, _)| factors[l] != 0.0) {
-                let way = if side == 0 { &pair.there } else { &pair.back };
-                if order(way.image) == 0 && !room.transmission {
-                    continue;
-                }
-                let (direction, point) = (-vector(&seen.towards[side], l), vector(&seen.point, l));
-                let field = Phasor3::real(vector(&fields.re, l));
-                let field = room.propagated(way.antenna, way.image, way.source, direction, point, field);
-                store(&mut fields.re, l, field.re.to_array());
-                store(&mut fields.im, l, field.im.to_array());
-            }
+            let ways: [&Way; WIDE] = pairs.map(|pair| if side == 0 { &pair.there } else { &pair.back });
+            propagate(self.level, room, &ways, factors, &seen.towards[side], &seen.point, fields);
         }
         fields
+    }
+}
+
+compiled_for_levels! {
+    /// Propagates fields from images to points of the room, where the factor of the path is not zero.
+    fn propagate(
+        room: &BoxRoom,
+        ways: &[&Way; WIDE],
+        factors: &WideRow,
+        towards: &WideRow3,
+        points: &WideRow3,
+        fields: &mut WideFields,
+    ) = propagate_body;
+}
+
+#[inline(always)]
+fn propagate_body(
+    room: &BoxRoom,
+    ways: &[&Way; WIDE],
+    factors: &WideRow,
+    towards: &WideRow3,
+    points: &WideRow3,
+    fields: &mut WideFields,
+) {
+    for (l, way) in ways.iter().enumerate().filter(|&(l, _)| factors[l] != 0.0) {
+        if order(way.image) == 0 && !room.transmission {
+            continue;
+        }
+        let (direction, point) = (-vector(towards, l), vector(points, l));
+        let field = Phasor3::real(vector(&fields.re, l));
+        let field = room.propagated(way.antenna, way.image, way.source, direction, point, field);
+        store(&mut fields.re, l, field.re.to_array());
+        store(&mut fields.im, l, field.im.to_array());
     }
 }

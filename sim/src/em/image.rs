@@ -165,6 +165,7 @@ impl Iterator for Crossings {
 
 /// Applies a mirror plane of the unfolded room to a field: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so
 /// its part that is not TE is TM.
+#[inline(always)]
 fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflection) -> Phasor3 {
     let across = direction.cross(DVec3::AXES[axis]);
     let square = across.length_squared();
@@ -225,6 +226,7 @@ impl BoxRoom {
 
     /// Propagates a field from an image of `antenna` at `source` to a point: past all mirror planes on the path, and
     /// through the wall if the point lies outside.
+    #[inline(always)]
     pub(crate) fn propagated(
         &self,
         antenna: DVec3,
@@ -252,6 +254,7 @@ impl BoxRoom {
     }
 
     /// Propagates a field past all mirror planes between an image and a point of the room.
+    #[inline(always)]
     fn past_planes(
         &self,
         index: ImageIndex,

@@ -155,7 +155,7 @@ impl Curve {
     }
 
     /// Returns the coefficients at a cosine; `None` where they are not tabulated.
-    #[inline]
+    #[inline(always)]
     fn at(&self, cosine: f64) -> Option<Reflection> {
         let at = cosine * CELLS as f64;
         // NaN and values out of range map to the first or the last cell.
@@ -217,7 +217,7 @@ fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
     })
 }
 
-#[inline]
+#[inline(always)]
 fn value(piece: &Piece, x: f64) -> Parts {
     let mut sum = piece[NODES - 1];
     for power in piece.iter().rev().skip(1) {
@@ -257,14 +257,14 @@ impl WallTable {
     }
 
     /// Returns the reflection at the cosine of the angle of incidence.
-    #[inline]
+    #[inline(always)]
     pub fn reflection(&self, cosine: f64) -> Reflection {
         let tabulated = self.reflection.as_ref().and_then(|curve| curve.at(cosine));
         tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine))
     }
 
     /// Returns the factor of the wall on a field that passes straight through, relative to air.
-    #[inline]
+    #[inline(always)]
     pub fn transmission(&self, cosine: f64) -> Reflection {
         let tabulated = self.transmission.as_ref().and_then(|curve| curve.at(cosine));
         tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine))

@@ -82,6 +82,8 @@ impl FrameSimulator {
         let halvings = traced.halvings.min(FIRST_HALVINGS);
         let interval_s = self.active_s() / f64::from(1u32 << halvings);
         traced.diffuse = vec![HeldEchoes::new(interval_s); 1 << halvings];
+        let most = people * diffuse::most_echoes(&self.prepared, self.points_a_segment);
+        traced.diffuse.iter_mut().for_each(|interval| interval.reserve(most));
         let step = 1usize << (traced.halvings - halvings);
         for me in 0..people {
             let own: Vec<&Snapshot> =
