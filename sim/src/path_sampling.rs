@@ -278,7 +278,8 @@ impl Tracer<'_> {
         }
         let keys = open.met.each_ref().map(|met| met.keys());
         let (track, missed_lsb) = Track::through_three(keys, interval_s, self.demand.frequency_hz)?;
-        let loudest_lsb = keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
+        let loudest_lsb =
+            keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
         let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
         is_met.then_some((track, missed_lsb, loudest_lsb))
     }

@@ -16,7 +16,7 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
 use crate::em::fresnel::half_space;
-use crate::em::image::ImageIndex;
+use crate::em::image::{ImageIndex, order};
 use crate::em::specular::Ellipsoid;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::paths::{PolygonRoom, Surroundings};
@@ -152,6 +152,12 @@ impl SegmentBound {
         let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
         let aperture = prepared.aperture_m();
         let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * aperture * cloth;
+        if let Surroundings::Box(room) = &prepared.room
+            && at.iter().all(|e| room.is_behind_walls(e.centre, e.semi_axes_m.max_element()))
+        {
+            let reflected = lit.iter_mut().zip(&images.indices).filter(|&(_, &index)| order(index) > 0);
+            reflected.for_each(|(lit, _)| lit.most_per_m = 0.0);
+        }
         if let Surroundings::Polygons(room) = &prepared.room {
             let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
             // Weaker images are inaudible even when paired with the strongest; skip their obstruction.

@@ -49,8 +49,14 @@ pub struct TracedPath {
 impl TracedPath {
     /// Builds a path from a sample for each receiver.
     pub fn new(keys: &[PathSample], place: Option<DVec3>) -> Self {
-        let mut met =
-            TracedPath { keys: [NOTHING; RECEIVERS], receivers: 0, place, point: DVec3::ZERO, is_bare: false, is_clear: false };
+        let mut met = TracedPath {
+            keys: [NOTHING; RECEIVERS],
+            receivers: 0,
+            place,
+            point: DVec3::ZERO,
+            is_bare: false,
+            is_clear: false,
+        };
         for (own, key) in met.keys.iter_mut().zip(keys) {
             *own = *key;
             met.receivers += 1;

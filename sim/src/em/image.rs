@@ -323,6 +323,20 @@ impl BoxRoom {
         std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
+    /// Returns whether no image but the antenna itself contributes to the field anywhere in a ball, because it lies
+    /// behind upright walls that transmit.
+    pub(crate) fn is_behind_walls(&self, centre: DVec3, radius_m: f64) -> bool {
+        let beyond_m = |wall: usize| {
+            let axis = wall / 2;
+            if wall.is_multiple_of(2) { -centre[axis] } else { centre[axis] - self.size_m[axis] }
+        };
+        let is_wholly_behind = |wall: usize| beyond_m(wall) - radius_m >= self.walls[wall].depth_m();
+        let is_wholly_before = |wall: usize| beyond_m(wall) + radius_m <= 0.0;
+        self.transmission
+            && (0..4).any(is_wholly_behind)
+            && (0..4).all(|wall| is_wholly_behind(wall) || is_wholly_before(wall))
+    }
+
     /// Returns the upright wall that the straight path from a point of the room to an outside point crosses. The result
     /// is its axis, its index, and the part of its effect, from 0 at its inner face to 1; `None` for a point in the
     /// room.
@@ -396,6 +410,38 @@ mod tests {
         let slab = |thickness_m| Wall::Slab { permittivity: Complex64::new(2.73, -0.119), thickness_m };
         let walls = [slab(0.0125), slab(0.2), Wall::Conductor, slab(0.03), slab(0.0125), Wall::Open];
         BoxRoom::new(DVec3::new(5.0, 4.0, 2.7), walls, K, false)
+    }
+
+    /// In balls that lie behind walls, images leave no field; there are such balls behind every upright wall.
+    #[test]
+    fn images_leave_nothing_behind_walls() {
+        let room = BoxRoom { transmission: true, ..room() };
+        let position = DVec3::new(0.4, 1.9, 1.2);
+        let element = Element {
+            position,
+            polarisation: DVec3::Z,
+            radar_from_world: DMat3::IDENTITY,
+            pattern: Pattern::isotropic(),
+        };
+        let (radius_m, mut behind) = (0.25, [0; 4]);
+        for i in 0..40 {
+            for j in 0..40 {
+                let centre = DVec3::new(-2.0 + 0.23 * f64::from(i), -2.0 + 0.2 * f64::from(j), 1.1);
+                if !room.is_behind_walls(centre, radius_m) {
+                    continue;
+                }
+                let beyond = [centre.x < 0.0, centre.x > 5.0, centre.y < 0.0, centre.y > 4.0];
+                behind.iter_mut().zip(beyond).for_each(|(count, is_beyond)| *count += i32::from(is_beyond));
+                for side in [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y, DVec3::new(0.7, -0.7, 0.1)] {
+                    for index in images(2).into_iter().filter(|&index| order(index) > 0) {
+                        let field = room.illuminate(&element, index, centre + side * radius_m).field;
+                        assert_eq!(field.magnitude(), 0.0, "{centre} {side} {index:?}");
+                    }
+                }
+            }
+        }
+        assert!(behind.iter().all(|&count| count > 50), "{behind:?}");
+        assert!(!room.is_behind_walls(position, radius_m));
     }
 
     /// Returns all planes, sorted by their fractions.
