@@ -22,7 +22,7 @@ use radome_driver::{
     RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::judge::{self, BUILT_IN};
