@@ -15,6 +15,7 @@ mod kept;
 mod labels;
 mod live;
 mod map_preset;
+mod one_of;
 mod output;
 mod output_file;
 mod panics;

@@ -22,7 +22,7 @@ use radome_driver::{
     RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::judge::{self, BUILT_IN};
@@ -230,7 +230,7 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
         Source::without_board(Box::new(simulator), description)
     } else {
-        let frames = radome_driver::recording::open(path)?;
+        let frames = Box::new(Recording::open(path)?);
         Source::without_board(frames, format!("recording {}", path.display()))
     };
     if let Some(speed) = options.speed.filter(|speed| *speed > 0.0) {
@@ -262,7 +262,7 @@ pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String
         (true, true) => {
             Feed::of_any_waveform(frames, move |waveform, from| Ok(simulation_in(&path, waveform, from, &options)?))
         }
-        (true, false) => Feed::reopenable(frames, move || Ok(radome_driver::recording::open(&path)?)),
+        (true, false) => Feed::reopenable(frames, move || Ok(Box::new(Recording::open(&path)?))),
     };
     Ok((feed, description))
 }

@@ -1,16 +1,16 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
 //!
 //! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`Mcu7Stream`], a recording
-//! ([`recording::open`]), and either of them paced by [`RealTime`]. So are a recording that can be paused and sought
-//! ([`Player`]), and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function over
-//! bytes beside its encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The library
-//! never prints: it reports errors and `tracing` events.
+//! ([`recording::Recording`]), and either of them paced by [`RealTime`]. So are a recording that can be paused and
+//! sought ([`Player`]), and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function
+//! over bytes beside its encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The
+//! library never prints: it reports errors and `tracing` events.
 //!
 //! A recording is written and read back:
 //!
 //! ```
 //! use radome_driver::RecordingHeader;
-//! use radome_driver::recording::{self, Format, RecordingWriter};
+//! use radome_driver::recording::{Format, Recording, RecordingWriter};
 //! use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
@@ -27,7 +27,7 @@
 //! }
 //! writer.finish()?;
 //!
-//! let mut source = recording::open(&path)?;
+//! let mut source = Recording::open(&path)?;
 //! let mut frames = 0;
 //! while source.next_frame(&mut frame)? == SourceEvent::Frame {
 //!     frames += 1;

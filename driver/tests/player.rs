@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_driver::recording::{Recording, mcap as native};
+use radome_driver::recording::{Existing, Recording, mcap as native};
 use radome_driver::{LabelSpan, McapReader, Player, Recorder, RecordingError, RecordingHeader, Transport};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
@@ -182,7 +182,7 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
     assert_eq!(labels.iter().map(|l| l.label.as_str()).collect::<Vec<_>>(), ["two", "one"]);
     native::set_labels(&path, &labels[..1]).expect("sets");
     let repaired = folder.path().join("b.mcap");
-    let report = native::repair(&path, &repaired).expect("repairs");
+    let report = native::repair(&path, &repaired, Existing::Replace).expect("repairs");
     assert_eq!((report.frames, report.labels), (30, 1));
     assert_eq!(McapReader::open(&repaired).expect("opens").labels().expect("labels"), labels[..1]);
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use radome_driver::recording::Recording;
 use radome_driver::{
     EmulatedSource, EmulatorOptions, InfineonReader, LabelSpan, McapReader, Pace, RealTime, Recorder, RecordingError,
     RecordingHeader, recording,
@@ -77,7 +78,7 @@ fn a_folder_configured_by_metrics_is_read() {
     // The metrics give 24.5 chirps, which the SDK rounds up, or up to a power of two.
     for chirps in [25, 32] {
         scene_recording(folder.path(), SCENE, chirps, 64);
-        let mut reader = recording::Recording::open(folder.path()).expect("opens");
+        let mut reader = Recording::open(folder.path()).expect("opens");
         let w = reader.waveform().clone();
         let request = &w.request;
         assert_eq!((request.samples_per_chirp, request.chirps_per_frame, w.shape().rx), (64, chirps, 3));
@@ -92,10 +93,10 @@ fn a_folder_configured_by_metrics_is_read() {
     // Optional keys, for which the SDK has defaults.
     let left = SCENE.replace("\"sample_rate_Hz\": 1000000, \"center_frequency_Hz\": 60750000000, ", "");
     scene_recording(folder.path(), &left, 32, 64);
-    let same = recording::Recording::open(folder.path()).expect("opens").waveform().clone();
+    let same = Recording::open(folder.path()).expect("opens").waveform().clone();
     assert_eq!((same.request.sample_rate_hz, same.request.start_frequency_hz.round()), (1e6, 60_250_345_903.0));
     scene_recording(folder.path(), &SCENE.replace("60750000000", "0"), 32, 64);
-    assert_eq!(recording::Recording::open(folder.path()).expect("opens").waveform(), &same);
+    assert_eq!(Recording::open(folder.path()).expect("opens").waveform(), &same);
 }
 
 #[test]
@@ -103,7 +104,7 @@ fn metrics_and_data_that_contradict_each_other_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let refused = |config: &str, chirps: usize, samples: usize| {
         scene_recording(folder.path(), config, chirps, samples);
-        recording::Recording::open(folder.path()).expect_err("refused").to_string()
+        Recording::open(folder.path()).expect_err("refused").to_string()
     };
     for (chirps, samples) in [(16, 64), (32, 128), (64, 64)] {
         let said = refused(SCENE, chirps, samples);
@@ -133,7 +134,7 @@ fn metrics_and_data_that_contradict_each_other_are_refused() {
 fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
     let Some(path) = breathing() else { return };
     for path in [path.clone(), path.join("RadarIfxAvian_00")] {
-        let mut source = recording::open(&path).expect("opens");
+        let mut source = Recording::open(&path).expect("opens");
         assert_eq!(source.frame_count(), Some(256));
         assert_eq!(source.waveform().shape().to_string(), "3 rx x 8 chirps x 64 samples");
         let frames = frames(&mut source);
@@ -152,9 +153,9 @@ fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
 #[test]
 fn the_real_recording_passes_an_emulated_board_unchanged() {
     let Some(path) = breathing() else { return };
-    let original = frames(&mut recording::open(&path).expect("opens"));
+    let original = frames(&mut Recording::open(&path).expect("opens"));
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
-    let mut source = EmulatedSource::start(recording::open(&path).expect("opens"), options).expect("starts");
+    let mut source = EmulatedSource::start(Box::new(Recording::open(&path).expect("opens")), options).expect("starts");
     let received = frames(&mut source);
     assert_eq!(received.len(), 256);
     for (a, b) in original.iter().zip(&received) {
@@ -286,7 +287,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         old_recording(folder.path());
         edit(folder.path());
-        recording::open(folder.path()).map(|mut source| readable(&mut source))
+        Recording::open(folder.path()).map(|mut source| readable(&mut source))
     }
 
     fn message(result: Result<(u64, Option<SourceError>), RecordingError>) -> String {
@@ -384,11 +385,11 @@ mod hard_cases {
             assert_contains(&text, &[file, "no such file"]);
         }
         let folder = tempfile::tempdir().expect("folder");
-        assert!(matches!(recording::open(folder.path()), Err(RecordingError::Unknown { .. })));
-        assert!(matches!(recording::open(&folder.path().join("x")), Err(RecordingError::Missing { .. })));
+        assert!(matches!(Recording::open(folder.path()), Err(RecordingError::Unknown { .. })));
+        assert!(matches!(Recording::open(&folder.path().join("x")), Err(RecordingError::Missing { .. })));
         let other = folder.path().join("a.wav");
         std::fs::write(&other, b"RIFF....WAVE").expect("writes");
-        assert!(matches!(recording::open(&other), Err(RecordingError::Unknown { .. })));
+        assert!(matches!(Recording::open(&other), Err(RecordingError::Unknown { .. })));
     }
 
     /// Asserts that a file cut anywhere, as after `kill -9`, loses at most ten frames: a chunk spans a second.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
+use radome_driver::recording::Existing;
 use radome_driver::recording::mcap::{RepairReport, repair, set_labels};
 use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, Gap, GapReason};
@@ -44,7 +45,7 @@ fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), Recordin
     if let Ok(mut reader) = McapReader::open(&broken) {
         read(&mut reader);
     }
-    let result = repair(&broken, &fixed);
+    let result = repair(&broken, &fixed, Existing::Replace);
     assert!(std::fs::read(&broken).expect("reads") == bytes);
     assert_eq!(fixed.exists(), result.is_ok());
     let report = result?;
@@ -169,7 +170,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a.mcap");
         let bytes = record(&path);
-        assert!(repair(&path, &path).is_err());
+        assert!(repair(&path, &path, Existing::Replace).is_err());
         assert!(std::fs::read(&path).expect("reads") == bytes);
     }
 
@@ -230,7 +231,7 @@ mod hard_cases {
             for content in [bytes.clone(), [mcap::MAGIC, &bytes].concat()] {
                 std::fs::write(&path, content).expect("writes");
                 let _ = McapReader::open(&path).map(|reader| reader.labels());
-                prop_assert!(repair(&path, &folder.path().join("b.mcap")).is_err());
+                prop_assert!(repair(&path, &folder.path().join("b.mcap"), Existing::Replace).is_err());
             }
         }
     }

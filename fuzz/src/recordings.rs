@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use radome_driver::recording::mcap::repair;
-use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_driver::recording::{Existing, Format, Recording, RecordingWriter};
 use radome_driver::{LabelSpan, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameShape, FrameSource, Gap, SourceEvent, Waveform, WaveformRequest};
 
@@ -110,7 +110,7 @@ pub fn check_mcap(folder: &Path, bytes: &[u8]) {
         }
     }
     let fixed = folder.join("fixed.mcap");
-    let Ok(report) = within(allowed + (8 << 20), || repair(&path, &fixed)) else { return };
+    let Ok(report) = within(allowed + (8 << 20), || repair(&path, &fixed, Existing::Replace)) else { return };
     let mut reader = McapReader::open(&fixed).expect("a repaired file opens");
     assert!(reader.is_complete());
     let labels = reader.labels().expect("a repaired file's labels");
@@ -128,7 +128,7 @@ pub fn check_mcap(folder: &Path, bytes: &[u8]) {
     }
     // A second repair finds no damage.
     let again = folder.join("again-fixed.mcap");
-    let second = repair(&fixed, &again).expect("repairs");
+    let second = repair(&fixed, &again, Existing::Replace).expect("repairs");
     assert!(second.damage.is_empty() && second.lost.is_empty(), "{second:?}");
     assert!(std::fs::read(&fixed).expect("reads") == std::fs::read(&again).expect("reads"));
 }

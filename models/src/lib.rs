@@ -41,7 +41,6 @@
 #![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
 
 pub mod ablation;
-pub mod bounded_file;
 pub mod calibration;
 pub mod dataset;
 pub mod evaluate;
@@ -60,7 +59,6 @@ pub mod study;
 pub mod train;
 mod whole_file;
 
-pub use bounded_file::MODEL_LIMIT_BYTES;
 pub use dataset::Dataset;
 pub use large_blocks::LargeBlocks;
 pub use metrics::Metrics;
@@ -68,6 +66,7 @@ pub use model::{
     Classifier, ClassifyError, MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, onnx, onnx_runtime,
 };
 pub use network::{NetworkInfo, NetworkSpec, networks};
+pub use radome_files::MODEL_LIMIT_BYTES;
 pub use random::stream;
 pub use train::{EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint};
 

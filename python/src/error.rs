@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use radome_driver::{BoardError, RecordingError};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::DatasetError;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

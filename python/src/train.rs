@@ -5,8 +5,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
+use radome_files::named_by_spec;
 use radome_models::{EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
-use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
 use crate::dataset::Dataset;

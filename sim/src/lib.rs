@@ -42,7 +42,6 @@
 //! own axes are x boresight, y left, z up. Every random draw is a function of (seed, purpose, index). Frames are
 //! therefore byte-identical in any order and on any number of threads.
 
-pub mod bounded_file;
 pub mod chirp;
 pub mod diffraction;
 pub mod diffuse;

@@ -4,6 +4,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use radome_driver::recording::Recording;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
@@ -214,7 +215,7 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
     assert!(said.contains("16 chirps x 32 samples") && said.contains("8 chirps x 64 samples"), "{said}");
     // The same client continues.
     let client = stream.stop().expect("answers");
-    let own = radome_driver::recording::open(&fed).expect("opens").waveform().clone();
+    let own = Recording::open(&fed).expect("opens").waveform().clone();
     let mut stream = client.start(&own).expect("starts");
     stream.next_frame(&mut Frame::zeroed(own.shape())).expect("frames");
 }

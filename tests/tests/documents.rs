@@ -11,7 +11,8 @@ use std::process::Command;
 use radome_tests::{help, long_options, radome, root, subcommands, success};
 
 /// Folders to whose files pages refer by paths from the root.
-const FOLDERS: [&str; 10] = ["cli", "docs", "driver", "dsp", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
+const FOLDERS: [&str; 11] =
+    ["cli", "docs", "driver", "dsp", "files", "fixtures", "fuzz", "models", "packaging", "sim", "tests"];
 /// Path segments that stand for any name.
 const PLACEHOLDERS: [&str; 2] = ["GROUP", "NAME"];
 /// Commands with subcommands.

@@ -11,12 +11,13 @@ use std::path::Path;
 use radome_tests::root;
 
 /// Crates, each with the crates that it may import.
-const CRATES: [(&str, &[&str]); 5] = [
+const CRATES: [(&str, &[&str]); 6] = [
     ("dsp", &[]),
+    ("files", &[]),
     ("driver", &["dsp"]),
-    ("sim", &["dsp"]),
-    ("models", &["dsp"]),
-    ("cli", &["dsp", "driver", "sim", "models"]),
+    ("sim", &["dsp", "files"]),
+    ("models", &["dsp", "files"]),
+    ("cli", &["dsp", "files", "driver", "sim", "models"]),
 ];
 
 /// Segments of a module's path below the crate's root; empty for the root.

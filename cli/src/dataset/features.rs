@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{Frame, FrameSource, Occupancy, Window};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Features, Spread, features};
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};

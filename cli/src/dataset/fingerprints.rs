@@ -6,7 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use sha2::{Digest, Sha256};
 
 /// Length at either end of a longer file that enters the fingerprint, with the file's length, bytes. Recordings of many

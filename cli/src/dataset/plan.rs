@@ -8,10 +8,9 @@ use anyhow::{Context, bail};
 use radome_driver::recording::Recording;
 use radome_dsp::rdm::Channels;
 use radome_dsp::{FrameSource, KernelLevel, Occupancy};
-use radome_models::bounded_file::read_text;
+use radome_files::{named_by_spec, read_text};
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
-use radome_sim::bounded_file::named_by_spec;
 use radome_sim::scene_file::BodyFile;
 use serde::{Deserialize, Serialize};
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::RdmSpec;
-use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::scene_file::BodyFile;
 use serde::Deserialize;
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Split, SplitSpec};
 use radome_sim::scene_file::BodyFile;
 use schemars::{JsonSchema, Schema, SchemaGenerator};

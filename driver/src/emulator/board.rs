@@ -25,11 +25,12 @@ use crate::transport::{Address, UsbAddress};
 /// ```no_run
 /// use std::path::Path;
 ///
-/// use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, recording};
+/// use radome_driver::recording::Recording;
+/// use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board};
 /// use radome_dsp::{Frame, FrameSource};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
-/// let source = recording::open(Path::new("night.mcap"))?;
+/// let source = Box::new(Recording::open(Path::new("night.mcap"))?);
 /// let waveform = source.waveform().clone();
 /// let board = EmulatedBoard::spawn(source, EmulatorOptions::default())?;
 /// let mut stream = Mcu7Board::open(board.address())?.start(&waveform)?;

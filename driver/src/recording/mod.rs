@@ -1,6 +1,6 @@
-//! Recordings on disk: the native MCAP file, the vendor's folder and the vendor's text file. [`open`] and
-//! [`Recording::open`] read all of them, [`RecordingWriter`] writes them. A recording is locked by its writer: other
-//! writers get [`RecordingError::Locked`].
+//! Recordings on disk: the native MCAP file, the vendor's folder and the vendor's text file. [`Recording`] reads all of
+//! them, [`RecordingWriter`] writes them. A recording is locked by its writer: other writers get
+//! [`RecordingError::Locked`].
 
 mod disk;
 mod error;
@@ -21,7 +21,7 @@ mod vendor_scene;
 mod writer;
 
 pub use error::RecordingError;
-pub use opened::{Recording, open};
+pub use opened::Recording;
 pub use partial::{Existing, Partial, rename_synced};
 pub use position::{Extent, Position};
 use position::{first_index, time_ns};

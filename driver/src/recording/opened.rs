@@ -144,11 +144,3 @@ impl FrameSource for Recording {
         with_reader!(self, reader => reader.frame_count())
     }
 }
-
-/// Opens a recording of any kind as a source of frames.
-///
-/// # Errors
-/// [`RecordingError`] if the path cannot be read or is not a recording.
-pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
-    Ok(Box::new(Recording::open(path)?))
-}

@@ -10,9 +10,9 @@ mod wire;
 use std::path::{Path, PathBuf};
 
 use make::{GAP, HOST_NS, code, frames, header, judge, labels, results, waveform};
-use radome_driver::recording::Recording;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
 use radome_driver::recording::mcap::{repair, set_labels};
+use radome_driver::recording::{Existing, Recording};
 use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
@@ -196,7 +196,7 @@ fn results_of_an_unfinished_recording_are_found() {
     };
     std::fs::write(&cut, &bytes[..bytes.len() - 40]).expect("writes");
     assert_eq!(results_of(&cut), results());
-    let report = repair(&cut, &fixed).expect("repairs");
+    let report = repair(&cut, &fixed, Existing::Replace).expect("repairs");
     assert_eq!((report.results, results_of(&fixed)), (7, results()));
     assert_eq!(McapReader::open(&fixed).expect("opens").header().judge, Some(judge()));
     // Labels of a judged recording can change without loss of results.
@@ -344,7 +344,7 @@ mod hard_cases {
         for cut in 0..bytes.len() {
             std::fs::write(&broken, &bytes[..cut]).expect("writes");
             let readable = Recording::open(&broken).map(|mut source| read(&mut source).0);
-            match repair(&broken, &fixed) {
+            match repair(&broken, &fixed, Existing::Replace) {
                 Ok(report) => {
                     let mut fixed = McapReader::open(&fixed).expect("opens");
                     assert!(fixed.is_complete());
@@ -416,7 +416,10 @@ mod hard_cases {
             let error = error.expect("refused");
             assert!(error.contains(version) && error.contains(known), "{error}");
         }
-        assert!(repair(&folder.path().join("recording.mcap"), &folder.path().join("fixed.mcap")).is_err());
+        assert!(
+            repair(&folder.path().join("recording.mcap"), &folder.path().join("fixed.mcap"), Existing::Replace)
+                .is_err()
+        );
         assert!(!folder.path().join("fixed.mcap").exists());
     }
 

@@ -5,6 +5,7 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use radome_dsp::{Rdm, RdmShape};
+use radome_files::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
@@ -13,7 +14,6 @@ use super::layout::{MAPS_PER_SHARD, network_input, shard_name};
 use super::manifest::{ManifestRow, Split};
 use super::split::SplitSpec;
 use super::writer::{check_map, map_hash};
-use crate::bounded_file::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 
 /// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.
 pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;

@@ -269,59 +269,34 @@ unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
     }
 }
 
-macro_rules! kernels {
-    ($transform:ident, $back:ident, $gradient:ident, $kernels:ident, $v:ty, $(#[$feature:meta])*) => {
-        $(#[$feature])*
-        unsafe fn $transform<const BORDER: bool>(patch: &InputWindow) {
-            // SAFETY: passed on.
-            unsafe { transform::<$v, BORDER>(patch) }
-        }
-
-        $(#[$feature])*
-        unsafe fn $back<const POOLED: bool>(window: &OutputWindow) {
-            // SAFETY: passed on.
-            unsafe { transform_back::<$v, POOLED>(window) }
-        }
-
-        $(#[$feature])*
-        unsafe fn $gradient<const BORDER: bool>(window: &GradientWindow) {
-            // SAFETY: passed on.
-            unsafe { transform_gradient::<$v, BORDER>(window) }
-        }
-
-        $(#[$feature])*
-        unsafe fn $kernels<const BACK: bool>(kernels: &Kernels) {
-            // SAFETY: passed on.
-            unsafe { transform_kernels::<$v, BACK>(kernels) }
-        }
-    };
-}
-
-kernels!(plain_transform, plain_back, plain_gradient, plain_kernels, Plain,);
-#[cfg(target_arch = "x86_64")]
-kernels!(avx2_transform, avx2_back, avx2_gradient, avx2_kernels, Avx2, #[target_feature(enable = "avx2,fma")]);
-#[cfg(target_arch = "x86_64")]
-kernels!(
-    avx512_transform, avx512_back, avx512_gradient, avx512_kernels, Avx512,
-    #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
-);
-
-/// The kernel of a level, with a flag as its constant parameter.
+/// The function of a level, compiled for its instructions, with a flag as its constant parameter.
 macro_rules! by_level {
-    ($level:expr, $flag:expr, $avx512:ident, $avx2:ident, $plain:ident) => {
+    ($level:expr, $flag:expr, $function:ident, $window:ty) => {{
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+        unsafe fn avx512<const FLAG: bool>(window: &$window) {
+            // SAFETY: passed on.
+            unsafe { $function::<Avx512, FLAG>(window) }
+        }
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2<const FLAG: bool>(window: &$window) {
+            // SAFETY: passed on.
+            unsafe { $function::<Avx2, FLAG>(window) }
+        }
         match ($level, $flag) {
             #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, true) => $avx512::<true>,
+            (KernelLevel::Avx512, true) => avx512::<true>,
             #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx512, false) => $avx512::<false>,
+            (KernelLevel::Avx512, false) => avx512::<false>,
             #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, true) => $avx2::<true>,
+            (KernelLevel::Avx2, true) => avx2::<true>,
             #[cfg(target_arch = "x86_64")]
-            (KernelLevel::Avx2, false) => $avx2::<false>,
-            (_, true) => $plain::<true>,
-            (_, false) => $plain::<false>,
+            (KernelLevel::Avx2, false) => avx2::<false>,
+            (_, true) => $function::<Plain, true>,
+            (_, false) => $function::<Plain, false>,
         }
-    };
+    }};
 }
 
 impl InputWindow {
@@ -331,7 +306,7 @@ impl InputWindow {
     /// The level is available. Cells in the map and points have `channels` values each.
     pub unsafe fn transform(&self, level: KernelLevel) {
         let border = self.rows != [0, 4] || self.columns != [0, 4];
-        let kernel = by_level!(level, border, avx512_transform, avx2_transform, plain_transform);
+        let kernel = by_level!(level, border, transform, InputWindow);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
@@ -343,7 +318,7 @@ impl OutputWindow {
     /// # Safety
     /// The level is available. Targets and residuals that are not null have `columns` values, points whole vectors of them.
     pub unsafe fn transform_back(&self, level: KernelLevel, pooled: bool) {
-        let kernel = by_level!(level, pooled, avx512_back, avx2_back, plain_back);
+        let kernel = by_level!(level, pooled, transform_back, OutputWindow);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
@@ -356,7 +331,7 @@ impl GradientWindow {
     /// The level is available. Cells that are not null and points have `channels` values each.
     pub unsafe fn transform(&self, level: KernelLevel) {
         let border = self.cells.iter().any(|cell| cell.is_null());
-        let kernel = by_level!(level, border, avx512_gradient, avx2_gradient, plain_gradient);
+        let kernel = by_level!(level, border, transform_gradient, GradientWindow);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
@@ -368,7 +343,7 @@ impl Kernels {
     /// # Safety
     /// The level is available. There are `count` values at each cell and at each point.
     pub unsafe fn transform(&self, level: KernelLevel, back: bool) {
-        let kernel = by_level!(level, back, avx512_kernels, avx2_kernels, plain_kernels);
+        let kernel = by_level!(level, back, transform_kernels, Kernels);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }

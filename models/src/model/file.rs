@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+use radome_files::MODEL_LIMIT_BYTES;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::card::{CARD_KEY, ModelCard, ModelError};
-use crate::bounded_file::{self, MODEL_LIMIT_BYTES};
 use crate::kernel::KernelLevel;
 use crate::network::Network;
 use crate::whole_file;
@@ -25,7 +25,7 @@ pub(crate) fn is_onnx(path: &Path) -> bool {
 }
 
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
-    bounded_file::read(path, MODEL_LIMIT_BYTES).map_err(|source| ModelError::Io {
+    radome_files::read(path, MODEL_LIMIT_BYTES).map_err(|source| ModelError::Io {
         path: path.to_owned(),
         action: "reading",
         source,

@@ -9,6 +9,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use radome_files::{MODEL_LIMIT_BYTES, read};
 use safetensors::tensor::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
@@ -16,7 +17,6 @@ use thiserror::Error;
 use super::instance::Network;
 use super::kind::NetworkKind;
 use super::spec::NetworkSpec;
-use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 
 /// Hint on the conversion of a `.pth` file of torchvision.
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\

@@ -6,6 +6,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use serde::Serialize;
 
 use super::condition::{self, Condition, ConditionReport, Judgement};
@@ -17,7 +18,6 @@ use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
 use super::times::{Times, times};
-use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
 use crate::evaluate::{evaluate, evaluate_changed};
 use crate::interval::median;

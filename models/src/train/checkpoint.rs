@@ -4,12 +4,12 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+use radome_files::read;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::TrainError;
 use super::outcome::EpochReport;
-use crate::bounded_file::read;
 use crate::network::Normalisation;
 use crate::whole_file;
 

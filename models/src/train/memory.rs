@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
+
 use super::data::Indices;
 use super::error::TrainError;
 use super::spec::TrainSpec;
-use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::Dataset;
 use crate::model::input_shape;
 

@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use radome_files::{MESH_LIMIT_BYTES, named_by_spec, read};
+
 use super::{SceneError, file_error};
-use crate::bounded_file::{MESH_LIMIT_BYTES, named_by_spec, read};
 use crate::file_error::{FileError, utf8};
 use crate::geometry::import::UpAxis;
 use crate::people::clip::BodyClip;

@@ -17,9 +17,9 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use thiserror::Error;
 
-use crate::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use crate::em::image::{BoxRoom, Element, Wall};
 use crate::em::pattern::Pattern;
 use crate::file_error::FileError;
@@ -151,7 +151,7 @@ pub struct Scene {
 
 impl Scene {
     /// Reads a scene file and the files that it refers to. These are in its folder, or where
-    /// [`crate::bounded_file::named_by_spec`] allows.
+    /// [`radome_files::named_by_spec`] allows.
     ///
     /// # Errors
     /// [`SceneError`] if the scene, or a file that it refers to, cannot be used.

@@ -15,10 +15,10 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
+use radome_files::named_by_spec;
 
 use super::check::{Fault, fault, surfaces};
 use super::{SceneError, file_error};
-use crate::bounded_file::named_by_spec;
 use crate::em::image::Wall;
 use crate::file_error::FileError;
 use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};

@@ -2,6 +2,7 @@ use anyhow::bail;
 use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Jacobian, Noise, ShotGradient, Shots};
 use serde::{Serialize, Serializer};
 
+use crate::one_of::one_of;
 use crate::output;
 use crate::source::DEFAULT_SEED;
 
@@ -18,8 +19,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 2)]
     qubits: usize,
     /// Encoding of inputs: the ZZ feature map, or RY(x)
-    #[arg(long, value_enum, default_value = "zz")]
-    encoding: EncodingName,
+    #[arg(long, value_parser = one_of(ENCODINGS), default_value = "zz")]
+    encoding: Encoding,
     /// Repetitions of the feature map, 1 or 2
     #[arg(long, default_value_t = 1)]
     repetitions: usize,
@@ -33,8 +34,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = DEFAULT_SEED, requires = "shots")]
     seed: u64,
     /// Gradients with --shots: by parameter shift from separate shots, or exact
-    #[arg(long, value_enum, default_value = "shots", requires = "shots")]
-    gradient: GradientName,
+    #[arg(long, value_parser = one_of(GRADIENTS), default_value = "shots", requires = "shots")]
+    gradient: ShotGradient,
     /// Depolarising probability after each gate on one qubit
     #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
     depolarising_one_qubit: f64,
@@ -49,17 +50,9 @@ pub struct Arguments {
     json: bool,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum EncodingName {
-    Zz,
-    Angle,
-}
+const ENCODINGS: &[(&str, Encoding)] = &[("zz", Encoding::ZzFeatureMap), ("angle", Encoding::Angle)];
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum GradientName {
-    Shots,
-    Exact,
-}
+const GRADIENTS: &[(&str, ShotGradient)] = &[("shots", ShotGradient::Shots), ("exact", ShotGradient::Exact)];
 
 /// Evaluates a quantum circuit at one point.
 ///
@@ -93,22 +86,12 @@ impl Arguments {
     fn spec(&self) -> CircuitSpec {
         CircuitSpec {
             qubits: self.qubits,
-            encoding: match self.encoding {
-                EncodingName::Zz => Encoding::ZzFeatureMap,
-                EncodingName::Angle => Encoding::Angle,
-            },
+            encoding: self.encoding,
             repetitions: self.repetitions,
             depth: self.depth,
             execution: match self.shots {
                 None => Execution::Exact,
-                Some(count) => Execution::Shots(Shots {
-                    count,
-                    seed: self.seed,
-                    gradient: match self.gradient {
-                        GradientName::Shots => ShotGradient::Shots,
-                        GradientName::Exact => ShotGradient::Exact,
-                    },
-                }),
+                Some(count) => Execution::Shots(Shots { count, seed: self.seed, gradient: self.gradient }),
             },
             noise: Noise {
                 depolarising_one_qubit: self.depolarising_one_qubit,

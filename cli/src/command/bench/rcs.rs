@@ -12,6 +12,7 @@ use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Targ
 use serde::Serialize;
 
 use super::point::least_ms;
+use crate::one_of::one_of;
 use crate::output;
 
 /// `radome bench rcs`
@@ -43,8 +44,8 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', num_args = 1)]
     axes_m: Option<Vec<f64>>,
     /// Outline of a trihedral's faces
-    #[arg(long, value_enum)]
-    faces: Option<Faces>,
+    #[arg(long, value_parser = one_of(OUTLINES))]
+    faces: Option<Outline>,
     /// Angle between the radar and a plate's normal
     #[arg(long, allow_hyphen_values = true, conflicts_with = "azimuth_deg")]
     angle_deg: Option<f64>,
@@ -67,8 +68,8 @@ pub struct Arguments {
     #[arg(long)]
     thickness_m: Option<f64>,
     /// Electric field of the radar
-    #[arg(long, value_enum, default_value_t = Field::Vertical)]
-    polarisation: Field,
+    #[arg(long, value_parser = one_of(POLARISATIONS), default_value = "vertical")]
+    polarisation: Polarisation,
     /// Method; by default one that suits the target
     #[arg(long, value_enum, default_value_t = How::Auto)]
     method: How,
@@ -86,17 +87,10 @@ pub struct Arguments {
     json: bool,
 }
 
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Faces {
-    Triangular,
-    Square,
-}
+const OUTLINES: &[(&str, Outline)] = &[("triangular", Outline::Triangular), ("square", Outline::Square)];
 
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Field {
-    Vertical,
-    Horizontal,
-}
+const POLARISATIONS: &[(&str, Polarisation)] =
+    &[("vertical", Polarisation::Vertical), ("horizontal", Polarisation::Horizontal)];
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum How {
@@ -206,17 +200,14 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
 fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     let a = arguments;
     let (width_m, height_m) = (a.width_m.unwrap_or(0.1), a.height_m.unwrap_or(0.1));
-    let trihedral = |outline: Faces| {
-        let outline = if outline == Faces::Square { Outline::Square } else { Outline::Triangular };
-        Target::Trihedral { edge_m: a.edge_m.unwrap_or(0.1), outline }
-    };
+    let trihedral = |outline| Target::Trihedral { edge_m: a.edge_m.unwrap_or(0.1), outline };
     // Sizes that each kind of target takes. A size that the target does not have is an error.
     let (target, sizes): (Target, &[&str]) = match a.target.as_str() {
         "plate" => (Target::Plate { width_m, height_m }, &["width-m", "height-m", "angle-deg"]),
         "dihedral" => (Target::Dihedral { width_m, height_m }, &["width-m", "height-m"]),
-        "trihedral" => (trihedral(a.faces.unwrap_or(Faces::Triangular)), &["edge-m", "faces"]),
-        "trihedral-triangular" => (trihedral(Faces::Triangular), &["edge-m"]),
-        "trihedral-square" => (trihedral(Faces::Square), &["edge-m"]),
+        "trihedral" => (trihedral(a.faces.unwrap_or(Outline::Triangular)), &["edge-m", "faces"]),
+        "trihedral-triangular" => (trihedral(Outline::Triangular), &["edge-m"]),
+        "trihedral-square" => (trihedral(Outline::Square), &["edge-m"]),
         "cavity" => {
             let (width_m, height_m) = (a.width_m.unwrap_or(0.05), a.height_m.unwrap_or(0.05));
             let depth_m = a.depth_m.unwrap_or(0.05);
@@ -283,16 +274,12 @@ fn mesh_file(path: &str) -> anyhow::Result<Target> {
 fn setup(arguments: &Arguments, target: &Target) -> anyhow::Result<Setup> {
     let (azimuth_rad, elevation_rad) = target.axis();
     let azimuth = arguments.angle_deg.or(arguments.azimuth_deg);
-    let polarisation = match arguments.polarisation {
-        Field::Vertical => Polarisation::Vertical,
-        Field::Horizontal => Polarisation::Horizontal,
-    };
     Ok(Setup {
         frequency_hz: arguments.frequency_hz,
         range_m: arguments.range_m,
         azimuth_rad: azimuth.map_or(azimuth_rad, f64::to_radians),
         elevation_rad: arguments.elevation_deg.map_or(elevation_rad, f64::to_radians),
-        polarisation,
+        polarisation: arguments.polarisation,
         boundary: boundary(arguments)?,
     })
 }

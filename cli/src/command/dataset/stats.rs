@@ -8,6 +8,7 @@ use radome_models::standardise::LEAST_SIGMA_DB;
 
 use super::features;
 use crate::dataset::features::compare;
+use crate::one_of::one_of;
 use crate::output;
 
 /// `radome dataset stats`
@@ -16,8 +17,8 @@ pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
     /// Use only the maps of this split; all maps if absent
-    #[arg(long, value_enum)]
-    split: Option<SplitName>,
+    #[arg(long, value_parser = one_of(SPLITS))]
+    split: Option<Split>,
     /// Show features of people in the maps instead, each beside its measured value
     #[arg(long)]
     features: bool,
@@ -32,12 +33,7 @@ pub struct Arguments {
     json: bool,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum SplitName {
-    Train,
-    Validation,
-    Test,
-}
+const SPLITS: &[(&str, Split)] = &[("train", Split::Train), ("validation", Split::Validation), ("test", Split::Test)];
 
 /// Prints the table. A zero sigma is an error, reported after the table.
 ///
@@ -45,14 +41,9 @@ enum SplitName {
 /// The dataset or the measured features cannot be read, or a class has a sigma of zero.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
-    let wanted = arguments.split.map(|split| match split {
-        SplitName::Train => Split::Train,
-        SplitName::Validation => Split::Validation,
-        SplitName::Test => Split::Test,
-    });
     let splits = dataset.splits(&SplitSpec::default())?;
-    let indices: Vec<usize> =
-        (0..dataset.len()).filter(|index| wanted.is_none_or(|wanted| splits.get(*index) == Some(&wanted))).collect();
+    let is_wanted = |index: &usize| arguments.split.is_none_or(|split| splits.get(*index) == Some(&split));
+    let indices: Vec<usize> = (0..dataset.len()).filter(is_wanted).collect();
     if arguments.features {
         let rows = compare(&dataset, &indices, &arguments.frames, arguments.measured.as_deref())?;
         return features::print(&rows, !arguments.frames.is_empty(), arguments.json);

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use radome_models::dataset::{Dataset, SplitBy, SplitSpec, verify};
 
+use crate::one_of::one_of;
 use crate::output;
 
 /// `radome dataset verify`
@@ -13,20 +14,19 @@ pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
     /// Property, besides the sequence, that no two splits may share
-    #[arg(long, value_enum, default_value_t = By::Sequence)]
-    by: By,
+    #[arg(long, value_parser = one_of(PROPERTIES), default_value = "sequence")]
+    by: SplitBy,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
 
-#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
-enum By {
-    Sequence,
-    Subject,
-    Scene,
-    Seed,
-}
+const PROPERTIES: &[(&str, SplitBy)] = &[
+    ("sequence", SplitBy::Sequence),
+    ("subject", SplitBy::Subject),
+    ("scene", SplitBy::Scene),
+    ("seed", SplitBy::Seed),
+];
 
 /// Number of errors of a kind that are printed; the rest is only counted.
 const SHOWN: usize = 5;
@@ -37,13 +37,7 @@ const SHOWN: usize = 5;
 /// The dataset cannot be read, or something is wrong with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
-    let by = match arguments.by {
-        By::Sequence => SplitBy::Sequence,
-        By::Subject => SplitBy::Subject,
-        By::Scene => SplitBy::Scene,
-        By::Seed => SplitBy::Seed,
-    };
-    let report = verify(&dataset, &SplitSpec { by, ..SplitSpec::default() })?;
+    let report = verify(&dataset, &SplitSpec { by: arguments.by, ..SplitSpec::default() })?;
     if arguments.json {
         output::json_line(&report)?;
     } else {

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::Dataset;
 use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
@@ -124,7 +125,7 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
 /// Reads the frames of a recording.
 fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
     let named = || recording.path.display().to_string();
-    let mut source = radome_driver::recording::open(&recording.path)?;
+    let mut source = Recording::open(&recording.path)?;
     let waveform = source.waveform().clone();
     let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
     let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;

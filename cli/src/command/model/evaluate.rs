@@ -390,7 +390,7 @@ fn judge(
     recording: &LabelledRecording,
     noise: Option<&ThermalNoise>,
 ) -> anyhow::Result<anyhow::Result<Predictions>> {
-    let mut source = radome_driver::recording::open(&recording.path)?;
+    let mut source = Recording::open(&recording.path)?;
     let mut frame = Frame::zeroed(source.waveform().shape());
     let mut run = match candidate.start(source.waveform()) {
         Ok(run) => run,

@@ -9,10 +9,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
-use radome_sim::bounded_file::named_by_spec;
 use schemars::JsonSchema;
 use serde::Deserialize;
 

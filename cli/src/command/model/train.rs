@@ -1,10 +1,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_models::dataset::Dataset;
 use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
-use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
 use crate::output;

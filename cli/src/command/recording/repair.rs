@@ -34,7 +34,7 @@ pub struct Arguments {
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     arguments.overwrite.check(&arguments.output, &[&arguments.file])?;
-    let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
+    let report = mcap::repair(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
     if !report.was_finished {
         message!("the recording was never finished; what came after its last chunk is lost");
     }

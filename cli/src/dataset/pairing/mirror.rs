@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::Waveform;
+use radome_files::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
 use radome_sim::Scene;
-use radome_sim::bounded_file::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
 use radome_sim::scene_file::StepFile;
 use toml::{Table, Value};
 

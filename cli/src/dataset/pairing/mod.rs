@@ -382,7 +382,7 @@ fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 fn read_waypoints(path: &Path) -> anyhow::Result<WayPoints> {
-    let text = radome_sim::bounded_file::read_text(path, radome_sim::bounded_file::TEXT_LIMIT_BYTES)
+    let text = radome_files::read_text(path, radome_files::TEXT_LIMIT_BYTES)
         .with_context(|| format!("{} cannot be read", path.display()))?;
     let points: WayPoints = toml::from_str(&text).with_context(|| {
         format!(

@@ -146,7 +146,7 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
             let count = readable(&path);
             assert!(count + SECOND >= taken, "operation {at}: {count} of {taken} frames");
             let repaired = folder.path().join("b.mcap");
-            assert_eq!(repair(&path, &repaired).expect("repairs").frames, count, "operation {at}");
+            assert_eq!(repair(&path, &repaired, Existing::Replace).expect("repairs").frames, count, "operation {at}");
             // The file's name is free for the next one.
             Recorder::create(&path, &RecordingHeader::new(pattern().waveform)).expect("no lock is left");
         }
@@ -201,7 +201,7 @@ fn an_index_of_chunks_that_the_disk_refuses_is_said_and_costs_no_frame() {
             assert_says(&outcome.expect_err("refused"), folder.path(), code);
             assert_eq!(readable(&path), (taken + 1).min(MANY), "operation {number}");
             assert!(!McapReader::open(&path).expect("opens").is_complete(), "operation {number}");
-            let report = repair(&path, &folder.path().join("b.mcap")).expect("repairs");
+            let report = repair(&path, &folder.path().join("b.mcap"), Existing::Replace).expect("repairs");
             assert_eq!(report.frames, (taken + 1).min(MANY), "operation {number}");
         }
     }
@@ -443,7 +443,7 @@ fn a_power_cut_while_recording_costs_at_most_a_second() {
         assert!(count + SECOND >= taken, "{count} of {taken} frames after {} operations", done.len());
         let found = labels_of(&path);
         assert!(found == labels(3) || (!has(STAGED) && found.is_empty()), "{found:?}");
-        let report = repair(&path, &folder.join("b.mcap")).expect("repairs");
+        let report = repair(&path, &folder.join("b.mcap"), Existing::Replace).expect("repairs");
         assert!(report.frames >= count);
         if has(FINISHED) {
             assert!(count == FRAMES && McapReader::open(&path).expect("opens").is_complete());

@@ -58,20 +58,12 @@ impl RepairReport {
 
 /// Writes the readable part of `input`, which stays as it is, to `output`: all frames of chunks whose check sum is
 /// right. Unreadable parts become gaps. The file's header must be intact. Labels that are staged beside the input are
-/// taken in place of those in it. A file at `output` is replaced.
-///
-/// # Errors
-/// Those of [`repair_with`].
-pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingError> {
-    repair_with(input, output, Existing::Replace)
-}
-
-/// Repairs a recording like [`repair`], with a policy for a file at `output`.
+/// taken in place of those in it. `existing` decides whether a file at `output` is replaced.
 ///
 /// # Errors
 /// [`RecordingError`] if the header of the input is damaged, both are the same file, the output exists and must not be
 /// replaced or has another writer, and [`RecordingError::Io`].
-pub fn repair_with(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
+pub fn repair(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
     let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if is_same(input, output) {
         return Err(RecordingError::Occupied { path: output.to_owned() });

@@ -37,29 +37,57 @@ operator!(F32x16, Add, add, _mm512_add_ps);
 operator!(F32x16, Sub, sub, _mm512_sub_ps);
 operator!(F32x16, Mul, mul, _mm512_mul_ps);
 
+/// Methods that are one instruction of the same kind for both widths.
+macro_rules! methods {
+    (
+        $type:ident, $lanes:literal,
+        $splat:ident, $load:ident, $store:ident, $mul_add:ident, $neg_mul_add:ident, $max:ident
+    ) => {
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            // SAFETY: module page.
+            $type(unsafe { $splat(x) })
+        }
+        #[inline(always)]
+        fn load(x: &[f32]) -> Self {
+            let x = &x[..$lanes];
+            // SAFETY: module page; a number for each lane is there.
+            $type(unsafe { $load(x.as_ptr()) })
+        }
+        #[inline(always)]
+        fn store(self, x: &mut [f32]) {
+            let x = &mut x[..$lanes];
+            // SAFETY: module page; room for a number of each lane is there.
+            unsafe { $store(x.as_mut_ptr(), self.0) }
+        }
+        #[inline(always)]
+        fn load_code_pairs(codes: &[u16]) -> Self {
+            let codes = &codes[..2 * $lanes];
+            // SAFETY: module page; two codes of two bytes for each lane are there, and the load asks for no alignment.
+            $type(unsafe { $load(codes.as_ptr().cast()) })
+        }
+        #[inline(always)]
+        fn mul_add(self, a: Self, b: Self) -> Self {
+            // SAFETY: module page.
+            $type(unsafe { $mul_add(self.0, a.0, b.0) })
+        }
+        #[inline(always)]
+        fn neg_mul_add(self, a: Self, b: Self) -> Self {
+            // SAFETY: module page.
+            $type(unsafe { $neg_mul_add(self.0, a.0, b.0) })
+        }
+        #[inline(always)]
+        fn at_least(self, floor: Self) -> Self {
+            // SAFETY: module page. The instruction returns its second operand if either is NaN.
+            $type(unsafe { $max(floor.0, self.0) })
+        }
+    };
+}
+
 impl Vector<8> for F32x8 {
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        // SAFETY: module page.
-        F32x8(unsafe { _mm256_set1_ps(x) })
-    }
-    #[inline(always)]
-    fn load(x: &[f32]) -> Self {
-        let x = &x[..8];
-        // SAFETY: module page; eight numbers are there.
-        F32x8(unsafe { _mm256_loadu_ps(x.as_ptr()) })
-    }
-    #[inline(always)]
-    fn store(self, x: &mut [f32]) {
-        let x = &mut x[..8];
-        // SAFETY: module page; room for eight numbers is there.
-        unsafe { _mm256_storeu_ps(x.as_mut_ptr(), self.0) }
-    }
-    #[inline(always)]
-    fn load_code_pairs(codes: &[u16]) -> Self {
-        let codes = &codes[..16];
-        // SAFETY: module page; sixteen codes of two bytes are there, and the load asks for no alignment.
-        F32x8(unsafe { _mm256_loadu_ps(codes.as_ptr().cast()) })
+    methods! {
+        F32x8, 8,
+        _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps, _mm256_max_ps
     }
     #[inline(always)]
     fn split_code_pairs(self) -> (Self, Self) {
@@ -70,21 +98,6 @@ impl Vector<8> for F32x8 {
             let second = _mm256_srli_epi32::<16>(bits);
             (F32x8(_mm256_cvtepi32_ps(first)), F32x8(_mm256_cvtepi32_ps(second)))
         }
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        // SAFETY: module page.
-        F32x8(unsafe { _mm256_fmadd_ps(self.0, a.0, b.0) })
-    }
-    #[inline(always)]
-    fn neg_mul_add(self, a: Self, b: Self) -> Self {
-        // SAFETY: module page.
-        F32x8(unsafe { _mm256_fnmadd_ps(self.0, a.0, b.0) })
-    }
-    #[inline(always)]
-    fn at_least(self, floor: Self) -> Self {
-        // SAFETY: module page. The instruction returns its second operand if either is NaN.
-        F32x8(unsafe { _mm256_max_ps(floor.0, self.0) })
     }
     #[inline(always)]
     fn split_binade(self) -> (Self, Self) {
@@ -138,28 +151,9 @@ impl Vector<8> for F32x8 {
 }
 
 impl Vector<16> for F32x16 {
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        // SAFETY: module page.
-        F32x16(unsafe { _mm512_set1_ps(x) })
-    }
-    #[inline(always)]
-    fn load(x: &[f32]) -> Self {
-        let x = &x[..16];
-        // SAFETY: module page; sixteen numbers are there.
-        F32x16(unsafe { _mm512_loadu_ps(x.as_ptr()) })
-    }
-    #[inline(always)]
-    fn store(self, x: &mut [f32]) {
-        let x = &mut x[..16];
-        // SAFETY: module page; room for sixteen numbers is there.
-        unsafe { _mm512_storeu_ps(x.as_mut_ptr(), self.0) }
-    }
-    #[inline(always)]
-    fn load_code_pairs(codes: &[u16]) -> Self {
-        let codes = &codes[..32];
-        // SAFETY: module page; 32 codes of two bytes are there, and the load asks for no alignment.
-        F32x16(unsafe { _mm512_loadu_ps(codes.as_ptr().cast()) })
+    methods! {
+        F32x16, 16,
+        _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps, _mm512_max_ps
     }
     #[inline(always)]
     fn split_code_pairs(self) -> (Self, Self) {
@@ -170,21 +164,6 @@ impl Vector<16> for F32x16 {
             let second = _mm512_srli_epi32::<16>(bits);
             (F32x16(_mm512_cvtepi32_ps(first)), F32x16(_mm512_cvtepi32_ps(second)))
         }
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        // SAFETY: module page.
-        F32x16(unsafe { _mm512_fmadd_ps(self.0, a.0, b.0) })
-    }
-    #[inline(always)]
-    fn neg_mul_add(self, a: Self, b: Self) -> Self {
-        // SAFETY: module page.
-        F32x16(unsafe { _mm512_fnmadd_ps(self.0, a.0, b.0) })
-    }
-    #[inline(always)]
-    fn at_least(self, floor: Self) -> Self {
-        // SAFETY: module page. The instruction returns its second operand if either is NaN.
-        F32x16(unsafe { _mm512_max_ps(floor.0, self.0) })
     }
     #[inline(always)]
     fn split_binade(self) -> (Self, Self) {

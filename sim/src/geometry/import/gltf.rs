@@ -9,9 +9,9 @@ use base64::Engine;
 use glam::{DMat4, DVec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::json::validation::Validate;
+use radome_files::{MESH_LIMIT_BYTES, beside, read};
 
 use super::{Mesh, ParseError, Part};
-use crate::bounded_file::{MESH_LIMIT_BYTES, beside, read};
 
 /// Largest number of objects in a file's JSON: each takes up to a kilobyte of memory for two bytes of text.
 const MOST_OBJECTS: usize = 200_000;

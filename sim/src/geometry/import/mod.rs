@@ -12,12 +12,12 @@ mod stl;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use radome_files::{MESH_LIMIT_BYTES, read};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use thiserror::Error;
 
 use super::{Mesh, MeshError};
-use crate::bounded_file::{MESH_LIMIT_BYTES, read};
 
 pub use obj::parse_obj;
 pub use stl::parse_stl;

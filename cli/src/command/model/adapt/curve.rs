@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_models::train::{AdaptRecording, Adapter, Scores};
-use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::{Deserialize, Serialize};
 use serde_json::json;

@@ -1,6 +1,7 @@
 //! Recalls with parts of the maps replaced by noise. They show which parts a model uses.
 
 use anyhow::{Context, bail};
+use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::ablation::{Ablation, AblationScores, ablate};
 use radome_models::dataset::Dataset;
@@ -33,7 +34,7 @@ pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> any
     let bar = output::progress(recordings.len() as u64, "ablation");
     for recording in recordings {
         let path = &recording.path;
-        let mut source = radome_driver::recording::open(path)?;
+        let mut source = Recording::open(path)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
         loop {

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
-use radome_driver::recording::Existing;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
+use radome_driver::recording::{Existing, Recording};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::train::{FilterSequence, fit_smoothing};
@@ -158,7 +158,7 @@ impl Simulation {
             let path = folder.join(format!("{}.mcap", self.name));
             // Any change of the scene or the simulator shows in the last frame.
             if kept::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
-                return Ok((radome_driver::recording::open(&path)?, None));
+                return Ok((Box::new(Recording::open(&path)?), None));
             }
             let header = RecordingHeader::new(simulator.waveform().clone());
             let options = RecorderOptions { existing: Existing::Replace, sync: None };

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use rand_distr::{Distribution, Normal};
 
@@ -24,7 +25,7 @@ impl ThermalNoise {
     /// # Errors
     /// The recording cannot be read, or the ratio gives no finite noise.
     pub fn of(path: &Path, snr_db: f64) -> anyhow::Result<Self> {
-        let mut source = radome_driver::recording::open(path)?;
+        let mut source = Recording::open(path)?;
         let shape = source.waveform().shape();
         let mut frame = Frame::zeroed(shape);
         let (mut sum, mut count) = (0.0, 0u64);

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, bail};
 use radome_dsp::RdmSpec;
-use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Domain};
 use radome_models::study::{Condition, Report, condition_file_name};
 use schemars::JsonSchema;

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_files::named_by_spec;
 use radome_sim::Scene;
-use radome_sim::bounded_file::named_by_spec;
 
 use crate::dataset::rung::{MOST_FRAMES, RungFile};
 

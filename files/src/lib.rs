@@ -1,6 +1,4 @@
 //! Reading of files of bounded length, and resolution of paths that files name.
-//!
-//! `radome-models` has a copy of this reader: neither crate depends on the other, and `radome-dsp` does no file access.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -8,14 +6,19 @@ use std::path::{Component, Path, PathBuf};
 
 use thiserror::Error;
 
-/// Length limit of TOML files, bytes. The longest scene of this project has 4 kB, and measured densities take about 100
-/// kB.
+/// Length limit of TOML files, headers and other single documents, bytes. The longest of this project has 6 kB, and
+/// measured densities take about 100 kB.
 pub const TEXT_LIMIT_BYTES: u64 = 1 << 20;
 /// Length limit of mesh, actor and clip files, bytes: five million triangles as binary STL.
 pub const MESH_LIMIT_BYTES: u64 = 256 << 20;
+/// Length limit of models, bytes: the largest network here has 45 MB.
+pub const MODEL_LIMIT_BYTES: u64 = 512 << 20;
 /// Environment variable that lists folders (as `PATH` does). Scenes and specs may name files in these folders besides
 /// their own.
 pub const FOLDERS_VARIABLE: &str = "RADOME_PATH";
+
+/// Fault of a path that a file names.
+const LEAVES_ITS_FOLDER: &str = "leads out of the folder of the file that names it";
 
 /// Reason why a file is refused. It is wrapped in an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -34,11 +37,13 @@ pub enum Refused {
     /// The path names a folder, a device, a pipe or a socket.
     #[error("it is not a regular file\n\nhint: write its content to a file and name that")]
     NotRegular,
-    /// The path leads out of the folder of the file that names it.
-    #[error("{name:?} leads out of the folder of the file that names it\n\nhint: {hint}")]
+    /// The path leads out of the folder in which it has to lie.
+    #[error("{name:?} {fault}\n\nhint: {hint}")]
     Outside {
-        /// The path as written in the file.
+        /// The path as written in the file that names it, or the name of a link.
         name: String,
+        /// Where it leads.
+        fault: &'static str,
         /// Remedy.
         hint: &'static str,
     },
@@ -94,6 +99,7 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
 pub fn beside(folder: &Path, name: &str) -> io::Result<PathBuf> {
     let outside = || Refused::Outside {
         name: name.to_owned(),
+        fault: LEAVES_ITS_FOLDER,
         hint: "put the file beside the one that names it, and name it without \"..\" and without a leading \"/\"",
     };
     if !Path::new(name).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
@@ -124,7 +130,20 @@ pub fn named_by_spec(folder: &Path, name: &Path) -> io::Result<PathBuf> {
         return Ok(path);
     }
     let hint = "put the file beside the one that names it, or list its folder in RADOME_PATH";
-    Err(Refused::Outside { name: name.display().to_string(), hint }.into())
+    Err(Refused::Outside { name: name.display().to_string(), fault: LEAVES_ITS_FOLDER, hint }.into())
+}
+
+/// Resolves the path of a file in a folder, including links, and checks that it lies within that folder.
+///
+/// # Errors
+/// Errors of the system, and [`Refused::Outside`].
+pub fn within(folder: &Path, name: &str) -> io::Result<PathBuf> {
+    let path = folder.join(name);
+    if path.canonicalize()?.starts_with(folder_of(folder).canonicalize()?) {
+        return Ok(path);
+    }
+    let (fault, hint) = ("is a link that leads out of its folder", "copy the file into the folder");
+    Err(Refused::Outside { name: name.to_owned(), fault, hint }.into())
 }
 
 /// Returns the folder, or the working directory for an empty path.
@@ -208,5 +227,19 @@ mod hard_cases {
                 assert!(matches!(refused(spec(name)), Refused::Outside { .. }), "{name}");
             }
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_do_not_lead_out_of_the_folder() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let inner = folder.path().join("set");
+        fs::create_dir(&inner).expect("made");
+        fs::write(folder.path().join("a"), "x").expect("written");
+        fs::write(inner.join("b"), "x").expect("written");
+        std::os::unix::fs::symlink("../a", inner.join("link")).expect("linked");
+        std::os::unix::fs::symlink("b", inner.join("own")).expect("linked");
+        assert!(within(&inner, "b").is_ok() && within(&inner, "own").is_ok());
+        assert!(matches!(refused(within(&inner, "link")), Refused::Outside { .. }));
     }
 }
