@@ -17,9 +17,11 @@ const MOVING_M_PER_S: f64 = 0.3;
 /// Distance beyond which a tracklet belongs to another person than the mirror's, m.
 const NEAR_M: f64 = 0.8;
 
-/// Corrects the trajectories of `roles`, which the mirror's people followed, by the tracking error that `seen` shows.
-pub fn correct(roles: &mut [Role], seen: &[Tracklet]) {
-    for state in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
+/// Sets the trajectories of `roles`, which the mirror's people followed, to the tracked ones less the tracking error
+/// that `seen` shows. `tracked` are the roles as they were tracked, before any correction.
+pub fn correct(roles: &mut [Role], tracked: &[Role], seen: &[Tracklet]) {
+    let tracked = tracked.iter().flat_map(|role| &role.tracklets);
+    for (state, tracked) in roles.iter_mut().flat_map(|role| &mut role.tracklets).zip(tracked) {
         let misses: Vec<(f64, DVec2)> = state
             .track
             .iter()
@@ -32,14 +34,14 @@ pub fn correct(roles: &mut [Role], seen: &[Tracklet]) {
                 (miss.length() < NEAR_M).then_some((at.time_s, miss))
             })
             .collect();
-        for at in &mut state.track {
+        for (at, tracked) in state.track.iter_mut().zip(&tracked.track) {
             // Errors around the time itself, or around the nearest time at which the person moved.
             let about = misses.iter().min_by(|a, b| (a.0 - at.time_s).abs().total_cmp(&(b.0 - at.time_s).abs()));
             let about_s = about.map_or(at.time_s, |(t, _)| *t);
             let near = misses.iter().filter(|(t, _)| (t - about_s).abs() <= HALF_S);
             let (sum, count) = near.fold((DVec2::ZERO, 0.0), |(sum, n), (_, miss)| (sum + *miss, n + 1.0));
             if count > 0.0 {
-                (at.x, at.y) = (at.x - sum.x / count, at.y - sum.y / count);
+                (at.x, at.y) = (tracked.x - sum.x / count, tracked.y - sum.y / count);
             }
         }
     }

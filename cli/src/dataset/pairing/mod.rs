@@ -78,7 +78,7 @@ pub struct Settings {
     #[arg(long)]
     subject: Option<String>,
     /// Number of corrections of the trajectory, each from tracking people in the mirrored scene
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=4))]
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=4))]
     corrections: u8,
     /// End after this many frames
     #[arg(long)]
@@ -128,12 +128,13 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     let mut roles = script::deal(tracklets, people);
     // Way-points use the recording's clock; the mirror begins with its first frame.
     let points = points.shifted(-recording.start_s);
+    let tracked = roles.clone();
     let (mut text, mut simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
     for _ in 0..if roles.iter().all(|role| role.tracklets.is_empty()) { 0 } else { settings.corrections } {
         let mut watcher = pairing.watcher();
         recording.render(&simulator, "checking", |_, frame| watcher.take(frame))?;
         let seen = watcher.finish(&recording.times_s, &recording.taken, &pairing.waveform);
-        bias::correct(&mut roles, &follow::follow(&seen, people, &pairing.sensor));
+        bias::correct(&mut roles, &tracked, &follow::follow(&seen, people, &pairing.sensor));
         (text, simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
     }
     let (mirrored, agreed) = pairing.store_mirror(&simulator, &recording, &mut store)?;
