@@ -18,8 +18,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace, Player,
-    RealTime, Reconnect, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
+    Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, read_text};
@@ -135,13 +135,23 @@ pub struct Source {
     /// Board of the source, if there is one.
     pub board: Option<BoardIdentity>,
     pub registers: RegisterList,
+    /// Whether the board is away. Frames that are lost when the source is stopped meanwhile are no gap of the source.
+    pub outage: Outage,
     /// Playback, if the source is a recording that can be sought.
     pub playback: Option<Playback>,
 }
 
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
-        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), playback: None }
+        Source {
+            frames,
+            is_live: false,
+            description,
+            board: None,
+            registers: RegisterList::new(),
+            outage: Outage::default(),
+            playback: None,
+        }
     }
 
     fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
@@ -301,14 +311,15 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             let identity = board.identity().clone();
             // Boards may disconnect by accident; frames lost meanwhile are a gap.
             let stream = board.start(waveform)?.with_reconnect(options.reconnect());
-            let registers = stream.registers().clone();
-            Ok(Source::of_board(Box::new(stream), identity, address, registers))
+            let (registers, outage) = (stream.registers().clone(), stream.outage());
+            Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, address, registers) })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Esp32(stream) => {
             let description = format!("ESP32 on {address}");
-            let stream = Box::new(stream.with_reconnect(options.reconnect()));
-            Ok(Source { is_live: true, ..Source::without_board(stream, description) })
+            let stream = stream.with_reconnect(options.reconnect());
+            let outage = stream.outage();
+            Ok(Source { is_live: true, outage, ..Source::without_board(Box::new(stream), description) })
         }
     }
 }
@@ -321,8 +332,8 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     };
     let (identity, port) = (board.identity().clone(), board.path().display().to_string());
     let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
-    let registers = stream.registers().clone();
-    Ok(Source::of_board(Box::new(stream), identity, port, registers))
+    let (registers, outage) = (stream.registers().clone(), stream.outage());
+    Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, port, registers) })
 }
 
 /// Returns the only board that discovery finds.
@@ -353,7 +364,8 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
     let is_live = speed.is_some();
-    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
+    let source = Source::without_board(Box::new(emulated), description);
+    Ok(Source { is_live, board: Some(identity), registers, ..source })
 }
 
 /// Parses an argument that is a finite number of 0 or more.

@@ -117,6 +117,30 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
 }
 
+/// Regression test: a user who stopped while the board was away got a recording without a gap, and exit status 0.
+#[test]
+fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for arguments in [&["record"][..], &["live", "--model", "cfar"]] {
+        let (board, port) = emulate(folder.path(), "mcu7-4");
+        let recording = folder.path().join(arguments[0]).with_extension("mcap");
+        let mut command = radome();
+        command.args(arguments).arg(format!("serial:{port}")).arg("-o").arg(&recording);
+        let mut run = Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"));
+        wait_for_frames(&run);
+        board.signal("KILL");
+        run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
+        run.signal("INT");
+        let status = run.wait();
+        let said = run.stderr.all().join("\n");
+        assert_eq!(status.code(), Some(3), "{arguments:?}: {said}");
+        let (is_finished, frames, gaps) = read(&recording);
+        assert!(is_finished && frames >= 5, "{arguments:?}: {frames} frames");
+        let last = gaps.last().map(|gap| (gap.frames, gap.reason));
+        assert_eq!(last, Some((0, GapReason::Disconnected)), "{arguments:?}: {gaps:?}");
+    }
+}
+
 #[test]
 fn a_port_that_is_not_there_is_a_failure() {
     let folder = tempfile::tempdir().expect("a folder");

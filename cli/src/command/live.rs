@@ -17,7 +17,7 @@ use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output_file::{self, Overwrite};
-use crate::source::{self, SourceArgs, SourceOptions};
+use crate::source::{self, Source, SourceArgs, SourceOptions};
 use crate::{labels, output};
 
 /// Seed of a simulation that no training of the shipped models has seen.
@@ -114,7 +114,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = output.map(|path| arguments.recorder(path, &header, &mut pipeline, source.is_live)).transpose()?;
+    let recorder = output.map(|path| arguments.recorder(path, &header, &mut pipeline, &source)).transpose()?;
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
@@ -168,10 +168,11 @@ impl Arguments {
         path: &Path,
         header: &RecordingHeader,
         pipeline: &mut Pipeline,
-        is_live: bool,
+        source: &Source,
     ) -> anyhow::Result<RecorderSink> {
-        let policy = if is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
+        let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
-        RecorderSink::start(path, header, &options, pipeline.consumer("recorder", 64, policy))
+        let inlet = pipeline.consumer("recorder", 64, policy);
+        RecorderSink::start(path, header, &options, inlet, source.outage.clone())
     }
 }

@@ -3,6 +3,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
+use radome_driver::Outage;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
@@ -68,7 +69,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
-    let (tally, end) = capture(&inlet, recorder, &bar);
+    let (tally, end) = capture(&inlet, recorder, &source.outage, &bar);
     reader.stop();
     bar.finish_and_clear();
     let Tally { frames, dropped, gaps } = tally;
@@ -114,10 +115,15 @@ impl Tally {
 /// Records until the source ends or fails, the disk fails, or the user stops it.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
-/// that is lost for good leaves a gap of unknown length at the end.
-fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) -> (Tally, anyhow::Result<()>) {
+/// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
+fn capture(
+    inlet: &Inlet,
+    mut recorder: Recorder,
+    outage: &Outage,
+    bar: &indicatif::ProgressBar,
+) -> (Tally, anyhow::Result<()>) {
     let mut tally = Tally::default();
-    let end = match write_all(inlet, &mut recorder, &mut tally, bar) {
+    let end = match write_all(inlet, &mut recorder, &mut tally, outage, bar) {
         // The first error is reported; finishing the file would fail again.
         Err(error) => {
             drop(recorder);
@@ -144,6 +150,7 @@ fn write_all(
     inlet: &Inlet,
     recorder: &mut Recorder,
     tally: &mut Tally,
+    outage: &Outage,
     bar: &indicatif::ProgressBar,
 ) -> anyhow::Result<Option<Failure>> {
     let mut is_unflushed = false;
@@ -168,6 +175,9 @@ fn write_all(
         if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
             return Ok(end.err());
         }
+    }
+    if let Some(missing) = outage.gap(next_sequence) {
+        tally.gap(recorder, &missing)?;
     }
     Ok(None)
 }
@@ -217,7 +227,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
-        let (tally, end) = capture(&inlet, recorder, &indicatif::ProgressBar::hidden());
+        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
         let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
         (tally, end.err().map(|error| output::chain(&error)), is_finished)
     }

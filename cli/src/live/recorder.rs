@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
-use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
+use radome_driver::{FrameResult, Outage, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
@@ -70,7 +70,8 @@ enum Recorded {
 }
 
 impl RecorderSink {
-    /// Creates the file and starts the thread. The header must name a classifier.
+    /// Creates the file and starts the thread. The header must name a classifier. If the run is stopped in an outage of
+    /// the board, the recording ends with a gap of unknown length.
     ///
     /// # Errors
     /// The file cannot be made, or the thread cannot be started.
@@ -79,6 +80,7 @@ impl RecorderSink {
         header: &RecordingHeader,
         options: &RecorderOptions,
         inlet: Inlet,
+        outage: Outage,
     ) -> anyhow::Result<Self> {
         let recorder = Recorder::with_options(path, header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
@@ -91,6 +93,7 @@ impl RecorderSink {
             frames: 0,
             taken: taken.clone(),
             has_gaps: has_gaps.clone(),
+            outage,
         };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
@@ -204,6 +207,7 @@ struct Writer {
     frames: u64,
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
+    outage: Outage,
 }
 
 impl Writer {
@@ -251,9 +255,12 @@ impl Writer {
         for delivery in frames.try_iter() {
             self.take(delivery)?;
         }
-        if let Some(Err(failure)) = inlet.end.get()
-            && let Some(gap) = failure.gap(self.newest.map_or(0, |newest| newest.saturating_add(1)))
-        {
+        let first_sequence = self.newest.map_or(0, |newest| newest.saturating_add(1));
+        let missing = match inlet.end.get() {
+            Some(end) => end.as_ref().err().and_then(|failure| failure.gap(first_sequence)),
+            None => self.outage.gap(first_sequence),
+        };
+        if let Some(gap) = missing {
             self.gap(&gap)?;
         }
         self.newest = Some(u64::MAX);
@@ -310,7 +317,8 @@ mod tests {
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         let header = RecordingHeader::new(source.waveform().clone());
-        let mut sink = RecorderSink::start(path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
+        let mut sink = RecorderSink::start(path, &header, &RecorderOptions::default(), inlet, Outage::default())
+            .expect("a recorder");
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -345,9 +353,10 @@ mod tests {
         let waveform = Panicking::after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
-        let (taken, has_gaps) = Default::default();
+        let (taken, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, taken, has_gaps };
+        let mut writer =
+            Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,
@@ -396,7 +405,8 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
         let header = RecordingHeader::new(Panicking::after(0).waveform().clone());
-        let mut sink = RecorderSink::start(&path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
+        let mut sink = RecorderSink::start(&path, &header, &RecorderOptions::default(), inlet, Outage::default())
+            .expect("a recorder");
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");
