@@ -369,16 +369,24 @@ mod full_disk {
     #[test]
     fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
         let folder = tempfile::tempdir().expect("a folder");
-        let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
+        let fed = folder.path().join("fed.mcap");
         desk(FRAMES, &fed);
-        let mut record = radome();
-        record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-        let (status, told, said) = outcome(&mut limited(BLOCKS, &record));
-        assert_eq!(status, Some(1), "{said}");
-        first_cause(&said, &full);
-        let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
-        let (is_finished, frames, _) = read(&full);
-        assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} of {summary}");
+        // The smaller limit has room for no frame.
+        for blocks in [8, BLOCKS] {
+            let full = folder.path().join(format!("full-{blocks}.mcap"));
+            let mut record = radome();
+            record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
+            let (status, told, said) = outcome(&mut limited(blocks, &record));
+            assert_eq!(status, Some(1), "{said}");
+            first_cause(&said, &full);
+            assert!(said.contains("hint: radome recording repair"), "{said}");
+            let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
+            let (is_finished, frames, _) = read(&full);
+            assert!(!is_finished && (frames > 0) == (blocks == BLOCKS) && frames < FRAMES, "{frames} of {summary}");
+            // The frames of the chunk that did not fit do not count.
+            assert_eq!(summary["frames"], frames, "{said}");
+            assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
+        }
     }
 
     #[test]
@@ -391,10 +399,11 @@ mod full_disk {
         let (status, told, said) = outcome(&mut limited(BLOCKS, &live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said, &full);
-        assert!(said.contains("marked unfinished"), "{said}");
+        assert!(said.contains("marked unfinished") && said.contains("hint: radome recording repair"), "{said}");
         let answers = told.lines().filter(|line| line.contains("\"sequence\"")).count();
         assert_eq!(answers as u64, FRAMES, "{said}");
         let (is_finished, frames, _) = read(&full);
         assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} frames");
+        assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
     }
 }

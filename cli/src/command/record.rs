@@ -10,6 +10,7 @@ use serde_json::json;
 
 use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
+use crate::live::recorder::ended_after;
 use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceArgs};
 use crate::{labels, output};
@@ -92,6 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 /// Numbers of recorded and lost frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Tally {
+    /// Number of frames that the recorder has taken; at the end, of those in the file.
     frames: u64,
     /// Number of frames that are known to be lost.
     dropped: u64,
@@ -123,15 +125,16 @@ fn capture(
     bar: &indicatif::ProgressBar,
 ) -> (Tally, anyhow::Result<()>) {
     let mut tally = Tally::default();
-    let end = match write_all(inlet, &mut recorder, &mut tally, outage, bar) {
+    let written = write_all(inlet, &mut recorder, &mut tally, outage, bar);
+    // Frames that the disk has not taken are none of the file's.
+    let flushed = recorder.flush();
+    tally.frames = recorder.frames_written();
+    let end = match written {
         // The first error is reported; finishing the file would fail again.
-        Err(error) => {
-            drop(recorder);
-            Err(error.context(format!("the recording ended after {} frames", tally.frames)))
-        }
+        Err(error) => Err(error.context(ended_after(tally.frames))),
         Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
         Ok(failure) => {
-            let finished = recorder.finish().context("the recording is marked unfinished");
+            let finished = flushed.and_then(|()| recorder.finish()).with_context(|| ended_after(tally.frames));
             match (failure, finished) {
                 (None, finished) => finished.map(drop),
                 (Some(failure), Ok(_)) => Err(failure.into()),

@@ -28,6 +28,14 @@ const LAST_PATIENCE: Duration = Duration::from_secs(30);
 /// Silence of a source after which written data are flushed, since the source may never come back.
 const SILENCE: Duration = Duration::from_millis(500);
 
+/// Message about a recording that failed and holds this number of frames.
+pub fn ended_after(frames: u64) -> String {
+    format!(
+        "the recording ended after {frames} frames and is marked unfinished\n\nhint: radome recording repair makes a finished one of \
+         what the file holds"
+    )
+}
+
 /// Converts an answer for the recording.
 pub fn frame_result(moment: &Moment) -> FrameResult {
     let Moment { answer, frame, .. } = moment;
@@ -90,7 +98,6 @@ impl RecorderSink {
             recorder,
             ahead: VecDeque::new(),
             newest: None,
-            frames: 0,
             taken: taken.clone(),
             has_gaps: has_gaps.clone(),
             outage,
@@ -99,11 +106,14 @@ impl RecorderSink {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
             let is_left_behind = inlet.is_left_behind.load(Ordering::SeqCst);
+            // Frames that the disk has not taken are none of the file's.
+            let flushed = writer.recorder.flush().map_err(anyhow::Error::from);
+            let frames = writer.recorder.frames_written();
             written
-                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { Ok(()) })
-                .with_context(|| format!("the recording ended after {} frames", writer.frames))?;
+                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { flushed })
+                .with_context(|| ended_after(frames))?;
             Ok(match inlet.end.get() {
-                Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
+                Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(frames),
                 // A recording that its source or its user ended is complete.
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
@@ -204,7 +214,6 @@ struct Writer {
     /// Answers to frames that are still in the queue.
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
-    frames: u64,
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
     outage: Outage,
@@ -274,7 +283,6 @@ impl Writer {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
                 self.newest = Some(frame.sequence);
-                self.frames += 1;
             }
             Item::Gap(gap) => self.gap(&gap)?,
             // The classifier receives the same item and ends the run.
@@ -355,8 +363,7 @@ mod tests {
         let recorder = Recorder::create(&path, &header).expect("creates");
         let (taken, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer =
-            Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, taken, has_gaps, outage };
+        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,
