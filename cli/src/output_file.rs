@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::bail;
+use radome_driver::recording::text::config_path;
 use radome_driver::recording::{Existing, Format, utc};
 
 use crate::files;
@@ -79,12 +80,15 @@ const PARTS: [&str; 9] = [
     "radome.label",
 ];
 
-/// Fails if an output would replace an input, or a file of an input that is a folder.
+/// Fails if an output would replace an input, a file of an input that is a folder, or the configuration beside a text
+/// recording.
 fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
     let name = written.file_name().unwrap_or_default().to_string_lossy();
     let is_part = PARTS.contains(&&*name) || (name.starts_with("maps-") && name.ends_with(".npy"));
-    if written == read || (written.starts_with(read) && is_part) {
+    let configuration = config_path(&read).and_then(|path| path.canonicalize().ok());
+    let is_configuration = configuration.is_some_and(|configuration| configuration == written);
+    if written == read || is_configuration || (written.starts_with(read) && is_part) {
         bail!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())
@@ -152,6 +156,22 @@ mod tests {
         for name in ["night.mcap", "no/such/night", "/dev/null"] {
             check_is_mcap(Path::new(name)).expect(name);
         }
+    }
+
+    /// Regression test: the configuration of a text recording could be replaced by a recording of its frames.
+    #[test]
+    fn the_configuration_beside_a_text_recording_is_an_input() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (recording, configuration) in [("a.txt", "a.txt_config.json"), ("b.txt", "b_config.json")] {
+            let [recording, configuration] = [recording, configuration].map(|name| folder.path().join(name));
+            std::fs::write(&recording, "").expect("writes");
+            std::fs::write(&configuration, "").expect("writes");
+            let said = Overwrite::yes().check(&configuration, &[&recording]).expect_err("refused").to_string();
+            assert!(said.contains("input and output at once"), "{said}");
+        }
+        Overwrite::yes()
+            .check(&folder.path().join("a.txt_config.json"), &[&folder.path().join("b.txt")])
+            .expect("free");
     }
 
     #[test]

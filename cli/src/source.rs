@@ -60,7 +60,12 @@ pub struct SourceArgs {
 impl SourceArgs {
     /// Path of the recording or scene that is read, if the source is one.
     pub fn input(&self) -> &Path {
-        Path::new(self.source.strip_prefix("emulated:").unwrap_or(&self.source))
+        Path::new(self.source.trim_start_matches("emulated:"))
+    }
+
+    /// Paths that no output may have: of the source and of the waveform.
+    pub fn inputs(&self) -> [&Path; 2] {
+        [self.input(), Path::new(self.waveform.as_deref().unwrap_or(""))]
     }
 
     /// Returns the options with which the source is opened.

@@ -80,7 +80,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if let Some(path) = output {
         output_file::check_is_mcap(path)?;
         let background = arguments.background.as_deref().unwrap_or(Path::new(""));
-        arguments.overwrite.check(path, &[arguments.source.input(), &arguments.model, background])?;
+        let [source, waveform] = arguments.source.inputs();
+        arguments.overwrite.check(path, &[source, waveform, &arguments.model, background])?;
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };

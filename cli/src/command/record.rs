@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -51,8 +51,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
     output_file::check_is_mcap(&path)?;
-    let waveform = arguments.source.waveform.as_deref().unwrap_or("");
-    arguments.overwrite.check(&path, &[arguments.source.input(), Path::new(waveform)])?;
+    arguments.overwrite.check(&path, &arguments.source.inputs())?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
