@@ -16,7 +16,7 @@ use crate::live::recorder::{PATIENCE, RecorderSink};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
-use crate::output_file::{self, Overwrite};
+use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, Source, SourceArgs, SourceOptions};
 use crate::{labels, output};
 
@@ -75,9 +75,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if arguments.view.access().is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
         bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
     }
-    let output = arguments.output.as_deref().map(output_file::dated);
-    let output = output.as_deref();
-    if let Some(path) = output {
+    let output = arguments.output.as_deref().map(NewRecording::named);
+    if let Some(path) = output.as_ref().map(NewRecording::path) {
         output_file::check_is_mcap(path)?;
         let background = arguments.background.as_deref().unwrap_or(Path::new(""));
         let [source, waveform] = arguments.source.inputs();
@@ -102,7 +101,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         playback.transport.set_preroll_s(judge.memory_s());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, output)?;
+    let recording = output.as_ref().map(NewRecording::path);
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = output.map(|path| arguments.recorder(path, &header, &mut pipeline, &source)).transpose()?;
+    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source)).transpose()?;
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
@@ -166,7 +166,7 @@ impl Arguments {
     /// Starts to record frames and answers. Frames of a board must not be lost meanwhile.
     fn recorder(
         &self,
-        path: &Path,
+        output: NewRecording,
         header: &RecordingHeader,
         pipeline: &mut Pipeline,
         source: &Source,
@@ -174,6 +174,6 @@ impl Arguments {
         let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
         let inlet = pipeline.consumer("recorder", 64, policy);
-        RecorderSink::start(path, header, &options, inlet, source.outage.clone())
+        RecorderSink::start(output, header, &options, inlet, source.outage.clone())
     }
 }

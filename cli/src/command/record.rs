@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
 use crate::live::recorder::ended_after;
-use crate::output_file::{self, Overwrite};
+use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
 use crate::{labels, output};
 
@@ -49,9 +49,9 @@ pub struct Arguments {
 /// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
-    let path = output_file::dated(&arguments.output);
-    output_file::check_is_mcap(&path)?;
-    arguments.overwrite.check(&path, &arguments.source.inputs())?;
+    let output = NewRecording::named(&arguments.output);
+    output_file::check_is_mcap(output.path())?;
+    arguments.overwrite.check(output.path(), &arguments.source.inputs())?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
@@ -63,7 +63,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     };
     let sync = (!arguments.no_sync).then(SyncOptions::default);
     let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
-    let recorder = Recorder::with_options(&path, &header, &recorder_options)?;
+    let file = output.path().display().to_string();
+    let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
@@ -73,7 +74,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     reader.stop();
     bar.finish_and_clear();
     let Tally { frames, dropped, gaps } = tally;
-    let file = path.display().to_string();
     let said = match arguments.json {
         true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
         false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped")),

@@ -1,7 +1,6 @@
 //! Recorder of frames and answers into one recording, on a thread of its own, without losses.
 
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -17,6 +16,7 @@ use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
 use super::sink::{Moment, Sink};
 use crate::output;
+use crate::output_file::NewRecording;
 use crate::panics::Panicked;
 
 /// Capacity of the queue of answers to the recorder, larger than the number of frames in its frame queue.
@@ -84,13 +84,14 @@ impl RecorderSink {
     /// # Errors
     /// The file cannot be made, or the thread cannot be started.
     pub fn start(
-        path: &Path,
+        output: NewRecording,
         header: &RecordingHeader,
         options: &RecorderOptions,
         inlet: Inlet,
         outage: Outage,
     ) -> anyhow::Result<Self> {
-        let recorder = Recorder::with_options(path, header, options)?;
+        let file = output.path().display().to_string();
+        let recorder = output.create(header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
         let (has_gaps, is_left_behind) = (Arc::new(AtomicBool::new(false)), inlet.is_left_behind.clone());
         let taken = Arc::new(AtomicU64::new(0));
@@ -118,7 +119,6 @@ impl RecorderSink {
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
         });
-        let file = path.display().to_string();
         Ok(RecorderSink {
             results: Some(results),
             thread: Some(thread),
@@ -311,6 +311,8 @@ impl Writer {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
     use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
@@ -325,8 +327,14 @@ mod tests {
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         let header = RecordingHeader::new(source.waveform().clone());
-        let mut sink = RecorderSink::start(path, &header, &RecorderOptions::default(), inlet, Outage::default())
-            .expect("a recorder");
+        let mut sink = RecorderSink::start(
+            NewRecording::named(path),
+            &header,
+            &RecorderOptions::default(),
+            inlet,
+            Outage::default(),
+        )
+        .expect("a recorder");
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -412,8 +420,14 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
         let header = RecordingHeader::new(Panicking::after(0).waveform().clone());
-        let mut sink = RecorderSink::start(&path, &header, &RecorderOptions::default(), inlet, Outage::default())
-            .expect("a recorder");
+        let mut sink = RecorderSink::start(
+            NewRecording::named(&path),
+            &header,
+            &RecorderOptions::default(),
+            inlet,
+            Outage::default(),
+        )
+        .expect("a recorder");
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");

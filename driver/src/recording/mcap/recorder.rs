@@ -180,11 +180,25 @@ impl Recorder {
             let device = File::options().write(true).open(path).map_err(RecordingError::cannot_write(path))?;
             return Self::start(device, path, header, None);
         }
-        let partial = Partial::file(path, options.existing)?;
-        let mut recorder = Self::start(partial.open()?, path, header, options.sync)?;
+        Self::in_partial(Partial::file(path, options.existing)?, header, options.sync)
+    }
+
+    /// Creates a recording as [`Recorder::with_options`] does, of a file that was started before, which kept its name from
+    /// other writers.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if the name has been taken all the same and must not be replaced, and
+    /// [`RecordingError::Io`].
+    pub fn in_partial(
+        partial: Partial,
+        header: &RecordingHeader,
+        sync: Option<SyncOptions>,
+    ) -> Result<Self, RecordingError> {
+        let path = partial.target().to_owned();
+        let mut recorder = Self::start(partial.open()?, &path, header, sync)?;
         recorder._lock = partial.publish()?;
         // The labels belong to an earlier recording of this name.
-        staged::remove(path).map_err(RecordingError::cannot_write(path))?;
+        staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
         recorder.takes_labels = true;
         Ok(recorder)
     }
