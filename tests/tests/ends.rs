@@ -253,6 +253,16 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             assert_eq!(run(&["--max-dropped", "3"]).0, Some(3));
         }
     }
+    // How many frames a gap of unknown length stands for is not known, so it is within no limit.
+    let (away, again) = (folder.path().join("away.mcap"), folder.path().join("again.mcap"));
+    let header = McapReader::open(&holed).expect("a recording").header().clone();
+    let mut recorder = Recorder::create(&away, &header).expect("a file");
+    recorder.gap(&Gap { first_sequence: 0, frames: 0, reason: GapReason::Disconnected }).expect("written");
+    recorder.finish().expect("finished");
+    let mut record = radome();
+    record.arg("record").arg(&away).args(["--allow-loss", "--max-dropped", "9", "-o"]).arg(&again);
+    let (status, told, said) = outcome(&mut record);
+    assert!(status == Some(1) && told.contains("unknown number") && said.contains("at most 9"), "{told}{said}");
     // Without a recording, lost frames do not change the exit status.
     assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
 }

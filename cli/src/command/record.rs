@@ -11,6 +11,7 @@ use serde_json::json;
 use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
 use crate::live::recorder::ended_after;
+use crate::live::screen;
 use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
 use crate::{labels, output};
@@ -32,7 +33,7 @@ pub struct Arguments {
     /// Let the operating system decide when to write frames to the disk
     #[arg(long, hide = true)]
     no_sync: bool,
-    /// Fail with exit status 1 if more frames than this are lost
+    /// Fail with exit status 1 if more frames than this are lost, or an unknown number
     #[arg(long)]
     max_dropped: Option<u64>,
     /// End with exit status 0 instead of 3 if frames are lost
@@ -73,15 +74,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let (tally, end) = capture(&inlet, recorder, &source.outage, &bar);
     reader.stop();
     bar.finish_and_clear();
-    let Tally { frames, dropped, gaps } = tally;
+    let Tally { frames, dropped, gaps, unknown } = tally;
+    let more = match unknown {
+        0 => String::new(),
+        _ => format!(", and an unknown number (gaps of unknown length: {unknown})"),
+    };
     let said = match arguments.json {
         true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
-        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped")),
+        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),
     };
     end?;
     output::unless_closed(said)?;
-    if let Some(most) = arguments.max_dropped.filter(|most| dropped > *most) {
-        bail!("{dropped} frames were lost, at most {most} allowed");
+    if let Some(most) = arguments.max_dropped.filter(|most| unknown > 0 || dropped > *most) {
+        bail!("{dropped} frames were lost{more}, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
         message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
@@ -97,6 +102,8 @@ struct Tally {
     /// Number of frames that are known to be lost.
     dropped: u64,
     gaps: u64,
+    /// Number of gaps of unknown length.
+    unknown: u64,
 }
 
 impl Tally {
@@ -104,11 +111,9 @@ impl Tally {
     fn gap(&mut self, recorder: &mut Recorder, gap: &Gap) -> anyhow::Result<()> {
         recorder.gap(gap)?;
         self.gaps += 1;
+        self.unknown += u64::from(gap.frames == 0);
         self.dropped = self.dropped.saturating_add(gap.frames);
-        match gap.frames {
-            0 => message!("frames lost from {} on: {}", gap.first_sequence, gap.reason.name()),
-            frames => message!("{frames} frames lost from {}: {}", gap.first_sequence, gap.reason.name()),
-        }
+        message!("{}", screen::lost(gap));
         Ok(())
     }
 }
@@ -243,7 +248,7 @@ mod tests {
         // The number of frames that a lost board would have sent is unknown.
         let lost = Failing::after(3, || BoardError::Stopped.into());
         let (tally, error, is_finished) = captured(Some(lost));
-        assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1 });
+        assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1, unknown: 1 });
         assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
     }
 
