@@ -34,7 +34,7 @@ pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,
     /// Model file, whose waveform a board is programmed with; room-hqnn, which is built in and takes nearly any waveform; or
-    /// cfar, the classical detector, for any waveform
+    /// cfar, the classical detector, for any waveform of at least 20 samples and 2 chirps
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
@@ -156,7 +156,7 @@ impl Arguments {
         model.check_waveform(&waveform).with_context(|| {
             format!(
                 "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
-                 --model cfar takes any",
+                 --model cfar takes nearly any",
                 self.model.display()
             )
         })?;

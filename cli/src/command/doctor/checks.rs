@@ -71,7 +71,9 @@ pub fn page_port() -> Check {
 pub fn model(path: &Path) -> (Check, Option<Model>) {
     match Model::open(path) {
         Ok(model) => {
-            let wants = model.waveform().map_or("any waveform".to_owned(), |w| w.shape().to_string());
+            let wants = model
+                .waveform()
+                .map_or("any waveform of at least 20 samples and 2 chirps".to_owned(), |w| w.shape().to_string());
             (Check::ok("model", format!("{}: {wants}", path.display())), Some(model))
         }
         Err(error) => (Check::error("model", &error), None),
