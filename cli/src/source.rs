@@ -37,7 +37,7 @@ pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     pub source: String,
-    /// Waveform to program a board with: `paper`, a .toml file, a model file, room-hqnn, or a recording
+    /// Waveform to program a board with, or to simulate a scene in: `paper`, a .toml file, a model file, room-hqnn, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
     /// Stop after this number of frames
@@ -68,11 +68,35 @@ impl SourceArgs {
         [self.input(), Path::new(self.waveform.as_deref().unwrap_or(""))]
     }
 
+    /// Refuses options without effect on this source. A source that does not exist is reported when it is opened.
+    ///
+    /// # Errors
+    /// An option is for another kind of source.
+    pub fn check(&self) -> anyhow::Result<()> {
+        let input = self.input();
+        let is_scene = is_scene(input);
+        let is_recording = !is_scene && input.exists();
+        let schemes = ["serial:", "usb:", "deepcraft:"];
+        let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
+        let of_simulations = "it is for simulated scenes";
+        for (option, is_given, is_unused, why) in [
+            ("--waveform", self.waveform.is_some(), is_recording, "a recording has its own"),
+            ("--seed", self.seed.is_some(), is_recording || is_board, of_simulations),
+            ("--people", self.people.is_some(), is_recording || is_board, of_simulations),
+        ] {
+            if is_given && is_unused {
+                bail!("{option} has no effect on {}: {why}\n\nhint: leave it away", self.source);
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the options with which the source is opened.
     ///
     /// # Errors
-    /// Those of [`waveform`].
+    /// Those of [`SourceArgs::check`] and of [`waveform`].
     pub fn options(&self) -> anyhow::Result<SourceOptions> {
+        self.check()?;
         Ok(SourceOptions {
             waveform: self.waveform.as_deref().map(waveform).transpose()?,
             model_waveform: None,
@@ -89,8 +113,8 @@ impl SourceArgs {
 /// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
-    /// Explicit waveform, with which a board is programmed, or which a board without a request protocol uses.
-    /// Recordings and scenes have their own.
+    /// Explicit waveform, with which a board is programmed, which a board without a request protocol uses, or in which a
+    /// scene is simulated. Recordings have their own.
     pub waveform: Option<Waveform>,
     /// Default waveform to program a board with: that of the model which classifies its frames.
     pub model_waveform: Option<Waveform>,
@@ -241,9 +265,12 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return playback(path, options.speed.unwrap_or(1.0));
     }
     let mut source = if is_scene(path) {
-        let simulator = simulator(&Scene::load(path)?, options)?;
+        let frames: Box<dyn FrameSource> = match &options.waveform {
+            Some(waveform) => simulation_in(path, waveform, Duration::ZERO, options)?,
+            None => Box::new(simulator(&Scene::load(path)?, options)?),
+        };
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
-        Source::without_board(Box::new(simulator), description)
+        Source::without_board(frames, description)
     } else {
         let frames = Box::new(Recording::open(path)?);
         Source::without_board(frames, format!("recording {}", path.display()))

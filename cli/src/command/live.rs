@@ -137,6 +137,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 impl Arguments {
     /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
+        self.source.check()?;
         Ok(SourceOptions {
             waveform: self.named_waveform(model)?,
             model_waveform: model.waveform().cloned(),
