@@ -110,7 +110,7 @@ pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
         Err(last)
     };
     Some(match connect() {
-        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login was not tried")),
+        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login and MQTT version 5 were not tried")),
         Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
     })
 }
