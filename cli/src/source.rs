@@ -436,7 +436,7 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if path.is_dir() || path.is_file() {
         match Recording::open(path) {
             Ok(recording) => return Ok(recording.waveform().clone()),
-            Err(RecordingError::Unknown { .. }) => {}
+            Err(RecordingError::Unknown { .. }) if path.is_file() => {}
             Err(error) => return Err(error.into()),
         }
     }
@@ -447,5 +447,5 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         )
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;
-    Ok(Waveform::realise(request)?)
+    Waveform::realise(request).with_context(|| format!("{spec} is no waveform of this chip"))
 }

@@ -48,6 +48,20 @@ fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
     assert!((0.01..0.201).contains(&current_a), "{current_a}");
 }
 
+/// Regression test: an impossible waveform was not said to be that of a file, and of a folder that is no recording the hint was
+/// to write its content to a file.
+#[test]
+fn config_names_what_it_cannot_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("far.toml");
+    let keys = "start_frequency_hz = 10e9\nend_frequency_hz = 61.5e9\nsamples_per_chirp = 128\nchirps_per_frame = 64\n\
+                sample_rate_hz = 2e6\nchirp_interval_s = 400e-6\nframe_interval_s = 0.1\n";
+    std::fs::write(&file, keys).expect("writes");
+    fails_with(subcommand("board config").arg(&file), &["far.toml", "start_frequency_hz"]);
+    let said = failure(subcommand("board config").arg(folder.path()));
+    assert!(said.contains("not a recording") && !said.contains("write its content"), "{said}");
+}
+
 #[test]
 fn errors_say_what_and_what_to_do() {
     let said = failure(radome().args(["live", "nowhere.mcap", "--model", "nothing.safetensors"]));
