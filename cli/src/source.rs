@@ -74,10 +74,9 @@ impl SourceArgs {
     /// An option is for another kind of source.
     pub fn check(&self) -> anyhow::Result<()> {
         let input = self.input();
-        let is_scene = is_scene(input);
-        let is_recording = !is_scene && input.exists();
         let schemes = ["serial:", "usb:", "deepcraft:"];
         let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
+        let is_recording = !is_board && !is_scene(input) && input.exists();
         let of_simulations = "it is for simulated scenes";
         for (option, is_given, is_unused, why) in [
             ("--waveform", self.waveform.is_some(), is_recording, "a recording has its own"),
