@@ -81,7 +81,7 @@ impl Default for Delays {
 pub enum Model {
     /// Trained network, native or ONNX.
     Network(Box<Classifier>),
-    /// Classical detector, which needs no training and accepts any waveform.
+    /// Classical detector, which needs no training and accepts nearly any waveform.
     Cfar,
 }
 

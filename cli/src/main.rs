@@ -48,6 +48,7 @@ struct Arguments {
 
 fn main() -> ExitCode {
     panics::remember_places();
+    output::catch_file_size_limit();
     let given = std::env::args_os().collect();
     let arguments = Arguments::parse_from(command::former_names::with_present_names(given));
     let wire = match &arguments.command {

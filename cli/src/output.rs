@@ -1,13 +1,14 @@
 //! Output of answers on stdout, and of errors and progress on stderr.
 
 use std::io::{IsTerminal, Read, StdoutLock, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
 
 /// Writes one JSON object on a line of its own, and flushes it.
@@ -108,6 +109,13 @@ pub fn progress(length: u64, what: &'static str) -> ProgressBar {
     let style = ProgressStyle::with_template("{prefix} {bar:32} {pos}/{len} {msg} {eta}");
     let bar = ProgressBar::new(length).with_prefix(what);
     if let Ok(style) = style { bar.with_style(style) } else { bar }
+}
+
+/// Makes a write beyond the limit on the size of files (`ulimit -f`) fail with an error, where the system ends the program
+/// by default.
+pub fn catch_file_size_limit() {
+    // The handler does nothing: the write fails because there is one. A system that refuses it keeps its default.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::default());
 }
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::bail;
-use radome_driver::recording::{Existing, Format, utc};
+use radome_driver::recording::text::config_path;
+use radome_driver::recording::{Existing, Format, Partial, RecordingError, utc};
+use radome_driver::{Recorder, RecorderOptions, RecordingHeader};
 
 use crate::files;
 
@@ -79,34 +81,79 @@ const PARTS: [&str; 9] = [
     "radome.label",
 ];
 
-/// Fails if an output would replace an input, or a file of an input that is a folder.
+/// Fails if an output would replace an input, a file of an input that is a folder, or the configuration beside a text
+/// recording.
 fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
     let name = written.file_name().unwrap_or_default().to_string_lossy();
     let is_part = PARTS.contains(&&*name) || (name.starts_with("maps-") && name.ends_with(".npy"));
-    if written == read || (written.starts_with(read) && is_part) {
+    let configuration = config_path(&read).and_then(|path| path.canonicalize().ok());
+    let is_configuration = configuration.is_some_and(|configuration| configuration == written);
+    if written == read || is_configuration || (written.starts_with(read) && is_part) {
         bail!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())
 }
 
-/// Returns the file to record to. In a folder, its name is the time; `{time}` in a name is replaced by the time, in
-/// UTC. If that file exists, a number is appended, so that no two runs use the same file.
-pub fn dated(path: &Path) -> PathBuf {
-    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
-    dated_at(path, &utc::file_stamp(now_s))
+/// Recording to make, before it exists. A name made from the time is kept from other runs meanwhile.
+pub struct NewRecording {
+    path: PathBuf,
+    /// File that keeps the name; removed if the recording is not made.
+    reserved: Option<Partial>,
 }
 
-fn dated_at(path: &Path, stamp: &str) -> PathBuf {
-    let is_folder = path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/");
-    let pattern = if is_folder { path.join(format!("{TIME}.mcap")) } else { path.to_owned() };
-    let Some(name) = pattern.file_name().and_then(|name| name.to_str()).filter(|name| name.contains(TIME)) else {
-        return pattern;
+impl NewRecording {
+    /// Returns the recording that `-o` names. In a folder, its name is the time; `{time}` in a name is replaced by the
+    /// time, in UTC. If another run has taken that name, a number is appended, so that no two runs use the same file.
+    pub fn named(output: &Path) -> Self {
+        let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
+        Self::at(output, &utc::file_stamp(now_s))
+    }
+
+    fn at(output: &Path, stamp: &str) -> Self {
+        let is_folder = output.is_dir() || output.as_os_str().as_encoded_bytes().ends_with(b"/");
+        let pattern = if is_folder { output.join(format!("{TIME}.mcap")) } else { output.to_owned() };
+        let Some(name) = pattern.file_name().and_then(|name| name.to_str()).filter(|name| name.contains(TIME)) else {
+            return NewRecording { path: pattern, reserved: None };
+        };
+        let with = |time: &str| pattern.with_file_name(name.replace(TIME, time));
+        let numbered = (2..).map(|number: u32| with(&format!("{stamp}-{number}")));
+        let mut names = std::iter::once(with(stamp)).chain(numbered);
+        let free = names.find_map(|path| match reserve(&path) {
+            Err(RecordingError::Occupied { .. } | RecordingError::Locked { .. }) => None,
+            // A folder that cannot be written to is reported when the recording is made.
+            reserved => Some(NewRecording { reserved: reserved.ok(), path }),
+        });
+        free.unwrap_or_else(|| NewRecording { path: pattern.clone(), reserved: None })
+    }
+
+    /// Path that the recording will have.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Creates the recording.
+    ///
+    /// # Errors
+    /// Those of [`Recorder::with_options`].
+    pub fn create(self, header: &RecordingHeader, options: &RecorderOptions) -> Result<Recorder, RecordingError> {
+        match self.reserved {
+            Some(reserved) => Recorder::in_partial(reserved, header, options.sync),
+            None => Recorder::with_options(&self.path, header, options),
+        }
+    }
+}
+
+/// Keeps a name from other runs, which reserve names in the same way.
+fn reserve(path: &Path) -> Result<Partial, RecordingError> {
+    let check_free = || match path.symlink_metadata() {
+        Ok(_) => Err(RecordingError::Occupied { path: path.to_owned() }),
+        Err(_) => Ok(()),
     };
-    let with = |time: &str| pattern.with_file_name(name.replace(TIME, time));
-    let numbered = (2..).map(|number: u32| with(&format!("{stamp}-{number}")));
-    let mut names = std::iter::once(with(stamp)).chain(numbered);
-    names.find(|path| path.symlink_metadata().is_err()).unwrap_or(pattern)
+    check_free()?;
+    let reserved = Partial::file(path, Existing::Refuse)?;
+    // Whoever had reserved the name before may have given it to its recording meanwhile.
+    check_free().map(|()| reserved)
 }
 
 /// Fails if the name of a new recording implies another format than MCAP.
@@ -125,6 +172,8 @@ pub fn check_is_mcap(path: &Path) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use radome_dsp::{Waveform, WaveformRequest};
+
     use super::*;
 
     #[test]
@@ -132,17 +181,37 @@ mod tests {
         let temporary = tempfile::tempdir().expect("a folder");
         let folder = temporary.path();
         let stamp = "20261122T212200Z";
-        let first = dated_at(folder, stamp);
+        let dated_at = |output: &Path| NewRecording::at(output, stamp).path().to_owned();
+        let first = dated_at(folder);
         assert_eq!(first, folder.join("20261122T212200Z.mcap"));
         std::fs::write(&first, "").expect("writes");
-        assert_eq!(dated_at(folder, stamp), folder.join("20261122T212200Z-2.mcap"));
+        assert_eq!(dated_at(folder), folder.join("20261122T212200Z-2.mcap"));
         let pattern = folder.join("night-{time}.mcap");
-        assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z.mcap"));
+        assert_eq!(dated_at(&pattern), folder.join("night-20261122T212200Z.mcap"));
         std::fs::write(folder.join("night-20261122T212200Z.mcap"), "").expect("writes");
-        assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z-2.mcap"));
+        assert_eq!(dated_at(&pattern), folder.join("night-20261122T212200Z-2.mcap"));
         // Names without a placeholder stay, and a missing folder is reported when the file is written.
-        assert_eq!(dated_at(&folder.join("a.mcap"), stamp), folder.join("a.mcap"));
-        assert_eq!(dated_at(Path::new("no/such/"), stamp), Path::new("no/such/20261122T212200Z.mcap"));
+        assert_eq!(dated_at(&folder.join("a.mcap")), folder.join("a.mcap"));
+        assert_eq!(dated_at(Path::new("no/such/")), Path::new("no/such/20261122T212200Z.mcap"));
+    }
+
+    /// Regression test: runs that began in the same second took one name, and all but one of them failed.
+    #[test]
+    fn runs_that_begin_in_the_same_second_have_a_name_each() {
+        let temporary = tempfile::tempdir().expect("a folder");
+        let folder = temporary.path();
+        let stamp = "20261122T212200Z";
+        let runs = [(); 3].map(|()| NewRecording::at(folder, stamp));
+        // A run that ends before its recording is made gives its name back.
+        drop(NewRecording::at(folder, stamp));
+        let header = RecordingHeader::new(Waveform::realise(WaveformRequest::paper()).expect("possible"));
+        for run in runs {
+            run.create(&header, &RecorderOptions::default()).expect("creates").finish().expect("finishes");
+        }
+        let files = std::fs::read_dir(folder).expect("lists").flatten();
+        let mut names: Vec<_> = files.map(|file| file.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        assert_eq!(names, ["20261122T212200Z-2.mcap", "20261122T212200Z-3.mcap", "20261122T212200Z.mcap"]);
     }
 
     #[test]
@@ -152,6 +221,22 @@ mod tests {
         for name in ["night.mcap", "no/such/night", "/dev/null"] {
             check_is_mcap(Path::new(name)).expect(name);
         }
+    }
+
+    /// Regression test: the configuration of a text recording could be replaced by a recording of its frames.
+    #[test]
+    fn the_configuration_beside_a_text_recording_is_an_input() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (recording, configuration) in [("a.txt", "a.txt_config.json"), ("b.txt", "b_config.json")] {
+            let [recording, configuration] = [recording, configuration].map(|name| folder.path().join(name));
+            std::fs::write(&recording, "").expect("writes");
+            std::fs::write(&configuration, "").expect("writes");
+            let said = Overwrite::yes().check(&configuration, &[&recording]).expect_err("refused").to_string();
+            assert!(said.contains("input and output at once"), "{said}");
+        }
+        Overwrite::yes()
+            .check(&folder.path().join("a.txt_config.json"), &[&folder.path().join("b.txt")])
+            .expect("free");
     }
 
     #[test]

@@ -18,8 +18,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace, Player,
-    RealTime, Reconnect, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
+    Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, read_text};
@@ -37,7 +37,7 @@ pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     pub source: String,
-    /// Waveform to program a board with: `paper`, a .toml file, a model file, room-hqnn, or a recording
+    /// Waveform to program a board with, or to simulate a scene in: `paper`, a .toml file, a model file, room-hqnn, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
     /// Stop after this number of frames
@@ -60,14 +60,42 @@ pub struct SourceArgs {
 impl SourceArgs {
     /// Path of the recording or scene that is read, if the source is one.
     pub fn input(&self) -> &Path {
-        Path::new(self.source.strip_prefix("emulated:").unwrap_or(&self.source))
+        Path::new(self.source.trim_start_matches("emulated:"))
+    }
+
+    /// Paths that no output may have: of the source and of the waveform.
+    pub fn inputs(&self) -> [&Path; 2] {
+        [self.input(), Path::new(self.waveform.as_deref().unwrap_or(""))]
+    }
+
+    /// Refuses options without effect on this source. A source that does not exist is reported when it is opened.
+    ///
+    /// # Errors
+    /// An option is for another kind of source.
+    pub fn check(&self) -> anyhow::Result<()> {
+        let input = self.input();
+        let schemes = ["serial:", "usb:", "deepcraft:"];
+        let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
+        let is_recording = !is_board && !is_scene(input) && input.exists();
+        let of_simulations = "it is for simulated scenes";
+        for (option, is_given, is_unused, why) in [
+            ("--waveform", self.waveform.is_some(), is_recording, "a recording has its own"),
+            ("--seed", self.seed.is_some(), is_recording || is_board, of_simulations),
+            ("--people", self.people.is_some(), is_recording || is_board, of_simulations),
+        ] {
+            if is_given && is_unused {
+                bail!("{option} has no effect on {}: {why}\n\nhint: leave it away", self.source);
+            }
+        }
+        Ok(())
     }
 
     /// Returns the options with which the source is opened.
     ///
     /// # Errors
-    /// Those of [`waveform`].
+    /// Those of [`SourceArgs::check`] and of [`waveform`].
     pub fn options(&self) -> anyhow::Result<SourceOptions> {
+        self.check()?;
         Ok(SourceOptions {
             waveform: self.waveform.as_deref().map(waveform).transpose()?,
             model_waveform: None,
@@ -84,8 +112,8 @@ impl SourceArgs {
 /// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
-    /// Explicit waveform, with which a board is programmed, or which a board without a request protocol uses.
-    /// Recordings and scenes have their own.
+    /// Explicit waveform, with which a board is programmed, which a board without a request protocol uses, or in which a
+    /// scene is simulated. Recordings have their own.
     pub waveform: Option<Waveform>,
     /// Default waveform to program a board with: that of the model which classifies its frames.
     pub model_waveform: Option<Waveform>,
@@ -135,13 +163,23 @@ pub struct Source {
     /// Board of the source, if there is one.
     pub board: Option<BoardIdentity>,
     pub registers: RegisterList,
+    /// Whether the board is away. Frames that are lost when the source is stopped meanwhile are no gap of the source.
+    pub outage: Outage,
     /// Playback, if the source is a recording that can be sought.
     pub playback: Option<Playback>,
 }
 
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
-        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), playback: None }
+        Source {
+            frames,
+            is_live: false,
+            description,
+            board: None,
+            registers: RegisterList::new(),
+            outage: Outage::default(),
+            playback: None,
+        }
     }
 
     fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
@@ -226,9 +264,12 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return playback(path, options.speed.unwrap_or(1.0));
     }
     let mut source = if is_scene(path) {
-        let simulator = simulator(&Scene::load(path)?, options)?;
+        let frames: Box<dyn FrameSource> = match &options.waveform {
+            Some(waveform) => simulation_in(path, waveform, Duration::ZERO, options)?,
+            None => Box::new(simulator(&Scene::load(path)?, options)?),
+        };
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
-        Source::without_board(Box::new(simulator), description)
+        Source::without_board(frames, description)
     } else {
         let frames = Box::new(Recording::open(path)?);
         Source::without_board(frames, format!("recording {}", path.display()))
@@ -301,14 +342,15 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             let identity = board.identity().clone();
             // Boards may disconnect by accident; frames lost meanwhile are a gap.
             let stream = board.start(waveform)?.with_reconnect(options.reconnect());
-            let registers = stream.registers().clone();
-            Ok(Source::of_board(Box::new(stream), identity, address, registers))
+            let (registers, outage) = (stream.registers().clone(), stream.outage());
+            Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, address, registers) })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Esp32(stream) => {
             let description = format!("ESP32 on {address}");
-            let stream = Box::new(stream.with_reconnect(options.reconnect()));
-            Ok(Source { is_live: true, ..Source::without_board(stream, description) })
+            let stream = stream.with_reconnect(options.reconnect());
+            let outage = stream.outage();
+            Ok(Source { is_live: true, outage, ..Source::without_board(Box::new(stream), description) })
         }
     }
 }
@@ -321,8 +363,8 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     };
     let (identity, port) = (board.identity().clone(), board.path().display().to_string());
     let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
-    let registers = stream.registers().clone();
-    Ok(Source::of_board(Box::new(stream), identity, port, registers))
+    let (registers, outage) = (stream.registers().clone(), stream.outage());
+    Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, port, registers) })
 }
 
 /// Returns the only board that discovery finds.
@@ -353,7 +395,8 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
     let is_live = speed.is_some();
-    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
+    let source = Source::without_board(Box::new(emulated), description);
+    Ok(Source { is_live, board: Some(identity), registers, ..source })
 }
 
 /// Parses an argument that is a finite number of 0 or more.
@@ -392,7 +435,7 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if path.is_dir() || path.is_file() {
         match Recording::open(path) {
             Ok(recording) => return Ok(recording.waveform().clone()),
-            Err(RecordingError::Unknown { .. }) => {}
+            Err(RecordingError::Unknown { .. }) if path.is_file() => {}
             Err(error) => return Err(error.into()),
         }
     }
@@ -403,5 +446,5 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         )
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;
-    Ok(Waveform::realise(request)?)
+    Waveform::realise(request).with_context(|| format!("{spec} is no waveform of this chip"))
 }

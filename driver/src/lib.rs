@@ -54,7 +54,7 @@ pub mod transport;
 
 pub use board::{
     BoardError, BoardIdentity, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, Esp32Stream, Mcu7Board,
-    Mcu7Stream, Reconnect,
+    Mcu7Stream, Outage, Reconnect,
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{

@@ -177,7 +177,7 @@ pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
 /// depending on the shell.
 pub fn limited(blocks: u32, command: &Command) -> Command {
     let mut shell = Command::new("sh");
-    shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\""), "sh"]);
+    shell.args(["-c", &format!("ulimit -f {blocks}; exec \"$@\""), "sh"]);
     shell.arg(command.get_program()).args(command.get_args());
     shell.current_dir(root());
     shell

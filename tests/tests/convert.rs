@@ -149,7 +149,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
     for round in 0..rounds {
         let path = folder.path().join(format!("{round}.mcap"));
         let simulate = ["scene", "simulate", &scene, "--frames", "60", "--seed", "5", "-o"];
-        let record = ["record", &emulated, "--frames", "60", "--seed", "5", "--waveform", "paper", "-o"];
+        let record = ["record", &emulated, "--frames", "60", "--seed", "5", "-o"];
         let arguments: &[&str] = if round % 2 == 0 { &simulate } else { &record };
         let (given, read) = kill_one(arguments, &path, &mut draw, &whole);
         worst = worst.max(given.saturating_sub(read));

@@ -5,7 +5,9 @@ use std::io::{Cursor, Read};
 use std::net::TcpListener;
 use std::path::Path;
 
-use radome_tests::{convert, fixture, help, json_lines, radome, subcommand, success};
+use radome_driver::{Recorder, RecordingHeader};
+use radome_dsp::{Frame, Gap, GapReason, Waveform, WaveformRequest};
+use radome_tests::{convert, fixture, help, json_lines, limited, radome, subcommand, success};
 use serde_json::Value;
 
 fn doctor() -> std::process::Command {
@@ -198,6 +200,45 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
 
     let (checks, _) = failing(radome().args(["doctor", "--json", "--record-to", "/no/such/folder"]));
     assert_eq!(named(&checks, "room")["verdict"], "fail");
+}
+
+/// Regression test: of a recording without frames it said that the board is silent, and a gap of unknown length counted as
+/// no loss.
+#[test]
+fn findings_about_a_recording_are_not_those_of_a_board() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (empty, holed) = (folder.path().join("empty.mcap"), folder.path().join("holed.mcap"));
+    let header = RecordingHeader::new(Waveform::realise(WaveformRequest::paper()).expect("possible"));
+    Recorder::create(&empty, &header).expect("creates").finish().expect("finishes");
+    let mut recorder = Recorder::create(&holed, &header).expect("creates");
+    let mut frame = Frame::zeroed(header.waveform.shape());
+    frame.codes.fill(2000);
+    recorder.frame(&frame).expect("records");
+    recorder.gap(&Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected }).expect("records");
+    recorder.finish().expect("finishes");
+
+    let (checks, _) = failing(doctor().arg(&empty));
+    let frames = named(&checks, "frames");
+    assert!(
+        frames["verdict"] == "fail" && !frames["hint"].as_str().is_some_and(|hint| hint.contains("board")),
+        "{frames}"
+    );
+    let checks = json_lines(doctor().arg(&holed));
+    let frames = named(&checks, "frames");
+    let found = frames["found"].as_str().expect("a finding");
+    assert!(frames["verdict"] == "warn" && found.contains("unknown number"), "{frames}");
+    assert!(frames["hint"].as_str().is_some_and(|hint| hint.contains("while it was recorded")), "{frames}");
+}
+
+/// Regression test: the hint for a disk without room was to name a folder that the user may write.
+#[test]
+fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
+    let (checks, _) = failing(&mut limited(1000, &doctor()));
+    let speed = named(&checks, "speed");
+    assert!(
+        speed["verdict"] == "fail" && speed["hint"].as_str().is_some_and(|hint| hint.contains("ulimit")),
+        "{speed}"
+    );
 }
 
 /// Asserts that the packaged udev rules are those that the program prints, and that the unit uses existing options.

@@ -117,6 +117,30 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
 }
 
+/// Regression test: a user who stopped while the board was away got a recording without a gap, and exit status 0.
+#[test]
+fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for arguments in [&["record"][..], &["live", "--model", "cfar"]] {
+        let (board, port) = emulate(folder.path(), "mcu7-4");
+        let recording = folder.path().join(arguments[0]).with_extension("mcap");
+        let mut command = radome();
+        command.args(arguments).arg(format!("serial:{port}")).arg("-o").arg(&recording);
+        let mut run = Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"));
+        wait_for_frames(&run);
+        board.signal("KILL");
+        run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
+        run.signal("INT");
+        let status = run.wait();
+        let said = run.stderr.all().join("\n");
+        assert_eq!(status.code(), Some(3), "{arguments:?}: {said}");
+        let (is_finished, frames, gaps) = read(&recording);
+        assert!(is_finished && frames >= 5, "{arguments:?}: {frames} frames");
+        let last = gaps.last().map(|gap| (gap.frames, gap.reason));
+        assert_eq!(last, Some((0, GapReason::Disconnected)), "{arguments:?}: {gaps:?}");
+    }
+}
+
 #[test]
 fn a_port_that_is_not_there_is_a_failure() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -229,6 +253,16 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             assert_eq!(run(&["--max-dropped", "3"]).0, Some(3));
         }
     }
+    // How many frames a gap of unknown length stands for is not known, so it is within no limit.
+    let (away, again) = (folder.path().join("away.mcap"), folder.path().join("again.mcap"));
+    let header = McapReader::open(&holed).expect("a recording").header().clone();
+    let mut recorder = Recorder::create(&away, &header).expect("a file");
+    recorder.gap(&Gap { first_sequence: 0, frames: 0, reason: GapReason::Disconnected }).expect("written");
+    recorder.finish().expect("finished");
+    let mut record = radome();
+    record.arg("record").arg(&away).args(["--allow-loss", "--max-dropped", "9", "-o"]).arg(&again);
+    let (status, told, said) = outcome(&mut record);
+    assert!(status == Some(1) && told.contains("unknown number") && said.contains("at most 9"), "{told}{said}");
     // Without a recording, lost frames do not change the exit status.
     assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
 }
@@ -345,16 +379,24 @@ mod full_disk {
     #[test]
     fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
         let folder = tempfile::tempdir().expect("a folder");
-        let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
+        let fed = folder.path().join("fed.mcap");
         desk(FRAMES, &fed);
-        let mut record = radome();
-        record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-        let (status, told, said) = outcome(&mut limited(BLOCKS, &record));
-        assert_eq!(status, Some(1), "{said}");
-        first_cause(&said, &full);
-        let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
-        let (is_finished, frames, _) = read(&full);
-        assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} of {summary}");
+        // The smaller limit has room for no frame.
+        for blocks in [8, BLOCKS] {
+            let full = folder.path().join(format!("full-{blocks}.mcap"));
+            let mut record = radome();
+            record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
+            let (status, told, said) = outcome(&mut limited(blocks, &record));
+            assert_eq!(status, Some(1), "{said}");
+            first_cause(&said, &full);
+            assert!(said.contains("hint: radome recording repair"), "{said}");
+            let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
+            let (is_finished, frames, _) = read(&full);
+            assert!(!is_finished && (frames > 0) == (blocks == BLOCKS) && frames < FRAMES, "{frames} of {summary}");
+            // The frames of the chunk that did not fit do not count.
+            assert_eq!(summary["frames"], frames, "{said}");
+            assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
+        }
     }
 
     #[test]
@@ -367,10 +409,11 @@ mod full_disk {
         let (status, told, said) = outcome(&mut limited(BLOCKS, &live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said, &full);
-        assert!(said.contains("marked unfinished"), "{said}");
+        assert!(said.contains("marked unfinished") && said.contains("hint: radome recording repair"), "{said}");
         let answers = told.lines().filter(|line| line.contains("\"sequence\"")).count();
         assert_eq!(answers as u64, FRAMES, "{said}");
         let (is_finished, frames, _) = read(&full);
         assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} frames");
+        assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
     }
 }

@@ -609,6 +609,8 @@ mod hard_cases {
             let port: u16 = live.stderr.find(0, "the metrics' address", |line| {
                 line.strip_prefix("metrics: http://")?.strip_suffix("/metrics")?.rsplit(':').next()?.parse().ok()
             });
+            let said = live.stderr.all();
+            assert!(!said.iter().any(|line| line.contains("http://0.0.0.0")), "nobody reaches that: {said:?}");
             let token = std::fs::read_to_string(&file).expect("made").trim().to_owned();
             let (host, bearer) = (format!("127.0.0.1:{port}"), format!("Authorization: Bearer {token}\r\n"));
             wait_for("metrics", || {

@@ -29,7 +29,7 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
     simulate(&scene, "--frames 12 --seed 3", &direct);
     let emulated = format!("emulated:{}", scene.display());
-    let args = ["--frames", "12", "--seed", "3", "--waveform", "paper", "--json", "-o"];
+    let args = ["--frames", "12", "--seed", "3", "--json", "-o"];
     let said = json_lines(radome().args(["record", &emulated]).args(args).arg(&recorded));
     assert_eq!((&said[0]["frames"], &said[0]["dropped"]), (&12.into(), &0.into()));
     let codes = |path: &Path| -> Vec<_> {
@@ -42,6 +42,47 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
 
 mod hard_cases {
     use super::*;
+
+    /// Regression test: a waveform that was named was ignored for scenes, emulated or not.
+    #[test]
+    fn a_scene_is_simulated_in_the_waveform_that_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let other = folder.path().join("other.toml");
+        let keys = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 32\nchirps_per_frame = 16\n\
+                    sample_rate_hz = 1e6\nchirp_interval_s = 800e-6\nframe_interval_s = 50e-3\nrx_antennas = [1, 3]\n";
+        std::fs::write(&other, keys).expect("writes");
+        let scene = fixture("scenes/desk.toml").display().to_string();
+        let recorded = [scene.clone(), format!("emulated:{scene}")].map(|source| {
+            let path = folder.path().join(format!("{}.mcap", source.len()));
+            let mut record = radome();
+            record.args(["record", &source, "--frames", "5", "--json", "--waveform"]).arg(&other).arg("-o").arg(&path);
+            json_lines(&mut record);
+            frames(&path).0.into_iter().map(|frame| frame.codes).collect::<Vec<_>>()
+        });
+        assert!(recorded[0].len() == 5 && recorded[0].iter().all(|codes| codes.len() == 2 * 16 * 32));
+        assert!(recorded[0] == recorded[1], "the emulated board sends something else");
+    }
+
+    /// Regression test: options that a source has no use for were ignored.
+    #[test]
+    fn options_without_effect_on_a_source_are_refused() {
+        let (recording, board) = (fixture("formats/recording.mcap").display().to_string(), "serial:/dev/no-such-port");
+        let emulated = format!("emulated:{recording}");
+        let model = "fixtures/models/paper-hqnn.safetensors";
+        for (source, option, value) in [
+            (&*recording, "--waveform", "paper"),
+            (&*emulated, "--waveform", "paper"),
+            (&*recording, "--seed", "3"),
+            (&*emulated, "--people", "1"),
+            (board, "--seed", "3"),
+            (board, "--people", "1"),
+        ] {
+            for command in [&["recording", "echoes"][..], &["live", "--model", model]] {
+                let said = failure(radome().args(command).args([source, option, value]));
+                assert!(said.contains(&format!("{option} has no effect on {source}")), "{command:?}: {said}");
+            }
+        }
+    }
 
     #[test]
     fn a_wrong_key_in_a_scene_names_file_line_and_key() {

@@ -161,6 +161,26 @@ fn the_time_stands_in_a_name_where_it_is_asked_for() {
     assert_eq!(files(folder.path()).len(), 3);
 }
 
+/// Asserts that runs which begin at once record to a file each, whatever the second in which each of them begins.
+#[test]
+fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (source, nights) = (folder.path().join("source.mcap"), folder.path().join("nights"));
+    noise(&source, 6);
+    std::fs::create_dir(&nights).expect("creates");
+    let runs = RECORDERS.repeat(3).into_iter().map(|arguments| {
+        let mut command = radome();
+        command.args(arguments).arg(&source).arg("-o").arg(&nights);
+        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("starts")
+    });
+    for run in runs.collect::<Vec<_>>() {
+        let output = run.wait_with_output().expect("ends");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let made = files(&nights);
+    assert!(made.len() == 6 && made.iter().all(|path| readable(path) == 6 && is_complete(path)), "{made:?}");
+}
+
 #[test]
 fn the_watchdog_waits_longer_than_a_lost_board_is_looked_for() {
     let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");

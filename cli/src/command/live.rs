@@ -16,8 +16,8 @@ use crate::live::recorder::{PATIENCE, RecorderSink};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
-use crate::output_file::{self, Overwrite};
-use crate::source::{self, SourceArgs, SourceOptions};
+use crate::output_file::{self, NewRecording, Overwrite};
+use crate::source::{self, Source, SourceArgs, SourceOptions};
 use crate::{labels, output};
 
 /// Seed of a simulation that no training of the shipped models has seen.
@@ -34,7 +34,7 @@ pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,
     /// Model file, whose waveform a board is programmed with; room-hqnn, which is built in and takes nearly any waveform; or
-    /// cfar, the classical detector, for any waveform
+    /// cfar, the classical detector, for any waveform of at least 20 samples and 2 chirps
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
@@ -75,12 +75,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if arguments.view.access().is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
         bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
     }
-    let output = arguments.output.as_deref().map(output_file::dated);
-    let output = output.as_deref();
-    if let Some(path) = output {
+    let output = arguments.output.as_deref().map(NewRecording::named);
+    if let Some(path) = output.as_ref().map(NewRecording::path) {
         output_file::check_is_mcap(path)?;
         let background = arguments.background.as_deref().unwrap_or(Path::new(""));
-        arguments.overwrite.check(path, &[arguments.source.input(), &arguments.model, background])?;
+        let [source, waveform] = arguments.source.inputs();
+        arguments.overwrite.check(path, &[source, waveform, &arguments.model, background])?;
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
@@ -101,7 +101,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         playback.transport.set_preroll_s(judge.memory_s());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, output)?;
+    let recording = output.as_ref().map(NewRecording::path);
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
@@ -114,7 +115,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = output.map(|path| arguments.recorder(path, &header, &mut pipeline, source.is_live)).transpose()?;
+    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source)).transpose()?;
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
@@ -136,6 +137,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 impl Arguments {
     /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
+        self.source.check()?;
         Ok(SourceOptions {
             waveform: self.named_waveform(model)?,
             model_waveform: model.waveform().cloned(),
@@ -155,7 +157,7 @@ impl Arguments {
         model.check_waveform(&waveform).with_context(|| {
             format!(
                 "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
-                 --model cfar takes any",
+                 --model cfar takes nearly any",
                 self.model.display()
             )
         })?;
@@ -165,13 +167,14 @@ impl Arguments {
     /// Starts to record frames and answers. Frames of a board must not be lost meanwhile.
     fn recorder(
         &self,
-        path: &Path,
+        output: NewRecording,
         header: &RecordingHeader,
         pipeline: &mut Pipeline,
-        is_live: bool,
+        source: &Source,
     ) -> anyhow::Result<RecorderSink> {
-        let policy = if is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
+        let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
-        RecorderSink::start(path, header, &options, pipeline.consumer("recorder", 64, policy))
+        let inlet = pipeline.consumer("recorder", 64, policy);
+        RecorderSink::start(output, header, &options, inlet, source.outage.clone())
     }
 }

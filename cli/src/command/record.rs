@@ -1,15 +1,18 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
+use radome_driver::Outage;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
 
 use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
-use crate::output_file::{self, Overwrite};
+use crate::live::recorder::ended_after;
+use crate::live::screen;
+use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
 use crate::{labels, output};
 
@@ -30,7 +33,7 @@ pub struct Arguments {
     /// Let the operating system decide when to write frames to the disk
     #[arg(long, hide = true)]
     no_sync: bool,
-    /// Fail with exit status 1 if more frames than this are lost
+    /// Fail with exit status 1 if more frames than this are lost, or an unknown number
     #[arg(long)]
     max_dropped: Option<u64>,
     /// End with exit status 0 instead of 3 if frames are lost
@@ -47,10 +50,9 @@ pub struct Arguments {
 /// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
-    let path = output_file::dated(&arguments.output);
-    output_file::check_is_mcap(&path)?;
-    let waveform = arguments.source.waveform.as_deref().unwrap_or("");
-    arguments.overwrite.check(&path, &[arguments.source.input(), Path::new(waveform)])?;
+    let output = NewRecording::named(&arguments.output);
+    output_file::check_is_mcap(output.path())?;
+    arguments.overwrite.check(output.path(), &arguments.source.inputs())?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
@@ -62,25 +64,29 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     };
     let sync = (!arguments.no_sync).then(SyncOptions::default);
     let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
-    let recorder = Recorder::with_options(&path, &header, &recorder_options)?;
+    let file = output.path().display().to_string();
+    let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
-    let (tally, end) = capture(&inlet, recorder, &bar);
+    let (tally, end) = capture(&inlet, recorder, &source.outage, &bar);
     reader.stop();
     bar.finish_and_clear();
-    let Tally { frames, dropped, gaps } = tally;
-    let file = path.display().to_string();
+    let Tally { frames, dropped, gaps, unknown } = tally;
+    let more = match unknown {
+        0 => String::new(),
+        _ => format!(", and an unknown number (gaps of unknown length: {unknown})"),
+    };
     let said = match arguments.json {
         true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
-        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped")),
+        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),
     };
     end?;
     output::unless_closed(said)?;
-    if let Some(most) = arguments.max_dropped.filter(|most| dropped > *most) {
-        bail!("{dropped} frames were lost, at most {most} allowed");
+    if let Some(most) = arguments.max_dropped.filter(|most| unknown > 0 || dropped > *most) {
+        bail!("{dropped} frames were lost{more}, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
         message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
@@ -91,10 +97,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 /// Numbers of recorded and lost frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Tally {
+    /// Number of frames that the recorder has taken; at the end, of those in the file.
     frames: u64,
     /// Number of frames that are known to be lost.
     dropped: u64,
     gaps: u64,
+    /// Number of gaps of unknown length.
+    unknown: u64,
 }
 
 impl Tally {
@@ -102,11 +111,9 @@ impl Tally {
     fn gap(&mut self, recorder: &mut Recorder, gap: &Gap) -> anyhow::Result<()> {
         recorder.gap(gap)?;
         self.gaps += 1;
+        self.unknown += u64::from(gap.frames == 0);
         self.dropped = self.dropped.saturating_add(gap.frames);
-        match gap.frames {
-            0 => message!("frames lost from {} on: {}", gap.first_sequence, gap.reason.name()),
-            frames => message!("{frames} frames lost from {}: {}", gap.first_sequence, gap.reason.name()),
-        }
+        message!("{}", screen::lost(gap));
         Ok(())
     }
 }
@@ -114,18 +121,24 @@ impl Tally {
 /// Records until the source ends or fails, the disk fails, or the user stops it.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
-/// that is lost for good leaves a gap of unknown length at the end.
-fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) -> (Tally, anyhow::Result<()>) {
+/// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
+fn capture(
+    inlet: &Inlet,
+    mut recorder: Recorder,
+    outage: &Outage,
+    bar: &indicatif::ProgressBar,
+) -> (Tally, anyhow::Result<()>) {
     let mut tally = Tally::default();
-    let end = match write_all(inlet, &mut recorder, &mut tally, bar) {
+    let written = write_all(inlet, &mut recorder, &mut tally, outage, bar);
+    // Frames that the disk has not taken are none of the file's.
+    let flushed = recorder.flush();
+    tally.frames = recorder.frames_written();
+    let end = match written {
         // The first error is reported; finishing the file would fail again.
-        Err(error) => {
-            drop(recorder);
-            Err(error.context(format!("the recording ended after {} frames", tally.frames)))
-        }
+        Err(error) => Err(error.context(ended_after(tally.frames))),
         Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
         Ok(failure) => {
-            let finished = recorder.finish().context("the recording is marked unfinished");
+            let finished = flushed.and_then(|()| recorder.finish()).with_context(|| ended_after(tally.frames));
             match (failure, finished) {
                 (None, finished) => finished.map(drop),
                 (Some(failure), Ok(_)) => Err(failure.into()),
@@ -144,6 +157,7 @@ fn write_all(
     inlet: &Inlet,
     recorder: &mut Recorder,
     tally: &mut Tally,
+    outage: &Outage,
     bar: &indicatif::ProgressBar,
 ) -> anyhow::Result<Option<Failure>> {
     let mut is_unflushed = false;
@@ -168,6 +182,9 @@ fn write_all(
         if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
             return Ok(end.err());
         }
+    }
+    if let Some(missing) = outage.gap(next_sequence) {
+        tally.gap(recorder, &missing)?;
     }
     Ok(None)
 }
@@ -217,7 +234,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
-        let (tally, end) = capture(&inlet, recorder, &indicatif::ProgressBar::hidden());
+        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
         let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
         (tally, end.err().map(|error| output::chain(&error)), is_finished)
     }
@@ -231,7 +248,7 @@ mod tests {
         // The number of frames that a lost board would have sent is unknown.
         let lost = Failing::after(3, || BoardError::Stopped.into());
         let (tally, error, is_finished) = captured(Some(lost));
-        assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1 });
+        assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1, unknown: 1 });
         assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
     }
 

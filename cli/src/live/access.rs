@@ -6,7 +6,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -308,8 +308,28 @@ fn is_same(a: &str, b: &str) -> bool {
     a.iter().zip(b.iter()).fold(0u8, |difference, (a, b)| difference | (a ^ b)) == 0
 }
 
+/// Address under which other machines reach a port. If it is served at every address of this machine, this is the
+/// address of the network route, else the machine's name.
+pub fn reachable(address: SocketAddr) -> String {
+    if !address.ip().is_unspecified() {
+        return address.to_string();
+    }
+    // No packet is sent: connecting a datagram socket only looks up the route. The addresses are reserved for
+    // documentation.
+    let of_route = |from: IpAddr, to: IpAddr| {
+        let socket = UdpSocket::bind((from, 0)).ok()?;
+        socket.connect((to, 9)).ok()?;
+        let ip = socket.local_addr().ok()?.ip();
+        (!ip.is_unspecified() && !ip.is_loopback()).then(|| SocketAddr::new(ip, address.port()).to_string())
+    };
+    let v4 = || of_route(Ipv4Addr::UNSPECIFIED.into(), Ipv4Addr::new(192, 0, 2, 1).into());
+    let v6 = || of_route(Ipv6Addr::UNSPECIFIED.into(), Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into());
+    let by_name = || host_name().map(|name| format!("{name}:{}", address.port()));
+    v4().or_else(|| v6().filter(|_| address.is_ipv6())).or_else(by_name).unwrap_or_else(|| address.to_string())
+}
+
 /// Returns the name of this machine, if it has one.
-pub fn host_name() -> Option<String> {
+fn host_name() -> Option<String> {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").ok()?;
     Some(name.trim().to_ascii_lowercase()).filter(|name| !name.is_empty())
 }

@@ -1,7 +1,6 @@
 //! Recorder of frames and answers into one recording, on a thread of its own, without losses.
 
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -9,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
-use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
+use radome_driver::{FrameResult, Outage, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
@@ -17,6 +16,7 @@ use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
 use super::sink::{Moment, Sink};
 use crate::output;
+use crate::output_file::NewRecording;
 use crate::panics::Panicked;
 
 /// Capacity of the queue of answers to the recorder, larger than the number of frames in its frame queue.
@@ -27,6 +27,14 @@ pub const PATIENCE: Duration = Duration::from_secs(5);
 const LAST_PATIENCE: Duration = Duration::from_secs(30);
 /// Silence of a source after which written data are flushed, since the source may never come back.
 const SILENCE: Duration = Duration::from_millis(500);
+
+/// Message about a recording that failed and holds this number of frames.
+pub fn ended_after(frames: u64) -> String {
+    format!(
+        "the recording ended after {frames} frames and is marked unfinished\n\nhint: radome recording repair makes a finished one of \
+         what the file holds"
+    )
+}
 
 /// Converts an answer for the recording.
 pub fn frame_result(moment: &Moment) -> FrameResult {
@@ -70,17 +78,20 @@ enum Recorded {
 }
 
 impl RecorderSink {
-    /// Creates the file and starts the thread. The header must name a classifier.
+    /// Creates the file and starts the thread. The header must name a classifier. If the run is stopped in an outage of
+    /// the board, the recording ends with a gap of unknown length.
     ///
     /// # Errors
     /// The file cannot be made, or the thread cannot be started.
     pub fn start(
-        path: &Path,
+        output: NewRecording,
         header: &RecordingHeader,
         options: &RecorderOptions,
         inlet: Inlet,
+        outage: Outage,
     ) -> anyhow::Result<Self> {
-        let recorder = Recorder::with_options(path, header, options)?;
+        let file = output.path().display().to_string();
+        let recorder = output.create(header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
         let (has_gaps, is_left_behind) = (Arc::new(AtomicBool::new(false)), inlet.is_left_behind.clone());
         let taken = Arc::new(AtomicU64::new(0));
@@ -88,24 +99,26 @@ impl RecorderSink {
             recorder,
             ahead: VecDeque::new(),
             newest: None,
-            frames: 0,
             taken: taken.clone(),
             has_gaps: has_gaps.clone(),
+            outage,
         };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
             let is_left_behind = inlet.is_left_behind.load(Ordering::SeqCst);
+            // Frames that the disk has not taken are none of the file's.
+            let flushed = writer.recorder.flush().map_err(anyhow::Error::from);
+            let frames = writer.recorder.frames_written();
             written
-                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { Ok(()) })
-                .with_context(|| format!("the recording ended after {} frames", writer.frames))?;
+                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { flushed })
+                .with_context(|| ended_after(frames))?;
             Ok(match inlet.end.get() {
-                Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
+                Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(frames),
                 // A recording that its source or its user ended is complete.
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
         });
-        let file = path.display().to_string();
         Ok(RecorderSink {
             results: Some(results),
             thread: Some(thread),
@@ -201,9 +214,9 @@ struct Writer {
     /// Answers to frames that are still in the queue.
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
-    frames: u64,
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
+    outage: Outage,
 }
 
 impl Writer {
@@ -251,9 +264,12 @@ impl Writer {
         for delivery in frames.try_iter() {
             self.take(delivery)?;
         }
-        if let Some(Err(failure)) = inlet.end.get()
-            && let Some(gap) = failure.gap(self.newest.map_or(0, |newest| newest.saturating_add(1)))
-        {
+        let first_sequence = self.newest.map_or(0, |newest| newest.saturating_add(1));
+        let missing = match inlet.end.get() {
+            Some(end) => end.as_ref().err().and_then(|failure| failure.gap(first_sequence)),
+            None => self.outage.gap(first_sequence),
+        };
+        if let Some(gap) = missing {
             self.gap(&gap)?;
         }
         self.newest = Some(u64::MAX);
@@ -267,7 +283,6 @@ impl Writer {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
                 self.newest = Some(frame.sequence);
-                self.frames += 1;
             }
             Item::Gap(gap) => self.gap(&gap)?,
             // The classifier receives the same item and ends the run.
@@ -296,6 +311,8 @@ impl Writer {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
     use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
@@ -310,7 +327,14 @@ mod tests {
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         let header = RecordingHeader::new(source.waveform().clone());
-        let mut sink = RecorderSink::start(path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
+        let mut sink = RecorderSink::start(
+            NewRecording::named(path),
+            &header,
+            &RecorderOptions::default(),
+            inlet,
+            Outage::default(),
+        )
+        .expect("a recorder");
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -345,9 +369,9 @@ mod tests {
         let waveform = Panicking::after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
-        let (taken, has_gaps) = Default::default();
+        let (taken, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, taken, has_gaps };
+        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,
@@ -396,7 +420,14 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
         let header = RecordingHeader::new(Panicking::after(0).waveform().clone());
-        let mut sink = RecorderSink::start(&path, &header, &RecorderOptions::default(), inlet).expect("a recorder");
+        let mut sink = RecorderSink::start(
+            NewRecording::named(&path),
+            &header,
+            &RecorderOptions::default(),
+            inlet,
+            Outage::default(),
+        )
+        .expect("a recorder");
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");

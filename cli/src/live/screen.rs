@@ -95,6 +95,15 @@ impl Screen {
     }
 }
 
+/// Message about lost frames. A gap of 0 frames is one of unknown length.
+pub fn lost(gap: &Gap) -> String {
+    let Gap { first_sequence, frames, reason } = gap;
+    match frames {
+        0 => format!("frames lost from {first_sequence} on: {}", reason.name()),
+        _ => format!("{frames} frames lost from {first_sequence}: {}", reason.name()),
+    }
+}
+
 impl Sink for Screen {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let answer = moment.answer;
@@ -133,7 +142,7 @@ impl Sink for Screen {
         if self.json {
             return self.json_line(&json!({ "gap": gap }));
         }
-        message!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
+        message!("{}", lost(gap));
         Ok(())
     }
 
@@ -161,5 +170,20 @@ impl Sink for Screen {
         line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
         self.print(line + "\n")?;
         self.join()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::GapReason;
+
+    use super::*;
+
+    /// Regression test: `live` said of a gap of unknown length that 0 frames were lost.
+    #[test]
+    fn a_gap_of_unknown_length_is_not_said_to_be_none() {
+        let gap = Gap { first_sequence: 12, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!(lost(&gap), "frames lost from 12 on: disconnected");
+        assert_eq!(lost(&Gap { frames: 3, ..gap }), "3 frames lost from 12: disconnected");
     }
 }

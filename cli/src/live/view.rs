@@ -16,7 +16,7 @@ mod server;
 mod shared;
 
 use std::io::IsTerminal;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -160,9 +160,9 @@ fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
     // If stderr is not a terminal, it may be a journal that others read. A token in a file is available without it; one
     // of this run is not.
     if let Some(file) = token.file().filter(|_| !is_terminal) {
-        message!("live page: http://{}/?token=TOKEN with the token in {}", reachable(address), file.display());
+        message!("live page: http://{}/?token=TOKEN with the token in {}", access::reachable(address), file.display());
     } else {
-        let link = format!("http://{}/?token={}", reachable(address), token.text());
+        let link = format!("http://{}/?token={}", access::reachable(address), token.text());
         message!("live page: {link}");
         if is_terminal && !address.ip().is_loopback() {
             print_code(&link);
@@ -172,26 +172,6 @@ fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
         let may = if is_read_only { "watch" } else { "watch and label" };
         message!("whoever has the token can {may}; the connection is not encrypted, so use a network that you trust");
     }
-}
-
-/// Address under which other machines reach a port. If it is served at every address of this machine, this is the
-/// address of the network route, else the machine's name.
-fn reachable(address: SocketAddr) -> String {
-    if !address.ip().is_unspecified() {
-        return address.to_string();
-    }
-    // No packet is sent: connecting a datagram socket only looks up the route. The addresses are reserved for
-    // documentation.
-    let of_route = |from: IpAddr, to: IpAddr| {
-        let socket = UdpSocket::bind((from, 0)).ok()?;
-        socket.connect((to, 9)).ok()?;
-        let ip = socket.local_addr().ok()?.ip();
-        (!ip.is_unspecified() && !ip.is_loopback()).then(|| SocketAddr::new(ip, address.port()).to_string())
-    };
-    let v4 = || of_route(Ipv4Addr::UNSPECIFIED.into(), Ipv4Addr::new(192, 0, 2, 1).into());
-    let v6 = || of_route(Ipv6Addr::UNSPECIFIED.into(), Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into());
-    let by_name = || access::host_name().map(|name| format!("{name}:{}", address.port()));
-    v4().or_else(|| v6().filter(|_| address.is_ipv6())).or_else(by_name).unwrap_or_else(|| address.to_string())
 }
 
 /// Prints a link as a QR code, white on black regardless of the terminal's colours.

@@ -17,4 +17,4 @@ pub use error::{BoardError, DeepcraftError};
 pub use esp32::Esp32Stream;
 pub use identity::BoardIdentity;
 pub use mcu7::{Mcu7Board, Mcu7Stream};
-pub use reconnect::Reconnect;
+pub use reconnect::{Outage, Reconnect};

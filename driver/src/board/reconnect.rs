@@ -1,10 +1,12 @@
 //! Policy for boards that were unplugged or fell silent.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, SourceEvent};
+use radome_dsp::{Frame, Gap, GapReason, SourceEvent};
 
 use super::{BoardError, BoardIdentity};
 
@@ -62,22 +64,37 @@ impl Reconnect {
     }
 }
 
+/// Tells whether the board of a stream is away: from a loss that the stream tries to end until the next frame. A stream that
+/// is stopped meanwhile reports no gap itself.
+#[derive(Debug, Clone, Default)]
+pub struct Outage(Arc<AtomicBool>);
+
+impl Outage {
+    /// Gap that the stream leaves if it is stopped now, while its board is away. The number of its frames is unknown.
+    pub fn gap(&self, first_sequence: u64) -> Option<Gap> {
+        let is_away = self.0.load(Ordering::SeqCst);
+        is_away.then_some(Gap { first_sequence, frames: 0, reason: GapReason::Disconnected })
+    }
+}
+
 /// Reconnection policy and state of a stream.
 #[derive(Debug, Default)]
 pub(super) struct Recovery {
     /// `None` ends the stream at the first error.
     pub policy: Option<Reconnect>,
+    /// Whether the board is away.
+    pub outage: Outage,
     /// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no
     /// frame counts as lost.
-    outage: Option<(Instant, Instant)>,
+    loss: Option<(Instant, Instant)>,
 }
 
 impl Recovery {
     /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
     fn noticed(&mut self, last_frame: Instant) -> Instant {
-        match self.outage {
+        match self.loss {
             Some((before, noticed)) if before == last_frame => noticed,
-            _ => self.outage.insert((last_frame, Instant::now())).1,
+            _ => self.loss.insert((last_frame, Instant::now())).1,
         }
     }
 }
@@ -104,10 +121,17 @@ pub(super) trait Reconnectable {
 pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
     loop {
         let error = match stream.wait(frame) {
-            Ok(event) => return Ok(event),
+            Ok(event) => {
+                // The gap of an outage comes first. Until its frame has come too, the board may be away for longer.
+                if event == SourceEvent::Frame {
+                    stream.recovery().outage.0.store(false, Ordering::SeqCst);
+                }
+                return Ok(event);
+            }
             Err(error) => error,
         };
         let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
+        stream.recovery().outage.0.store(true, Ordering::SeqCst);
         stream.close();
         let last_frame = stream.last_frame();
         let noticed = stream.recovery().noticed(last_frame);
@@ -131,7 +155,60 @@ pub(super) fn check_same(path: &Path, uuid: &str, found: &BoardIdentity) -> Resu
 
 #[cfg(test)]
 mod tests {
+    use radome_dsp::{Waveform, WaveformRequest};
+
     use super::*;
+
+    /// Board that falls silent once. `seen` is the gap of the outage when the board was looked for.
+    struct Silent {
+        recovery: Recovery,
+        events: Vec<Option<SourceEvent>>,
+        seen: Vec<Option<Gap>>,
+        last_frame: Instant,
+    }
+
+    impl Reconnectable for Silent {
+        fn wait(&mut self, _frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+            let event = self.events.pop().unwrap_or(Some(SourceEvent::End));
+            event.ok_or_else(|| BoardError::Stalled { path: "port".into(), waited: Duration::ZERO })
+        }
+
+        fn close(&mut self) {}
+
+        fn reopen(&mut self) -> Result<(), BoardError> {
+            self.seen.push(self.recovery.outage.gap(1));
+            Ok(())
+        }
+
+        fn last_frame(&self) -> Instant {
+            self.last_frame
+        }
+
+        fn recovery(&mut self) -> &mut Recovery {
+            &mut self.recovery
+        }
+    }
+
+    #[test]
+    fn an_outage_lasts_from_the_loss_to_the_next_frame() {
+        let policy = Reconnect { first_wait: Duration::from_millis(1), ..Reconnect::default() };
+        let gap = SourceEvent::Gap(Gap { first_sequence: 1, frames: 2, reason: GapReason::Disconnected });
+        let mut stream = Silent {
+            recovery: Recovery { policy: Some(policy), ..Recovery::default() },
+            // From the last to the first.
+            events: vec![Some(SourceEvent::Frame), Some(gap), None, Some(SourceEvent::Frame)],
+            seen: Vec::new(),
+            last_frame: Instant::now(),
+        };
+        let outage = stream.recovery.outage.clone();
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
+        let mut frame = Frame::zeroed(waveform.shape());
+        for (event, is_away) in [(SourceEvent::Frame, false), (gap, true), (SourceEvent::Frame, false)] {
+            assert_eq!(next_event(&mut stream, &mut frame).expect("an event"), event);
+            assert_eq!(outage.gap(1).is_some(), is_away, "{event:?}");
+        }
+        assert_eq!(stream.seen, [Some(Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected })]);
+    }
 
     #[test]
     fn waits_double_up_to_the_longest() {

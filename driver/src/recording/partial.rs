@@ -154,14 +154,25 @@ impl Drop for Partial {
     }
 }
 
-/// Returns the path `.NAME` with an ending, beside NAME.
+/// Longest name of a file on most file systems, bytes.
+const LONGEST_NAME: usize = 255;
+
+/// Returns the path `.NAME` with an ending, beside NAME. If that is too long for a file, a hash stands for the end of NAME.
 pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingError> {
     let Some(name) = target.file_name() else {
         let source = io::Error::new(io::ErrorKind::InvalidInput, "the path names no file");
         return Err(RecordingError::cannot_write(target)(source));
     };
     let mut hidden = OsString::from(".");
-    hidden.push(name);
+    if name.len() + 1 + ending.len() > LONGEST_NAME {
+        let hash = format!("~{:08x}", crc32fast::hash(name.as_encoded_bytes()));
+        let text = name.to_string_lossy();
+        let room = LONGEST_NAME - 1 - hash.len() - ending.len();
+        hidden.push(&text[..text.floor_char_boundary(room)]);
+        hidden.push(hash);
+    } else {
+        hidden.push(name);
+    }
     hidden.push(ending);
     Ok(target.with_file_name(hidden))
 }
@@ -254,6 +265,20 @@ mod tests {
         assert_eq!(std::fs::read(&path).expect("reads"), b"old");
         partial.finish().expect("finishes");
         assert_eq!(std::fs::read(&path).expect("reads"), b"new");
+    }
+
+    /// Regression test: names of more than 246 bytes were refused, since the temporary name was too long.
+    #[test]
+    fn a_name_may_be_as_long_as_the_file_system_allows() {
+        let folder = tempfile::tempdir().expect("folder");
+        for name in ["a".repeat(246), "a".repeat(247), "a".repeat(255), format!("b{}", "é".repeat(127))] {
+            let path = folder.path().join(&name);
+            let partial = Partial::file(&path, Existing::Refuse).expect("starts");
+            let other = Partial::file(&folder.path().join(format!("{}z", &name[..name.len() - 2])), Existing::Refuse);
+            other.expect("starts").finish().expect("another name");
+            partial.finish().expect("finishes");
+            assert!(path.exists(), "{name}");
+        }
     }
 
     #[test]

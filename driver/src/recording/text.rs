@@ -29,7 +29,7 @@ fn config_name(path: &Path) -> PathBuf {
 }
 
 /// Finds the configuration of a text recording: `NAME_config.json`, or the same without NAME's extension.
-pub(super) fn config_path(path: &Path) -> Option<PathBuf> {
+pub fn config_path(path: &Path) -> Option<PathBuf> {
     [config_name(path), config_name(&path.with_extension(""))].into_iter().find(|path| path.is_file())
 }
 

@@ -49,7 +49,7 @@ pub enum CounterError {
     #[error(transparent)]
     Map(#[from] MapError),
     /// The detector's window does not fit the maps.
-    #[error("{source}\n\nhint: frames of at least 8 chirps and 16 samples can be counted in")]
+    #[error("{source}\n\nhint: people can be counted in frames of at least 20 samples and 2 chirps")]
     Cfar {
         /// Cause.
         #[from]
@@ -94,8 +94,8 @@ impl CfarCounter {
     /// Creates the counter for frames of a waveform.
     ///
     /// # Errors
-    /// [`CounterError::Spec`] if frames of the waveform have no map, and [`CounterError::Cfar`] if they are so small that no window
-    /// of training cells fits their maps.
+    /// [`CounterError::Spec`] if frames of the waveform have no map, as those of one chirp, and [`CounterError::Cfar`] if the
+    /// window of training cells does not fit their maps, as with fewer than 20 samples.
     pub fn new(waveform: &Waveform) -> Result<Self, CounterError> {
         let moving_spec = RdmSpec {
             channels: Channels::IncoherentSum,
@@ -306,11 +306,20 @@ mod tests {
         }
 
         #[test]
-        fn frames_too_small_for_a_window_are_refused() {
-            let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
-            let waveform = Waveform::realise(request).expect("valid");
-            if let Err(error) = CfarCounter::new(&waveform) {
-                assert!(error.to_string().contains("hint:"), "{error}");
+        fn frames_too_small_for_a_window_are_refused_and_the_least_is_said() {
+            let sizes = (8..40).flat_map(|samples| (1..12).map(move |chirps| (samples, chirps)));
+            for (samples_per_chirp, chirps_per_frame) in sizes {
+                let request = WaveformRequest { samples_per_chirp, chirps_per_frame, ..WaveformRequest::paper() };
+                let waveform = Waveform::realise(request).expect("valid");
+                match CfarCounter::new(&waveform) {
+                    Ok(_) => assert!(samples_per_chirp >= 20 && chirps_per_frame >= 2, "{}", waveform.shape()),
+                    // Of one chirp there is no map.
+                    Err(CounterError::Spec(_)) => assert_eq!(chirps_per_frame, 1),
+                    Err(error) => {
+                        assert!(samples_per_chirp < 20, "{}: {error}", waveform.shape());
+                        assert!(error.to_string().contains("hint: people can be counted in frames of at least 20"));
+                    }
+                }
             }
         }
     }

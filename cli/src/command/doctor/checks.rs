@@ -1,6 +1,6 @@
 //! Individual checks of the doctor.
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -71,7 +71,9 @@ pub fn page_port() -> Check {
 pub fn model(path: &Path) -> (Check, Option<Model>) {
     match Model::open(path) {
         Ok(model) => {
-            let wants = model.waveform().map_or("any waveform".to_owned(), |w| w.shape().to_string());
+            let wants = model
+                .waveform()
+                .map_or("any waveform of at least 20 samples and 2 chirps".to_owned(), |w| w.shape().to_string());
             (Check::ok("model", format!("{}: {wants}", path.display())), Some(model))
         }
         Err(error) => (Check::error("model", &error), None),
@@ -108,7 +110,7 @@ pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
         Err(last)
     };
     Some(match connect() {
-        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login was not tried")),
+        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login and MQTT version 5 were not tried")),
         Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
     })
 }
@@ -188,6 +190,18 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     (checks, Some(examined))
 }
 
+/// Numbers of the first frames of a source.
+#[derive(Default)]
+struct Seen {
+    /// Frames known to be lost.
+    lost: u64,
+    /// Gaps of unknown length.
+    unknown: usize,
+    /// Samples at the lowest or highest code.
+    saturated: usize,
+    slowest: Duration,
+}
+
 /// Reads the first frames and reports how many arrive, how many are lost, and how long each takes to classify.
 fn frames(
     mut source: Box<dyn radome_dsp::FrameSource>,
@@ -198,48 +212,74 @@ fn frames(
     let interval_s = source.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(source.waveform().shape());
     let start = Instant::now();
-    let (mut lost, mut slowest, mut saturated) = (0, Duration::ZERO, 0);
+    let mut seen = Seen::default();
     while kept.len() < FRAMES && start.elapsed() < PATIENCE {
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => {
                 let at_rail = |code: &&u16| matches!(**code, 0 | radome_dsp::MAX_CODE);
-                saturated += frame.codes.iter().filter(at_rail).count();
+                seen.saturated += frame.codes.iter().filter(at_rail).count();
                 let asked = Instant::now();
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first frame is not timed: it includes the setup.
                     Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
-                        slowest = slowest.max(asked.elapsed())
+                        seen.slowest = seen.slowest.max(asked.elapsed())
                     }
                     _ => {}
                 }
                 kept.push(frame.clone());
             }
-            Ok(SourceEvent::Gap(gap)) => lost += gap.frames,
+            Ok(SourceEvent::Gap(gap)) => {
+                seen.lost = seen.lost.saturating_add(gap.frames);
+                seen.unknown += usize::from(gap.frames == 0);
+            }
             Ok(SourceEvent::End) => break,
             Err(error) => return Check::error("frames", &anyhow::Error::from_boxed(error)),
         }
     }
-    let count = kept.len();
-    let found = format!(
-        "{count} frames in {:.1} s, {lost} lost, {saturated} samples at a rail, slowest answer {:.1} ms of {:.0} ms",
-        start.elapsed().as_secs_f64(),
-        slowest.as_secs_f64() * 1e3,
-        interval_s * 1e3
-    );
-    if count == 0 {
-        return Check::fail("frames", found, "the board is silent: radome board reset, or unplug it and plug it in");
+    seen.check(kept.len(), start.elapsed(), interval_s, is_live)
+}
+
+impl Seen {
+    /// Reports the numbers for `count` frames that came in the time `took`.
+    fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool) -> Check {
+        let Seen { lost, unknown, saturated, slowest } = self;
+        let more = match unknown {
+            0 => String::new(),
+            _ => format!(", and an unknown number (gaps of unknown length: {unknown})"),
+        };
+        let found = format!(
+            "{count} frames in {:.1} s, {lost} lost{more}, {saturated} samples at a rail, slowest answer {:.1} ms of {:.0} ms",
+            took.as_secs_f64(),
+            slowest.as_secs_f64() * 1e3,
+            interval_s * 1e3
+        );
+        if count == 0 {
+            let hint = match is_live {
+                true => "the board is silent: radome board reset, or unplug it and plug it in",
+                false => {
+                    "no frame was recorded; of a recording that is damaged, radome recording repair saves what can be read"
+                }
+            };
+            return Check::fail("frames", found, hint);
+        }
+        if *lost > 0 || *unknown > 0 {
+            let hint = match is_live {
+                true => "another socket or a shorter cable; a hub that others do not share",
+                false => {
+                    "they were lost while it was recorded; radome doctor on the board tells whether it still loses any"
+                }
+            };
+            return Check::warn("frames", found, hint);
+        }
+        if is_live && slowest.as_secs_f64() > interval_s {
+            return Check::warn("frames", found, "this machine is too slow for the model: frames will be dropped");
+        }
+        if *saturated > 0 {
+            return Check::warn("frames", found, "something stands close to the antenna, or if_gain_db is too high");
+        }
+        Check::ok("frames", found)
     }
-    if lost > 0 {
-        return Check::warn("frames", found, "another socket or a shorter cable; a hub that others do not share");
-    }
-    if is_live && slowest.as_secs_f64() > interval_s {
-        return Check::warn("frames", found, "this machine is too slow for the model: frames will be dropped");
-    }
-    if saturated > 0 {
-        return Check::warn("frames", found, "something stands close to the antenna, or if_gain_db is too high");
-    }
-    Check::ok("frames", found)
 }
 
 /// Checks free space and write speed for recordings.
@@ -298,7 +338,17 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
                 _ => Check::ok("speed", found),
             }
         }
-        Err(error) => Check::fail("speed", format!("{named}: {error}"), "name a folder that this user may write"),
+        Err(error) => Check::fail("speed", format!("{named}: {error}"), remedy(error.kind())),
     });
     checks
+}
+
+/// What helps against an error of writing to a folder.
+fn remedy(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "make room, or --record-to another disk",
+        ErrorKind::FileTooLarge => "raise the limit on the size of files (ulimit -f)",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "name a folder that this user may write",
+        _ => "--record-to another disk, and see the system's log for errors of this one",
+    }
 }

@@ -37,7 +37,8 @@ pub struct Arguments {
 /// The model or the source cannot be opened, too few frames come, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    arguments.overwrite.check(&arguments.output, &[arguments.source.input(), &arguments.model])?;
+    let [source, waveform] = arguments.source.inputs();
+    arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
     let model = Model::open(&arguments.model)?;
     let judge = model.named(&arguments.model, Default::default())?;
     let mut options = arguments.source.options()?;

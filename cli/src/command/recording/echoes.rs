@@ -81,7 +81,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if let Some(path) = &arguments.output {
         let angles = arguments.angles.as_deref().unwrap_or(Path::new(""));
-        arguments.overwrite.check(path, &[arguments.source.input(), angles])?;
+        let [source, waveform] = arguments.source.inputs();
+        arguments.overwrite.check(path, &[source, waveform, angles])?;
     }
     let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();

@@ -58,9 +58,9 @@ impl Arguments {
 
     /// Refuses outputs that cannot be written, before anything is computed.
     fn check_outputs(&self) -> anyhow::Result<()> {
-        let input = self.source.input();
+        let inputs = self.source.inputs();
         if let Some(picture) = &self.png {
-            self.overwrite.check(picture, &[input])?;
+            self.overwrite.check(picture, &inputs)?;
             if self.output.as_ref() == Some(picture) {
                 bail!("-o and --png name one file\n\nhint: name two");
             }
@@ -70,7 +70,7 @@ impl Arguments {
                 bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
             }
             None => Ok(()),
-            Some(path) if !is_stdout(path) => self.overwrite.check(path, &[input]),
+            Some(path) if !is_stdout(path) => self.overwrite.check(path, &inputs),
             Some(_) if self.json => {
                 bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
             }

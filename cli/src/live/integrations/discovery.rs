@@ -3,6 +3,7 @@
 
 use radome_driver::BoardIdentity;
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 
 use super::latest::Said;
 
@@ -141,10 +142,21 @@ pub fn state(said: &Said, dropped_frames: u64) -> Value {
     })
 }
 
-/// Converts a text for topics and ids: lower-case letters, digits and `_`.
+/// Converts a text for topics and ids: lower-case letters, digits and `_`. Texts with other letters than those of ASCII end
+/// with a hash, since `_` in their places may be all that is left of them.
 fn slug(name: &str) -> String {
-    let text: String =
-        name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).take(64).collect();
+    const LONGEST: usize = 64;
+    let mut text: String = name
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' })
+        .take(LONGEST)
+        .collect();
+    if !name.is_ascii() {
+        let hash = Sha256::digest(name.to_lowercase());
+        let hash: String = hash.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        text.truncate(LONGEST - 1 - hash.len());
+        text += &format!("_{hash}");
+    }
     if text.is_empty() { UNNAMED.to_owned() } else { text }
 }
 
@@ -172,9 +184,24 @@ mod tests {
         assert_eq!(device.discovery_topic(), "homeassistant/device/bgt60_00ab/config");
         assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");
         assert_eq!(device.discovery()["dev"]["hw"], "2.6.0");
-        let device = Device::new(Some(&board("0000")), Some("Küche #1/+"), "homeassistant", true);
-        assert_eq!(device.state_topic(), "radome/k_che__1__/state", "no wildcard may stand in a topic");
+        let device = Device::new(Some(&board("0000")), Some("Kitchen #1/+"), "homeassistant", true);
+        assert_eq!(device.state_topic(), "radome/kitchen__1__/state", "no wildcard may stand in a topic");
         assert_eq!(device.discovery()["cmps"]["report_empty"]["pl_prs"], "empty");
+    }
+
+    /// Regression test: names in other letters than those of ASCII had one identity if they were equally long.
+    #[test]
+    fn names_in_any_letters_have_an_identity_each() {
+        let topics =
+            ["Küche", "Kôche", "寝室", "台所"].map(|name| Device::new(None, Some(name), "h", false).state_topic());
+        for (index, topic) in topics.iter().enumerate() {
+            assert!(!topics[..index].contains(topic), "{topics:?}");
+            let id = topic.trim_start_matches("radome/").trim_end_matches("/state");
+            assert!(id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_'), "{id}");
+        }
+        assert!(topics[0].starts_with("radome/k_che_"), "{}", topics[0]);
+        assert_eq!(slug("KÜCHE"), slug("Küche"), "letters count, and not their case");
+        assert_eq!((slug(&"ü".repeat(99)).len(), slug(&"u".repeat(99)).len()), (64, 64));
     }
 
     #[test]

@@ -173,7 +173,7 @@ fn serve_metrics(
         format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
     })?;
     let address = listener.local_addr()?;
-    message!("metrics: http://{address}/metrics");
+    message!("metrics: http://{}/metrics", access::reachable(address));
     let access = Access::new(address, access, token.as_ref());
     runtime.spawn(http::serve(listener, access, latest, reports));
     Ok(())

@@ -148,6 +148,7 @@ impl Listener {
                 Ok(_) => {}
                 Err(error) => {
                     counters.mqtt_connected.store(false, Ordering::Relaxed);
+                    let words = in_words(&error, since.is_some());
                     if let Some(since) = since.take() {
                         if since.elapsed() > GOOD_CONNECTION {
                             wait = first_wait;
@@ -159,7 +160,6 @@ impl Listener {
                     if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
                         count(&counters.mqtt_refused);
                     }
-                    let words = in_words(&error);
                     // Each kind of error is reported once.
                     if words != last_words {
                         tracing::warn!(
@@ -201,9 +201,9 @@ impl Listener {
     }
 }
 
-/// Describes the cause of a failed connection, with a remedy. Data from the broker are never shown, since a server that
-/// echoes its input would echo the password.
-fn in_words(error: &ConnectionError) -> String {
+/// Describes the cause of a failed connection, with a remedy. `was_up` tells whether the broker had accepted it. Data from the
+/// broker are never shown, since a server that echoes its input would echo the password.
+fn in_words(error: &ConnectionError, was_up: bool) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
     match error {
         ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => error.to_string(),
@@ -217,6 +217,10 @@ fn in_words(error: &ConnectionError) -> String {
         ConnectionError::Tls(error) => format!("TLS: {error}"),
         ConnectionError::NotConnAck(_) | ConnectionError::MqttState(StateError::Deserialization(_)) => {
             "it does not answer in MQTT version 5".into()
+        }
+        // The library takes the refusal of an older version for the beginning of an answer.
+        ConnectionError::MqttState(StateError::ConnectionAborted) if !was_up => {
+            "it closes the connection and does not answer in MQTT version 5".into()
         }
         ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => {
             format!("it ends the connection: {reason_code:?}")
@@ -340,6 +344,9 @@ impl Teller<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Read, Write};
+    use std::net::{Shutdown, TcpListener};
+
     use rumqttc::v5::mqttbytes::v5::{Connect, Login};
 
     use super::*;
@@ -351,6 +358,32 @@ mod tests {
         let login = Login { username: "radar".into(), password: "hunter2".into() };
         let error = ConnectionError::NotConnAck(Box::new(Packet::Connect(connect, None, Some(login))));
         assert!(error.to_string().contains("hunter2"), "the library shows it");
-        assert!(!in_words(&error).contains("hunter2"));
+        assert!(!in_words(&error, false).contains("hunter2"));
+    }
+
+    /// Regression test: of a broker that refuses version 5 in the words of version 3.1.1 it said that the connection was
+    /// closed abruptly.
+    #[test]
+    fn a_broker_of_an_older_version_is_said_to_be_one() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("an address").port();
+        let broker = std::thread::spawn(move || {
+            let (mut connection, _) = listener.accept().expect("a client");
+            // Enough of its request; the rest may be lost with the connection.
+            connection.read_exact(&mut [0; 10]).expect("a request");
+            connection.write_all(&[0x20, 0x02, 0x00, 0x01]).expect("answers");
+            connection.shutdown(Shutdown::Write).expect("closes");
+            // The client closes its side, so that its request is not answered by a reset.
+            let _ = std::io::copy(&mut connection, &mut std::io::sink());
+        });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let (client, mut events) = AsyncClient::new(MqttOptions::new("radome-1", "127.0.0.1", port), 8);
+        let error = runtime.block_on(events.poll()).expect_err("a refusal");
+        let words = in_words(&error, false);
+        assert!(words.contains("does not answer in MQTT version 5"), "{words}");
+        // Of a connection that was up, the end says nothing about versions.
+        assert!(!in_words(&error, true).contains("version"));
+        drop((client, events));
+        broker.join().expect("no panic");
     }
 }

@@ -147,21 +147,27 @@ impl Book {
         };
         let mut label = span.label.clone();
         change(&mut label);
-        if !label.start_s.is_finite() || !label.end_s.is_finite() || label.end_s - label.start_s < SHORTEST_S {
-            bail!("a label from {} to {} s: it must end after its start", label.start_s, label.end_s);
-        }
-        check_spans(std::slice::from_ref(&label), self.extent_s)?;
+        self.check(&label)?;
         label.made_ns = now_ns();
         self.remember();
         self.paint(Some(id), label);
         Ok(())
     }
 
-    fn add(&mut self, label: LabelSpan) -> anyhow::Result<()> {
-        if label.end_s - label.start_s < SHORTEST_S {
-            bail!("a label from {} to {} s: it must end after its start", label.start_s, label.end_s);
+    /// Refuses a span that is none, or lies outside the recording. Of one that is being made, only the start is known.
+    fn check(&self, label: &LabelSpan) -> anyhow::Result<()> {
+        let LabelSpan { start_s, end_s, .. } = label;
+        if !start_s.is_finite() || !end_s.is_finite() || end_s - start_s < SHORTEST_S {
+            bail!("a label from {start_s} to {end_s} s: it must end after its start");
         }
-        check_spans(std::slice::from_ref(&label), self.extent_s)?;
+        if self.extent_s.is_none() && *start_s < 0.0 {
+            bail!("a label from {start_s} to {end_s} s: no frame comes before 0 s");
+        }
+        Ok(check_spans(std::slice::from_ref(label), self.extent_s)?)
+    }
+
+    fn add(&mut self, label: LabelSpan) -> anyhow::Result<()> {
+        self.check(&label)?;
         self.remember();
         self.paint(None, label);
         Ok(())
@@ -202,6 +208,20 @@ impl Book {
         ended.end_open(now_s);
         ended.spans.into_iter().map(|span| span.label).collect()
     }
+}
+
+/// Cuts labels to the frames of a recording, from the first one to the end of the last one. A recording that cannot be read
+/// leaves them as they are.
+fn cut(labels: Vec<LabelSpan>, recording: &Path, interval_s: f64) -> Vec<LabelSpan> {
+    let extent = Recording::open(recording).and_then(|mut recording| recording.extent());
+    let Ok(Some(extent)) = extent else { return labels };
+    let (first_s, last_s) = (extent.first.time_s(), extent.last.time_s() + interval_s);
+    let cut = labels.into_iter().map(|label| LabelSpan {
+        start_s: label.start_s.max(first_s),
+        end_s: label.end_s.min(last_s),
+        ..label
+    });
+    cut.filter(|label| label.end_s - label.start_s >= SHORTEST_S).collect()
 }
 
 fn now_ns() -> Option<u64> {
@@ -528,9 +548,9 @@ impl Keeper {
         let count = state.book.spans.len();
         if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
             if let Place::Made { recording } = place {
-                // Open labels have ended by now.
-                mcap::stage_labels(recording, &state.book.labels(self.now_s()))
-                    .with_context(|| format!("{count} labels were not saved"))?;
+                // Open labels have ended by now. Others may have been made for times to which the recording did not come.
+                let labels = cut(state.book.labels(self.now_s()), recording, self.interval_s);
+                mcap::stage_labels(recording, &labels).with_context(|| format!("{count} labels were not saved"))?;
             } else if let Some(fault) = &state.fault {
                 bail!("labels were not saved: {fault}");
             } else if state.saved != state.book.revision {
@@ -598,5 +618,44 @@ mod tests {
         assert_eq!(spans(&book).len(), 1, "what goes on is not yet there");
         book.end_open(0.5);
         assert_eq!(spans(&book), [(0.0, 4.0, "door open")], "a label that ends before its start is none");
+    }
+
+    mod hard_cases {
+        use radome_driver::{Recorder, RecordingHeader};
+        use radome_dsp::{Frame, Waveform, WaveformRequest};
+
+        use super::*;
+
+        /// Regression test: labels of a recording that is being made could lie before its start and behind its end.
+        #[test]
+        fn labels_outside_a_recording_that_is_made_are_refused_or_cut() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("night.mcap");
+            let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
+            let mut frame = Frame::zeroed(waveform.shape());
+            let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("creates");
+            for number in 3..10 {
+                (frame.sequence, frame.time_ns) = (number, number * 100_000_000);
+                recorder.frame(&frame).expect("records");
+            }
+            recorder.finish().expect("finishes");
+
+            let keeper = Keeper::open(None, Some(&path), Path::new("cfar"), 0.1).expect("opens");
+            keeper.at(0.9);
+            let refused = keeper.edit(Edit::Add(LabelSpan::new(-5.0, 1e6, "two"))).expect_err("before the start");
+            assert!(refused.to_string().contains("no frame comes before 0 s"), "{refused}");
+            for (start_s, end_s, label) in [(0.0, 0.4, "one"), (0.5, 1e6, "two"), (2.0, 3.0, "door open")] {
+                keeper.edit(Edit::Add(LabelSpan::new(start_s, end_s, label))).expect("may come to be");
+            }
+            keeper.edit(Edit::Move(0, -1.0, 0.4)).expect_err("before the start");
+            keeper.close();
+            keeper.last_word().expect("saved");
+            let kept: Vec<_> = labels::of(&path)
+                .expect("labels")
+                .into_iter()
+                .map(|span| ((span.start_s * 1e3).round(), (span.end_s * 1e3).round(), span.label))
+                .collect();
+            assert_eq!(kept, [(300.0, 400.0, "one".to_owned()), (500.0, 1000.0, "two".to_owned())]);
+        }
     }
 }

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
 use crate::board::host::now_ns;
-use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
+use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
@@ -127,6 +127,11 @@ impl DeepcraftStream {
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.recovery.policy = Some(policy);
         self
+    }
+
+    /// Returns what tells, from any thread, whether the board is away.
+    pub fn outage(&self) -> Outage {
+        self.recovery.outage.clone()
     }
 
     /// Register list that was sent to the board; empty for a preset of the firmware.

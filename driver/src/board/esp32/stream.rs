@@ -10,7 +10,7 @@ use serialport::TTYPort;
 use super::resequencer::Resequencer;
 use crate::board::BoardError;
 use crate::board::host::{lost, open_port};
-use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, next_event};
+use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, next_event};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::transport::serial::{BAUD_RATE, BUFFER, read, read_more};
 use crate::transport::trace;
@@ -81,6 +81,11 @@ impl Esp32Stream {
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.recovery.policy = Some(policy);
         self
+    }
+
+    /// Returns what tells, from any thread, whether the board is away.
+    pub fn outage(&self) -> Outage {
+        self.recovery.outage.clone()
     }
 }
 

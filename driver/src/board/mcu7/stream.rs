@@ -10,7 +10,7 @@ use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
 use crate::board::host::now_ns;
-use crate::board::reconnect::{Reconnect, Reconnectable, Recovery, check_same, next_event};
+use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
 use crate::protocol::mcu7::{Command, DataError, SliceLayout};
 use crate::transport::Address;
@@ -110,6 +110,11 @@ impl Mcu7Stream {
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.recovery.policy = Some(policy);
         self
+    }
+
+    /// Returns what tells, from any thread, whether the board is away.
+    pub fn outage(&self) -> Outage {
+        self.recovery.outage.clone()
     }
 
     /// Register list that was written to the chip.

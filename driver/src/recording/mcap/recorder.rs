@@ -121,6 +121,8 @@ pub struct Recorder {
     /// Log time of messages that have no time of their own.
     last_time_ns: u64,
     summary: RecordingSummary,
+    /// Number of frames in chunks that are in the file.
+    frames_written: u64,
     message: u32,
 }
 
@@ -178,11 +180,25 @@ impl Recorder {
             let device = File::options().write(true).open(path).map_err(RecordingError::cannot_write(path))?;
             return Self::start(device, path, header, None);
         }
-        let partial = Partial::file(path, options.existing)?;
-        let mut recorder = Self::start(partial.open()?, path, header, options.sync)?;
+        Self::in_partial(Partial::file(path, options.existing)?, header, options.sync)
+    }
+
+    /// Creates a recording as [`Recorder::with_options`] does, of a file that was started before, which kept its name from
+    /// other writers.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if the name has been taken all the same and must not be replaced, and
+    /// [`RecordingError::Io`].
+    pub fn in_partial(
+        partial: Partial,
+        header: &RecordingHeader,
+        sync: Option<SyncOptions>,
+    ) -> Result<Self, RecordingError> {
+        let path = partial.target().to_owned();
+        let mut recorder = Self::start(partial.open()?, &path, header, sync)?;
         recorder._lock = partial.publish()?;
         // The labels belong to an earlier recording of this name.
-        staged::remove(path).map_err(RecordingError::cannot_write(path))?;
+        staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
         recorder.takes_labels = true;
         Ok(recorder)
     }
@@ -238,6 +254,7 @@ impl Recorder {
             chunk_ns: sync.map_or(CHUNK_NS, |sync| sync.chunk.as_nanos().clamp(1, u128::from(u64::MAX)) as u64),
             last_time_ns: 0,
             summary: RecordingSummary::default(),
+            frames_written: 0,
             message: 0,
         };
         recorder.end_chunk()?;
@@ -326,6 +343,12 @@ impl Recorder {
         self.write_results()
     }
 
+    /// Number of frames that the file holds: those of the chunk that waits in memory are not among them. After an error no
+    /// more are added.
+    pub fn frames_written(&self) -> u64 {
+        self.frames_written
+    }
+
     fn end_chunk(&mut self) -> Result<(), RecordingError> {
         const WHAT: &str = "cannot be written";
         if self.chunk.is_empty() {
@@ -338,6 +361,7 @@ impl Recorder {
         });
         let index = ended.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
         self.write_out(WHAT)?;
+        self.frames_written = self.summary.frames;
         self.statistics.chunk_count += 1;
         let noted = self.chunk_indexes.push(&index);
         noted.map_err(|e| self.fail(Failure::io(WHAT, &e)))
