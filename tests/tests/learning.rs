@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_tests::running::Running;
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand, success};
 
 /// Small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -112,6 +112,9 @@ fn one_recording_can_be_held_out() {
     let told = json_lines(&mut train(sequence));
     let test = &told.last().expect("an answer")["training"]["test"];
     assert_eq!(test["samples"].as_u64(), Some(maps_of), "{test}");
+    let mut evaluate = subcommand("model evaluate");
+    evaluate.arg(&model).arg(maps()).arg("--json");
+    assert_eq!(&json_lines(&mut evaluate).remove(0), test, "evaluate divides the dataset as the training did");
     assert!(failure(&mut train("nobody")).contains("no sequence 'nobody'"));
 }
 
@@ -239,6 +242,34 @@ fn shipped_settings_train_a_model() {
 
 mod hard_cases {
     use super::*;
+
+    /// The test split was that of the default rule, so that maps that were trained on counted.
+    #[test]
+    fn a_model_is_evaluated_on_the_test_split_of_its_own_training() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
+        let model = folder.path().join("model.safetensors");
+        let mut train = subcommand("model train");
+        train.arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model);
+        let trained = json_lines(&mut train).pop().expect("an answer")["training"]["test"].take();
+        let evaluate = |model: &Path| {
+            let mut command = subcommand("model evaluate");
+            command.arg(model).arg(maps()).arg("--json");
+            command
+        };
+        let (told, said) = success(&mut evaluate(&model));
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON"), trained);
+        assert!(!said.contains("default rule"), "{said}");
+
+        // A file of an older program does not say by which rule it was trained.
+        let mut older = radome_models::Model::load(&model).expect("a model");
+        older.card.split = None;
+        let older_file = folder.path().join("older.safetensors");
+        older.save(&older_file).expect("writable");
+        let (told, said) = success(&mut evaluate(&older_file));
+        assert_ne!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON")["samples"], trained["samples"]);
+        assert!(said.contains("does not say how its training divided this dataset"), "{said}");
+    }
 
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.

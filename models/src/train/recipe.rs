@@ -124,6 +124,7 @@ fn card(
         latent: network.latent_constants(),
         temperature,
         dataset_hash: dataset.hash(),
+        split: Some(spec.split.clone()),
         seed: spec.seed,
         training,
         adapted: None,

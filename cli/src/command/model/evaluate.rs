@@ -10,10 +10,10 @@ use anyhow::bail;
 use radome_driver::RecordingError;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_models::Classifier;
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, evaluate};
+use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
 
@@ -418,7 +418,7 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
         Split::Test => Some(dataset::Split::Test),
         Split::All => None,
     };
-    let splits = dataset.splits(&SplitSpec::default())?;
+    let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
     let metrics = evaluate(classifier, &dataset, &indices)?;
@@ -431,6 +431,20 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     }
     print(&metrics)?;
     ablation::print(&ablated.unwrap_or_default())
+}
+
+/// Returns the rule by which the model's training divided a dataset. Where it is not known, returns the default rule, and says so
+/// if a split `is_wanted` that depends on it.
+fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec {
+    let known = card.split_of(dataset);
+    if known.is_none() && is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
+        let why = match card.dataset_hash == dataset.hash() {
+            true => "the model's file does not say how its training divided this dataset",
+            false => "the model was trained on another dataset",
+        };
+        message!("{why}: the split is that of the default rule, by sequence with seed 0");
+    }
+    known.cloned().unwrap_or_default()
 }
 
 /// Scores on the maps of a dataset.
