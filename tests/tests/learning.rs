@@ -271,6 +271,17 @@ mod hard_cases {
         assert!(said.contains("does not say how its training divided this dataset"), "{said}");
     }
 
+    /// No map is no score.
+    #[test]
+    fn an_empty_split_has_no_score() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
+        let model = folder.path().join("model.safetensors");
+        json_lines(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+        let mut evaluate = subcommand("model evaluate");
+        fails_with(evaluate.arg(&model).arg(maps()), &["the test split is empty", "24 sequences", "hint: "]);
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]

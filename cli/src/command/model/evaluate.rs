@@ -4,6 +4,7 @@ mod labelled;
 mod ladder;
 mod thermal;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
@@ -421,6 +422,17 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
+    if indices.is_empty() {
+        let split = wanted.map_or_else(|| "dataset".to_owned(), |split| format!("{split} split"));
+        let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        bail!(
+            "{}: the {split} is empty: {} maps in {} sequences\n\nhint: splits are made of whole sequences; --split names another one, \
+             --split all takes all maps",
+            folder.display(),
+            dataset.len(),
+            sequences.len()
+        );
+    }
     let metrics = evaluate(classifier, &dataset, &indices)?;
     let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
     if classifier.card().standardisation.needs_labels() {
