@@ -200,6 +200,9 @@ mod hard_cases {
         ] {
             fails_with(&mut adapt(recordings), &[expected]);
         }
+        // Frames that count twice would give a wrong score.
+        let twice = [made().join("0-1.mcap=empty"), made().join("./0-1.mcap=one")];
+        fails_with(subcommand("model evaluate").arg("cfar").args(twice), &["0-1.mcap is named twice", "hint: "]);
         fails_with(subcommand("model adapt").arg("cfar").arg(text.path()), &["cannot be adapted"]);
         assert_eq!(subcommand("model adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
     }

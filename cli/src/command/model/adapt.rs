@@ -1,7 +1,6 @@
 mod curve;
 mod frames;
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -110,16 +109,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Opens the recordings with their labels.
 fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
-    let inputs = arguments.recordings.iter().cloned().chain(empty);
-    let inputs = inputs.map(|input| LabelledRecording::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
-    // Testing on training frames would hide errors, so each recording may be named once.
-    let mut seen = BTreeSet::new();
-    for LabelledRecording { path, .. } in &inputs {
-        if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
-            bail!("{} is named twice", path.display());
-        }
-    }
-    Ok(inputs)
+    LabelledRecording::parse_all(arguments.recordings.iter().cloned().chain(empty))
 }
 
 /// Reads the frames of a recording.

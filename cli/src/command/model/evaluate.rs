@@ -311,7 +311,7 @@ impl<'a> Answers<'a> {
 }
 
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
-    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
     let mut answers = Answers::default();
     for recording in &all {
         match judge(&mut candidate, recording, None)? {

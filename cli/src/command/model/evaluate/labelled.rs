@@ -1,5 +1,6 @@
 //! Recording with the true classes of its frames.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -25,12 +26,28 @@ enum Labels {
 }
 
 impl LabelledRecording {
+    /// Parses recordings as [`parse`](Self::parse) does, each of which may be named once: frames that count twice, or that a model is
+    /// adapted to and tested on, would give wrong scores.
+    ///
+    /// # Errors
+    /// Those of [`parse`](Self::parse), or a recording is named twice.
+    pub fn parse_all(inputs: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Self>> {
+        let all = inputs.into_iter().map(|input| Self::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
+        let mut seen = BTreeSet::new();
+        for LabelledRecording { path, .. } in &all {
+            if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
+                bail!("{} is named twice\n\nhint: name each recording once", path.display());
+            }
+        }
+        Ok(all)
+    }
+
     /// Parses `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`. The latter uses
     /// the labels in the recording: spans, or, without any, the truth that a simulator wrote with its frames.
     ///
     /// # Errors
     /// If there is something else behind `=`, or if labels cannot be read or contradict each other.
-    pub fn parse(input: &str) -> anyhow::Result<Self> {
+    fn parse(input: &str) -> anyhow::Result<Self> {
         let after = input.rsplit_once('=');
         if let Some((path, label)) = after
             && let Some(occupancy) = Occupancy::from_name(label)
