@@ -175,6 +175,22 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
 mod hard_cases {
     use super::*;
 
+    /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.
+    #[test]
+    fn reliability_is_of_the_predictions_that_are_scored() {
+        let model = made().join("model.safetensors");
+        let recordings = ["0-3.mcap=empty", "1-3.mcap=one"].map(|name| made().join(name));
+        let [alone, filtered] = [&["--no-smoothing"][..], &[]].map(|args| {
+            let answer = evaluate(&model, args, &recordings);
+            let right = |of: &Value| of["right"].as_f64().unwrap_or(0.0) * of["frames"].as_f64().expect("a number");
+            let sum = |list: &Value| list.as_array().expect("a list").iter().map(right).sum::<f64>();
+            let (scored, binned) = (sum(&answer["recordings"]), sum(&answer["reliability"]["bins"]));
+            assert!((scored - binned).abs() < 1e-6, "{args:?}: {scored} right, {binned} by confidence");
+            answer["reliability"].clone()
+        });
+        assert_ne!(alone, filtered);
+    }
+
     #[test]
     fn wrong_labels_are_refused_unless_forced() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -18,7 +18,7 @@ use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
 
-use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion};
+use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};
@@ -259,9 +259,10 @@ impl<'a> Answers<'a> {
             );
         }
         add_confusion(&mut self.confusion_alone, &alone.confusion);
-        let scores = if no_smoothing { alone } else { filtered };
+        let (scores, judged) =
+            if no_smoothing { (alone, &predictions.alone) } else { (filtered, &predictions.filtered) };
         add_confusion(&mut self.confusion, &scores.confusion);
-        predictions.count_reliability(&mut self.reliability);
+        count_reliability(judged, &mut self.reliability);
         self.judged.push(Judged::new(&recording.path, &scores));
         self.scores.push(scores);
         self.taken.push(recording);
