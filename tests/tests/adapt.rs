@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
 use radome_tests::{add_signal, fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
 use serde_json::Value;
@@ -216,6 +217,12 @@ mod hard_cases {
         ] {
             fails_with(&mut adapt(recordings), &[expected]);
         }
+        let folder = tempfile::tempdir().expect("a folder");
+        let none = folder.path().join("none.mcap");
+        let header = Recording::open(&made().join("0-1.mcap")).expect("opens").header();
+        RecordingWriter::create(&none, Format::Mcap, &header).and_then(RecordingWriter::finish).expect("writes");
+        let labelled = format!("{}=empty", none.display());
+        fails_with(adapt(&[]).arg(labelled), &["none.mcap: no frame of it can be judged"]);
         // Frames that count twice would give a wrong score.
         let twice = [made().join("0-1.mcap=empty"), made().join("./0-1.mcap=one")];
         fails_with(subcommand("model evaluate").arg("cfar").args(twice), &["0-1.mcap is named twice", "hint: "]);

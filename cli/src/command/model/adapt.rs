@@ -119,6 +119,9 @@ fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<Ad
     let waveform = source.waveform().clone();
     let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
     let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
+    if found.frames.is_empty() {
+        return Err(recording.without_frames());
+    }
     if found.frames.iter().all(|frame| frame.label.is_none()) {
         bail!(
             "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \

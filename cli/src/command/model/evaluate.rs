@@ -245,11 +245,7 @@ impl<'a> Answers<'a> {
     ) -> anyhow::Result<()> {
         let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
         if predictions.alone.is_empty() {
-            bail!(
-                "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give \
-                 no signal",
-                recording.path.display()
-            );
+            return Err(recording.without_frames());
         }
         if alone.frames() == 0 {
             bail!(

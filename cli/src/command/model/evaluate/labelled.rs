@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
@@ -75,6 +75,15 @@ impl LabelledRecording {
         };
         check_spans(&spans, None).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
+    }
+
+    /// Error of a recording of which a model can judge no frame.
+    pub fn without_frames(&self) -> anyhow::Error {
+        anyhow!(
+            "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give no \
+             signal",
+            self.path.display()
+        )
     }
 
     /// Returns the label of a frame; `None` where it has none, or where someone is entering or leaving.
