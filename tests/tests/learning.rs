@@ -282,6 +282,28 @@ mod hard_cases {
         fails_with(evaluate.arg(&model).arg(maps()), &["the test split is empty", "24 sequences", "hint: "]);
     }
 
+    /// A dataset was taken for a model, and a folder of recordings for a dataset.
+    #[test]
+    fn inputs_of_another_kind_are_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let model = fixture("models/room-cnn.safetensors");
+        let evaluate = |inputs: &[&Path]| {
+            let mut command = subcommand("model evaluate");
+            command.args(inputs);
+            command
+        };
+        fails_with(&mut evaluate(&[maps()]), &["a folder is no model", "MODEL DATASET"]);
+        fails_with(
+            &mut evaluate(&[&model, folder.path()]),
+            &["neither a dataset nor a recording", "name each recording"],
+        );
+        let mut mixed = evaluate(&[&model, maps()]);
+        fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
+        // The built-in model is found by its name, and has no ONNX form.
+        let mut export = subcommand("model export room-hqnn -o");
+        fails_with(export.arg(folder.path().join("a.onnx")), &["no ONNX form"]);
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]

@@ -102,6 +102,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             models.len()
         ),
     };
+    check_kinds(&model, inputs)?;
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
         bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
@@ -125,6 +126,32 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
     }
+}
+
+/// Fails if an input stands where another kind is expected.
+fn check_kinds(model: &Path, inputs: &[String]) -> anyhow::Result<()> {
+    if model.is_dir() {
+        bail!(
+            "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
+            model.display()
+        );
+    }
+    for input in inputs.iter().map(Path::new).filter(|input| is_dataset(input)) {
+        if !input.join("dataset.json").exists() {
+            bail!(
+                "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
+                 dataset of them: radome dataset build SPEC.toml -o FOLDER",
+                input.display()
+            );
+        }
+        if inputs.len() > 1 {
+            bail!(
+                "{}: a dataset is evaluated by itself, and there are other inputs\n\nhint: evaluate them one after the other",
+                input.display()
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Returns whether a path is a folder that holds no recording, and is therefore taken for a dataset.
