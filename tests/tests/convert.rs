@@ -8,8 +8,8 @@ use std::time::Duration;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use radome_tests::{
-    convert, fails_with, failure, fixture, frames, json_lines_of, limited, radome, shared, simulate, subcommand,
-    success,
+    convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared, simulate,
+    subcommand, success,
 };
 use serde_json::Value;
 
@@ -168,6 +168,27 @@ mod hard_cases {
 
     fn left_over(folder: &Path) -> Vec<PathBuf> {
         std::fs::read_dir(folder).expect("lists").flatten().map(|entry| entry.path()).collect()
+    }
+
+    /// Labels beside a recording of another format were dropped without a word.
+    #[test]
+    fn labels_beside_a_recording_are_converted_with_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulated(&at("x.mcap"), "6");
+        for input in ["session", "y.txt"] {
+            convert(&at("x.mcap"), &at(input));
+            let mut label = subcommand("recording label --span 0:0.2=empty --span 0.2:0.5=one");
+            success(label.arg(at(input)));
+            let native = at(&format!("{input}.mcap"));
+            convert(&at(input), &native);
+            let labels = labels_of(&native);
+            let names: Vec<_> = labels.iter().map(|label| label["label"].as_str()).collect();
+            assert_eq!(names, [Some("empty"), Some("one")], "{input}");
+        }
+        // A format that cannot hold them says so.
+        let (_, said) = success(subcommand("recording convert").args([at("session"), at("z.txt")]));
+        assert!(said.contains("not held by this format: 2 labels"), "{said}");
     }
 
     /// Asserts that a full disk ends the recording; a file-size limit stands for it.

@@ -152,7 +152,8 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
         }
         bar.inc(1);
     }
-    for label in source.labels()? {
+    // Those beside the recording, too.
+    for label in labels::of(&arguments.input)? {
         writer.label(&label)?;
     }
     for result in source.results()?.into_iter().flatten() {
