@@ -122,6 +122,12 @@ pub enum ModelError {
     /// A value in the file contradicts another one or is out of range.
     #[error("{path}: {what}: expected {expected}, found {found}")]
     Inconsistent { path: PathBuf, what: String, expected: String, found: String },
+    /// The numbers are not those that were written.
+    #[error(
+        "{path}: the numbers have SHA-256 {found}, the card says {expected}; the file was changed or damaged\n\nhint: copy it once more \
+         from where it comes, or train it again"
+    )]
+    Hash { path: PathBuf, expected: String, found: String },
     /// An ONNX network cannot be run.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
