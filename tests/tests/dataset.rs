@@ -415,6 +415,23 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
 }
 
 #[test]
+fn a_build_by_subjects_names_recordings_of_people_without_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 3", &path("made.mcap"));
+    for name in ["ann/one_a", "bob/one_b", "one_x", "empty_e"] {
+        let copy = path(&format!("captures/{name}.mcap"));
+        std::fs::create_dir_all(copy.parent().expect("a parent")).expect("writable");
+        std::fs::copy(path("made.mcap"), copy).expect("writable");
+    }
+    let text = "format = 1\nsplit = { by = \"subject\" }\n[[recorded]]\nfolders = \"captures\"\n\
+                labels = { \"{subject}/one*\" = \"one\", \"one_x\" = \"one\", \"empty*\" = \"empty\" }\n";
+    std::fs::write(path("spec.toml"), text).expect("writable");
+    let (_, said) = success(&mut build(&path("spec.toml"), &path("set")));
+    assert!(said.contains("warning: 1 sequences with people have no subject: 'one_x'"), "{said}");
+}
+
+#[test]
 fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);

@@ -198,6 +198,10 @@ pub fn merge_units(
     }
     let units: Vec<(&Path, &Dataset)> = folders.iter().map(PathBuf::as_path).zip(&units).collect();
     let split: Option<SplitSpec> = card.spec.split.clone();
+    let rows = units.iter().flat_map(|(_, unit)| unit.rows()).filter(|row| row.split.is_none());
+    if let Some(warning) = split.as_ref().and_then(|split| split.by.warning(rows)) {
+        message!("warning: {warning}");
+    }
     Ok(dataset::merge(&units, target, split.as_ref())?)
 }
 

@@ -216,6 +216,30 @@ mod hard_cases {
         assert_eq!((report.maps, report.sequences, report.split_maps), (6, 3, [3, 1, 2]));
     }
 
+    /// Recordings of people without a name were each a group of their own, and nothing was said.
+    #[test]
+    fn sequences_with_people_that_lack_the_property_of_a_split_are_named() {
+        let header = header();
+        let make = |frame: u64, sequence: &str, label: Occupancy, subject: Option<&str>| {
+            let row = ManifestRow { subject: subject.map(str::to_owned), ..row(sequence, frame, label) };
+            (map(&header, frame), row)
+        };
+        let maps = vec![
+            make(0, "a", Occupancy::One, Some("ann")),
+            make(1, "nobody", Occupancy::Empty, None),
+            make(2, "b", Occupancy::Two, None),
+            make(3, "b", Occupancy::One, None),
+        ];
+        let set = Dataset::from_maps(header.clone(), maps).expect("in memory");
+        let report = |by: SplitBy| verify(&set, &SplitSpec { by, ..SplitSpec::default() }).expect("a report");
+        assert_eq!(report(SplitBy::Subject).ungrouped, ["b"]);
+        assert_eq!(report(SplitBy::Seed).ungrouped, ["a", "b"]);
+        assert!(report(SplitBy::Sequence).ungrouped.is_empty() && report(SplitBy::Scene).ungrouped.is_empty());
+        let warning = SplitBy::Subject.warning(set.rows()).expect("a warning");
+        assert!(warning.contains("1 sequences with people have no subject: 'b'"), "{warning}");
+        assert_eq!(SplitBy::Scene.warning(set.rows()), None);
+    }
+
     #[test]
     fn two_writers_of_one_folder_are_one_too_many() {
         let dir = tempfile::tempdir().expect("folder");

@@ -113,6 +113,9 @@ impl Data {
             return Err(TrainError::OneClass { class });
         }
         let mut warnings = split_warnings(&train, &validation, &test);
+        // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
+        let ruled = rows.iter().filter(|row| row.split.is_none() || spec.split.held_out.is_some());
+        warnings.extend(spec.split.by.warning(ruled));
         let partners = spec.augmentation.superpose.map(|superpose| {
             let sequences = train.indices.iter().filter_map(|&i| rows.get(i)).map(|row| row.sequence.as_str());
             Partners::new(superpose, &train.labels, sequences)
