@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_tests::running::Running;
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand, success};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success};
 
 /// Small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -302,6 +302,42 @@ mod hard_cases {
         // The built-in model is found by its name, and has no ONNX form.
         let mut export = subcommand("model export room-hqnn -o");
         fails_with(export.arg(folder.path().join("a.onnx")), &["no ONNX form"]);
+    }
+
+    /// Command `radome model train` with options, into `model.safetensors` of a folder.
+    fn train(folder: &Path, options: &[&str]) -> std::process::Command {
+        let mut command = subcommand("model train");
+        command.arg(maps()).args(["--epochs", "1"]).args(options).arg("-o").arg(folder.join("model.safetensors"));
+        command
+    }
+
+    /// A checkpoint beside the output stood for `--overwrite`, and two trainings into one file joined in one checkpoint.
+    #[test]
+    fn a_training_keeps_to_its_own_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (model, checkpoint) = ("model.safetensors", "model.safetensors.checkpoint");
+        let of_other = write(folder.path(), model, "another model");
+        write(folder.path(), checkpoint, "another checkpoint");
+        fails_with(&mut train(folder.path(), &[]), &["exists already", "--overwrite"]);
+        assert_eq!(std::fs::read_to_string(&of_other).expect("reads"), "another model");
+        let lock = folder.path().join(format!("{checkpoint}.lock"));
+        let held = radome_models::dataset::lock_file(&lock).expect("free");
+        fails_with(&mut train(folder.path(), &["--overwrite"]), &["another process is at work here"]);
+        drop(held);
+    }
+
+    /// Hints named a file to remove that was no checkpoint, and a command to repeat that failed again.
+    #[test]
+    fn hints_about_checkpoints_fit() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = write(folder.path(), "a.mcap", "a recording");
+        let named = recording.display().to_string();
+        let said = failure(&mut train(folder.path(), &["--checkpoint", &named]));
+        assert!(said.contains("name another file for the checkpoint") && !said.contains("carries on"), "{said}");
+        assert_eq!(std::fs::read_to_string(&recording).expect("reads"), "a recording");
+        let nowhere = folder.path().join("no/folder.checkpoint").display().to_string();
+        let (_, told, said) = outcome(&mut train(folder.path(), &["--checkpoint", &nowhere]));
+        assert!(told.is_empty() && said.contains("does not exist") && said.contains("mkdir"), "{told}{said}");
     }
 
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability

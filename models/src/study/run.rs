@@ -443,7 +443,8 @@ impl<'a> Study<'a> {
         let checkpoint = self.checkpoint_path(job);
         let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
         let trained = train();
-        if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
+        let is_unusable = matches!(trained, Err(TrainError::Checkpoint { .. } | TrainError::OtherTraining { .. }));
+        if is_unusable && std::fs::remove_file(&checkpoint).is_ok() {
             // The checkpoint may come from a machine with other instructions.
             tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
             return train();

@@ -86,15 +86,15 @@ impl Checkpoint {
             }
         }
         let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
-        let text = array_hash::to_json(self, hashed).map_err(|e| unusable(path, e))?;
+        let text = array_hash::to_json(self, hashed).map_err(|e| unwritten(path, e))?;
         let views = arrays
             .iter()
             .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-            .map_err(|e| unusable(path, e))?;
+            .map_err(|e| unwritten(path, e))?;
         let metadata = HashMap::from([(KEY.to_owned(), text)]);
-        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unusable(path, e))?;
-        whole_file::write(path, &data).map_err(|e| unusable(path, e))
+        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unwritten(path, e))?;
+        whole_file::write(path, &data).map_err(|e| unwritten(path, e))
     }
 
     /// Reads a checkpoint; `None` if there is no file.
@@ -133,6 +133,10 @@ impl Checkpoint {
         }
         Ok(Some(found))
     }
+}
+
+fn unwritten(path: &Path, reason: impl std::fmt::Display) -> TrainError {
+    TrainError::Unwritten { path: path.to_owned(), reason: reason.to_string() }
 }
 
 fn unusable(path: &Path, reason: impl std::fmt::Display) -> TrainError {

@@ -1,6 +1,7 @@
 //! Errors of a training.
 
 use std::fmt::Display;
+use std::path::PathBuf;
 
 use radome_dsp::Occupancy;
 use thiserror::Error;
@@ -80,9 +81,19 @@ pub enum TrainError {
     /// Initial weights do not fit.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// A stopped training cannot be continued.
-    #[error("checkpoint: {what}\n\nhint: remove the file to start again")]
+    /// A checkpoint cannot be read.
+    #[error(
+        "checkpoint: {what}\n\nhint: name another file for the checkpoint; if this one is a checkpoint that was damaged, remove it to start again"
+    )]
     Checkpoint { what: String },
+    /// A checkpoint is of another training.
+    #[error(
+        "checkpoint: {path} is of a training with other settings, data or instructions\n\nhint: the command of that training goes on with it; name another file for this checkpoint, or remove that one to start again"
+    )]
+    OtherTraining { path: PathBuf },
+    /// A checkpoint cannot be written.
+    #[error("checkpoint: {path} cannot be written: {reason}")]
+    Unwritten { path: PathBuf, reason: String },
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

@@ -37,7 +37,8 @@ pub fn train(
 /// was killed and continued gives the same model as one that was not.
 ///
 /// # Errors
-/// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.
+/// Those of [`train`], [`TrainError::Checkpoint`] if the checkpoint cannot be read, [`TrainError::OtherTraining`] if it is of another
+/// training, and [`TrainError::Unwritten`] if it cannot be written.
 pub fn train_with_checkpoint(
     dataset: &Dataset,
     spec: &TrainSpec,
@@ -225,8 +226,7 @@ impl<'a> Training<'a> {
         let Some(path) = self.checkpoint else { return Ok(None) };
         let Some(found) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
         if found.fingerprint != self.fingerprint()? {
-            let what = format!("{} is of a training with other settings, data or instructions", path.display());
-            return Err(TrainError::Checkpoint { what });
+            return Err(TrainError::OtherTraining { path: path.to_owned() });
         }
         Ok(Some(found))
     }
