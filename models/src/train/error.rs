@@ -68,7 +68,7 @@ pub enum TrainError {
     },
     /// A training step does not fit into memory.
     #[error(
-        "a training of {network:?} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
+        "a training of {network} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
         gigabytes(.needed_bytes), gigabytes(.available_bytes)
     )]
     Memory {
