@@ -501,6 +501,8 @@ mod hard_cases {
         let error = refused(&set, &TrainSpec { learning_rate: 1e30, warm_up_steps: 1, ..spec });
         match &error {
             TrainError::NonFinite { what, step, .. } => {
+                // The log counts starts from 1, and so does the message.
+                assert!(error.to_string().contains("not finite at start 1, "), "{error}");
                 assert!(
                     *step >= 1 && (what.contains("conv") || what.contains("fc") || what.contains("head")),
                     "{error}"

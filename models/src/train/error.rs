@@ -55,10 +55,12 @@ pub enum TrainError {
     Standardise(#[from] StandardiseError),
     /// A number became NaN or infinite.
     #[error(
-        "{what} is not finite at start {start}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high"
+        "{what} is not finite at start {}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high",
+        start + 1
     )]
     NonFinite {
         what: String,
+        /// Initialisation, from 0; the message counts from 1, as the log does.
         start: u64,
         /// Epoch, from 1.
         epoch: usize,
