@@ -299,6 +299,16 @@ mod hard_cases {
         );
         let mut mixed = evaluate(&[&model, maps()]);
         fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
+        // A name that stands for another format is refused, before any work.
+        let named = |name: &str| folder.path().join(name);
+        let mut train = subcommand("model train");
+        fails_with(train.arg(maps()).arg("-o").arg(named("a.onnx")), &["a.onnx", "radome model export writes ONNX"]);
+        let mut export = subcommand("model export");
+        fails_with(export.arg(&model).arg("-o").arg(named("a.safetensors")), &["end its name in .onnx"]);
+        std::fs::write(named("a.onnx"), "x").expect("writable");
+        let mut export = subcommand("model export");
+        fails_with(export.arg(named("a.onnx")).arg("-o").arg(named("b.onnx")), &["an ONNX file can only judge"]);
+        std::fs::remove_file(named("a.onnx")).expect("removed");
         // The built-in model is found by its name, and has no ONNX form.
         let mut export = subcommand("model export room-hqnn -o");
         fails_with(export.arg(folder.path().join("a.onnx")), &["no ONNX form"]);

@@ -14,7 +14,7 @@ use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
 use crate::output;
-use crate::output_file::Overwrite;
+use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -62,6 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             inputs.extend([named.as_str(), recording, labels].map(Path::new));
         }
         arguments.overwrite.check(path, &inputs)?;
+        check_ending(path, &["safetensors"], MODEL_HINT)?;
     }
     if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
         bail!(

@@ -6,7 +6,7 @@ use radome_models::dataset::{Dataset, DatasetError, lock_file};
 use radome_models::{NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
-use crate::output_file::Overwrite;
+use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 use crate::{files, output};
 
 /// `radome model train`
@@ -87,6 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let checkpoint = arguments.checkpoint();
     let spec_file = arguments.spec.as_deref().unwrap_or(Path::new(""));
     arguments.overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
+    check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
     files::check_parent(&checkpoint)?;
     // Two trainings at once would take over each other's checkpoint.
     let lock = with_ending(&checkpoint, ".lock");
