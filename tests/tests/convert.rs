@@ -191,6 +191,25 @@ mod hard_cases {
         assert!(said.contains("not held by this format: 2 labels"), "{said}");
     }
 
+    /// A text recording or a folder that is cut was said to be finished.
+    #[test]
+    fn recordings_of_other_formats_that_are_cut_are_not_finished() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulated(&at("x.mcap"), "4");
+        for (name, samples) in [("y.txt", "y.txt"), ("session", "session/RadarIfxAvian_00/radar.npy")] {
+            convert(&at("x.mcap"), &at(name));
+            let finished = || {
+                let info = json_lines_of(subcommand("recording info --json").arg(at(name)), &[0]).remove(0);
+                info["finished"].clone()
+            };
+            assert_eq!(finished(), true, "{name}");
+            let bytes = std::fs::read(at(samples)).expect("reads");
+            std::fs::write(at(samples), &bytes[..bytes.len() - 100]).expect("writes");
+            assert_eq!(finished(), false, "{name}");
+        }
+    }
+
     /// Asserts that a full disk ends the recording; a file-size limit stands for it.
     #[test]
     #[cfg(unix)]
