@@ -415,6 +415,33 @@ mod hard_cases {
         assert!(error.contains("label_fractions"), "{error}");
     }
 
+    /// A cut result said "EOF while parsing", and one in the place of another counted under the wrong seed.
+    #[test]
+    fn results_and_models_that_are_damaged_or_elsewhere_are_named_with_the_remedy() {
+        let (maps, spec) = (maps(), StudySpec { learning_rates: Vec::new(), label_fractions: vec![1.0], ..spec() });
+        let folder = tempfile::tempdir().expect("a folder");
+        outcomes(&spec, &maps, folder.path());
+        let at = |name: &str| folder.path().join(name);
+        let strange = [strangers()];
+        let said = || {
+            let study = open(&spec, &maps, folder.path(), &strange).expect("opens");
+            study.run(&|| true, &mut |_| {}).expect_err("refused").to_string()
+        };
+        let (model, result) = ("models/hqnn-1-0.001-1.safetensors", "results/hqnn-1-0.001-1.json");
+        let whole = [model, result].map(|name| std::fs::read(at(name)).expect("reads"));
+        std::fs::write(at(model), &whole[0][..whole[0].len() / 2]).expect("writes");
+        let error = said();
+        assert!(error.contains("truncated") && error.contains("remove ") && error.contains(result), "{error}");
+        std::fs::write(at(model), &whole[0]).expect("writes");
+
+        std::fs::write(at(result), &whole[1][..whole[1].len() / 2]).expect("writes");
+        let error = said();
+        assert!(error.contains("it is no result") && error.contains("hint: remove it"), "{error}");
+        std::fs::copy(at("results/hqnn-1-0.001-2.json"), at(result)).expect("copies");
+        let error = said();
+        assert!(error.contains("another training, hqnn-1-0.001-2") && error.contains("hint: remove it"), "{error}");
+    }
+
     /// Asserts that a whole run excludes all other runs, and that shards exclude whole runs.
     #[test]
     fn a_folder_in_use_is_said_to_be() {
