@@ -352,6 +352,22 @@ mod hard_cases {
         assert_eq!(lost.filter(|failure| failure.reason.contains("not finite")).count(), 2, "{all:?}");
     }
 
+    /// A plan timed steps at the study's learning rate, and failed where that diverges.
+    #[test]
+    fn a_study_that_diverges_can_be_planned() {
+        let maps = maps();
+        let mut spec = StudySpec { learning_rates: vec![1e30], label_fractions: vec![1.0], ..spec() };
+        spec.train.warm_up_steps = 1;
+        let folder = tempfile::tempdir().expect("a folder");
+        let plan =
+            Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens").plan(0, &mut |_| {}).expect("a plan");
+        assert_eq!((plan.trainings, plan.done), (4, 0));
+        assert!(
+            plan.networks.iter().all(|network| network.step_seconds.is_some_and(|seconds| seconds > 0.0)),
+            "{plan:?}"
+        );
+    }
+
     /// Asserts that a training that diverged, and therefore has no model, counts as chance under every condition.
     #[test]
     fn a_training_that_diverged_is_chance_under_conditions() {

@@ -239,6 +239,8 @@ mod hard_cases {
         std::fs::create_dir(at("full")).expect("creates");
         std::fs::write(at("full/thesis.tex"), "x").expect("writes");
         assert!(refused("x.mcap", "full").contains("not empty"));
+        let mut over = subcommand("recording convert --overwrite");
+        fails_with(over.args([at("x.mcap"), at("full")]), &["not empty", "--overwrite replaces files, never folders"]);
 
         let mut bytes = std::fs::read(at("x.mcap")).expect("reads");
         let middle = bytes.len() / 2;

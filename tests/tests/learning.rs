@@ -350,6 +350,30 @@ mod hard_cases {
         assert!(told.is_empty() && said.contains("does not exist") && said.contains("mkdir"), "{told}{said}");
     }
 
+    /// Options that have no effect, or values beyond any use, were taken without a word.
+    #[test]
+    fn options_and_values_without_use_are_refused() {
+        let model = fixture("models/room-cnn.safetensors");
+        let set = maps().display().to_string();
+        let ladder = fixture("ladder/rooms.toml").display().to_string();
+        for (arguments, expected) in [
+            (vec![set.as_str(), "--no-smoothing"], "each map of a dataset is judged by itself"),
+            (vec![set.as_str(), "--skip-refused"], "each map of a dataset is judged by itself"),
+            (vec!["none.mcap=one", "--split", "test"], "--split names a split of a dataset"),
+            (vec!["none.mcap=one", "--thermal-snr-db=-4000"], "expected -100 to 100"),
+            (vec!["none.mcap=one", "--thermal-snr-db", "nan"], "expected -100 to 100"),
+            (vec!["--ladder", ladder.as_str(), "--split", "test"], "cannot be used with"),
+            (vec!["--ladder", ladder.as_str(), "--empty-hours", "0"], "no number of frames"),
+        ] {
+            let mut evaluate = subcommand("model evaluate --model");
+            let (status, told, said) = outcome(evaluate.arg(&model).args(&arguments));
+            assert!(status != Some(0) && told.is_empty() && said.contains(expected), "{arguments:?}: {said}");
+        }
+        let mut background = subcommand("model background none.mcap -o none.json --seconds nan");
+        let (status, _, said) = outcome(&mut background);
+        assert!(status == Some(2) && said.contains("expected a finite number"), "{said}");
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]
@@ -384,6 +408,8 @@ mod hard_cases {
             ("seeds = [1]", "seeds = [1]\nlabel_fractions = [0.0]", "label_fractions"),
             ("seeds = [1]", "seeds = [1]\nlearning_rates = [-1.0]", "learning_rates"),
             ("seeds = [1]", "sedes = [1]", "no study"),
+            ("seeds = [1]", "seeds = [1]\ntarget = 2.0", "target is 2"),
+            ("\"hqnn\" }]", "\"hqnn\" }]\n[train]\nlabel_fraction = 0.5", "train.label_fraction is 0.5"),
             ("{ name = \"hqnn\" }", "{ name = \"hqnn\" }, { name = \"hqnn\" }", "twice"),
             ("{ name = \"hqnn\" }", "{ name = \"../x\", network = \"hqnn\" }", "letters"),
             (

@@ -150,12 +150,16 @@ impl Prepared {
     }
 }
 
+/// Largest learning rate at which steps are timed. At any other a step takes as long, and at a large one it may diverge.
+const TIMED_RATE: f64 = 1e-4;
+
 /// Measures how long the parts of a training take, by a few steps of it.
 ///
 /// # Errors
 /// Those of [`train`].
 pub(crate) fn time_steps(maps: &Maps, spec: &TrainSpec) -> Result<StepTimes, TrainError> {
     spec.check()?;
+    let spec = &TrainSpec { learning_rate: spec.learning_rate.min(TIMED_RATE), ..spec.clone() };
     let Prepared { weights, data, level } = Prepared::new(maps, spec)?;
     run::Run::start(&data, spec, weights.as_ref(), 0, level)?.time_steps()
 }

@@ -43,12 +43,12 @@ pub struct Arguments {
     /// End with exit status 0 instead of 1 if the model refuses some recordings. They are listed and left out in either case
     #[arg(long)]
     skip_refused: bool,
-    /// Split of a dataset
-    #[arg(long, value_enum, default_value_t = Split::Test)]
-    split: Split,
+    /// Split of a dataset; the test split if absent
+    #[arg(long, value_enum)]
+    split: Option<Split>,
     /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
     /// dB
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...", value_parser = thermal::snr_db)]
     thermal_snr_db: Vec<f64>,
     /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
     /// which parts of a map the model relies on
@@ -56,7 +56,7 @@ pub struct Arguments {
     ablate: bool,
     /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
     /// from training data in one way. Frames in which someone enters or leaves are left out
-    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused"])]
+    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
     ladder: Option<PathBuf>,
     /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
@@ -122,7 +122,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                      build a dataset with raw_snr_db"
                 );
             }
+            if arguments.no_smoothing || arguments.skip_refused {
+                bail!(
+                    "--no-smoothing and --skip-refused are for recordings; each map of a dataset is judged by itself\n\nhint: leave them \
+                     out"
+                );
+            }
             on_dataset(&mut classifier, Path::new(folder), arguments)
+        }
+        _ if arguments.split.is_some() => {
+            bail!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
         }
         recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
     }
@@ -392,9 +401,6 @@ fn under_thermal_noise(
 ) -> anyhow::Result<Vec<Thermal>> {
     let mut all = Vec::new();
     for &snr_db in &arguments.thermal_snr_db {
-        if !snr_db.is_finite() {
-            bail!("--thermal-snr-db is {snr_db}, expected a finite number");
-        }
         let mut confusion = Confusion::default();
         for recording in recordings {
             let noise = ThermalNoise::of(&recording.path, snr_db)?;
@@ -438,10 +444,10 @@ fn judge(
 fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(folder)?;
     let wanted = match arguments.split {
-        Split::Train => Some(dataset::Split::Train),
-        Split::Validation => Some(dataset::Split::Validation),
-        Split::Test => Some(dataset::Split::Test),
-        Split::All => None,
+        Some(Split::Train) => Some(dataset::Split::Train),
+        Some(Split::Validation) => Some(dataset::Split::Validation),
+        None | Some(Split::Test) => Some(dataset::Split::Test),
+        Some(Split::All) => None,
     };
     let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let indices: Vec<usize> =

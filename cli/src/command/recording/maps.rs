@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long)]
     png: Option<PathBuf>,
     /// Frame of the picture; the last by default
-    #[arg(long)]
+    #[arg(long, requires = "png")]
     frame: Option<u64>,
     /// Kind of map
     #[arg(long, value_enum, default_value_t)]
