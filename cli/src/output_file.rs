@@ -109,8 +109,8 @@ fn dated_at(path: &Path, stamp: &str) -> PathBuf {
     names.find(|path| path.symlink_metadata().is_err()).unwrap_or(pattern)
 }
 
-/// Endings that stand for one format each.
-const ENDINGS: [&str; 8] = ["json", "mcap", "npy", "onnx", "png", "safetensors", "svg", "toml"];
+/// Endings of models, arrays and pictures, each of which stands for one format.
+const ENDINGS: [&str; 5] = ["npy", "onnx", "png", "safetensors", "svg"];
 
 /// Hint on the name of a model's file.
 pub const MODEL_HINT: &str = "end its name in .safetensors; radome model export writes ONNX";

@@ -41,7 +41,7 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
 fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    simulate(&fixture("scenes/desk.toml"), "--frames 20", &path("run.mcap"));
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
     let label = |name: &str, options: &[&str]| {
         let mut command = subcommand("recording label");
         command.arg(path(name)).args(options);

@@ -102,7 +102,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             models.len()
         ),
     };
-    check_kinds(&model, inputs)?;
+    if model.is_dir() {
+        bail!(
+            "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
+            model.display()
+        );
+    }
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
         bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
@@ -137,28 +142,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Fails if an input stands where another kind is expected.
-fn check_kinds(model: &Path, inputs: &[String]) -> anyhow::Result<()> {
-    if model.is_dir() {
+/// Fails if a folder without a recording is no dataset either.
+fn check_is_dataset(folder: &Path) -> anyhow::Result<()> {
+    if !folder.join("dataset.json").exists() {
         bail!(
-            "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
-            model.display()
+            "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
+             dataset of them: radome dataset build SPEC.toml -o FOLDER",
+            folder.display()
         );
-    }
-    for input in inputs.iter().map(Path::new).filter(|input| is_dataset(input)) {
-        if !input.join("dataset.json").exists() {
-            bail!(
-                "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
-                 dataset of them: radome dataset build SPEC.toml -o FOLDER",
-                input.display()
-            );
-        }
-        if inputs.len() > 1 {
-            bail!(
-                "{}: a dataset is evaluated by itself, and there are other inputs\n\nhint: evaluate them one after the other",
-                input.display()
-            );
-        }
     }
     Ok(())
 }
@@ -344,6 +335,13 @@ impl<'a> Answers<'a> {
 }
 
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(folder) = inputs.iter().map(Path::new).find(|input| is_dataset(input)) {
+        check_is_dataset(folder)?;
+        bail!(
+            "{}: a dataset is evaluated by itself, and there are other inputs\n\nhint: evaluate them one after the other",
+            folder.display()
+        );
+    }
     let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
     let mut answers = Answers::default();
     for recording in &all {
@@ -442,6 +440,7 @@ fn judge(
 }
 
 fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
+    check_is_dataset(folder)?;
     let dataset = Dataset::open(folder)?;
     let wanted = match arguments.split {
         Some(Split::Train) => Some(dataset::Split::Train),

@@ -26,11 +26,11 @@ enum Labels {
 }
 
 impl LabelledRecording {
-    /// Parses recordings as [`parse`](Self::parse) does, each of which may be named once: frames that count twice, or that a model is
+    /// Parses recordings, each of which may be named once: frames that count twice, or that a model is
     /// adapted to and tested on, would give wrong scores.
     ///
     /// # Errors
-    /// Those of [`parse`](Self::parse), or a recording is named twice.
+    /// There is something else behind `=`, labels cannot be read or contradict each other, or a recording is named twice.
     pub fn parse_all(inputs: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Self>> {
         let all = inputs.into_iter().map(|input| Self::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
         let mut seen = BTreeSet::new();
