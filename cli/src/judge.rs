@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
@@ -37,12 +37,18 @@ const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], 
 /// Opens a native network by its file, or the built-in one by its name.
 ///
 /// # Errors
-/// The file cannot be read or is no model.
+/// The file cannot be read or is no model, or is an ONNX file.
 pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
     Ok(if is_built_in(name) {
         radome_models::Model::from_bytes(name, BUILT_IN_FILE)?
     } else {
         check_exists(name)?;
+        if name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
+            bail!(
+                "{}: an ONNX file can only judge\n\nhint: name the .safetensors file that it was exported from",
+                name.display()
+            );
+        }
         radome_models::Model::load(name)?
     })
 }

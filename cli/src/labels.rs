@@ -143,17 +143,40 @@ pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> 
     spans
 }
 
-/// Adds labels to a recording, or to the file beside it, and returns the path. Labels that are reversed, outside the
-/// recording, or overlap each other or existing ones are refused; then nothing is written.
+/// Checks labels against each other and their recording. Says which of them are free text although a class may be meant.
+///
+/// # Errors
+/// The recording cannot be read or has no frame, or labels are reversed, outside of the recording, or overlap each other.
+pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
+    let mut source = Recording::open(recording)?;
+    let named = || format!("{}: labels refused", recording.display());
+    // Errors within the labels are checked first, since their messages are the most specific.
+    check_spans(spans, None).with_context(named)?;
+    let extent_s = extent_s(&mut source)?;
+    if extent_s.is_none() && !spans.is_empty() {
+        bail!("{}: the recording has no frame that they could be labels of", named());
+    }
+    check_spans(spans, extent_s).with_context(named)?;
+    for LabelSpan { start_s, end_s, label, .. } in spans {
+        let mut classes = Occupancy::ALL.into_iter().map(Occupancy::name);
+        if label.is_empty() {
+            message!("the label from {start_s} to {end_s} s is empty");
+        } else if let Some(class) = classes.find(|class| class != label && class.eq_ignore_ascii_case(label)) {
+            message!("the label '{label}' is kept as free text; the class is written '{class}'");
+        }
+    }
+    Ok(())
+}
+
+/// Adds labels to a recording, or to the file beside it, and returns the path. Labels that [`check`] refuses or that overlap
+/// existing ones are refused; then nothing is written.
 ///
 /// # Errors
 /// The recording cannot be read or written, or the labels are refused.
 pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
-    let mut source = Recording::open(recording)?;
+    check(recording, spans)?;
+    let source = Recording::open(recording)?;
     let named = || format!("{}: labels refused", recording.display());
-    // Errors within the new labels are checked first, since their messages are the most specific.
-    check_spans(spans, None).with_context(named)?;
-    check_spans(spans, extent_s(&mut source)?).with_context(named)?;
     let with_all = |mut all: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
         all.extend_from_slice(spans);
         check_spans(&all, None).with_context(named)?;

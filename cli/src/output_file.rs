@@ -156,6 +156,24 @@ fn reserve(path: &Path) -> Result<Partial, RecordingError> {
     check_free().map(|()| reserved)
 }
 
+/// Endings of models, arrays and pictures, each of which stands for one format.
+const ENDINGS: [&str; 5] = ["npy", "onnx", "png", "safetensors", "svg"];
+
+/// Hint on the name of a model's file.
+pub const MODEL_HINT: &str = "end its name in .safetensors; radome model export writes ONNX";
+
+/// Fails if the name of an output stands for another format than the one that is written. `own` are the endings of that format.
+///
+/// # Errors
+/// The name has an ending of another format.
+pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()> {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if ENDINGS.contains(&ending.as_str()) && !own.contains(&ending.as_str()) {
+        bail!("{}: what is written is not what .{ending} stands for\n\nhint: {hint}", path.display());
+    }
+    Ok(())
+}
+
 /// Fails if the name of a new recording implies another format than MCAP.
 ///
 /// # Errors
@@ -237,6 +255,18 @@ mod tests {
         Overwrite::yes()
             .check(&folder.path().join("a.txt_config.json"), &[&folder.path().join("b.txt")])
             .expect("free");
+    }
+
+    #[test]
+    fn a_name_of_another_format_is_refused() {
+        let check = |name: &str| check_ending(Path::new(name), &["npy"], "end its name in .npy");
+        for name in ["maps.npy", "maps.NPY", "maps", "maps.dat", "/dev/null", "v1.0"] {
+            check(name).expect(name);
+        }
+        for name in ["maps.png", "maps.PNG", "a/maps.safetensors"] {
+            let said = check(name).expect_err(name).to_string();
+            assert!(said.contains("hint: end its name in .npy"), "{said}");
+        }
     }
 
     #[test]

@@ -236,6 +236,26 @@ mod hard_cases {
         }
     }
 
+    /// A damaged length of a message index hid the chunks that it reached over, and the report did not say so.
+    #[test]
+    fn a_length_of_a_record_between_chunks_costs_no_chunk() {
+        const MESSAGE_INDEX: u8 = 0x07;
+        let whole = whole();
+        let chunks = chunks(&whole);
+        let at = chunks[1].1;
+        assert_eq!(whole[at], MESSAGE_INDEX);
+        // Beyond the end of two more chunks, and one byte more and less than right.
+        let own = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
+        for length in [(chunks[3].1 - at - 9) as u64, own + 1, own - 1] {
+            let mut bytes = whole.clone();
+            bytes[at + 1..at + 9].copy_from_slice(&length.to_le_bytes());
+            let (report, numbers, _) = repaired(&bytes).expect("repairs");
+            assert!(numbers.into_iter().eq((0..20).chain(23..50)), "{report:?}");
+            assert_eq!((report.frames_lost(), report.damage.len()), (0, 1), "{report:?}");
+            assert_eq!(report.damage[0].offset, at as u64);
+        }
+    }
+
     /// Asserts that a chunk of a hundred bytes with a claimed length of exabytes is refused without that memory.
     #[test]
     fn a_claimed_length_is_not_believed() {

@@ -41,6 +41,7 @@
 #![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
 
 pub mod ablation;
+mod array_hash;
 pub mod calibration;
 pub mod dataset;
 pub mod evaluate;

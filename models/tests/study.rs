@@ -352,6 +352,22 @@ mod hard_cases {
         assert_eq!(lost.filter(|failure| failure.reason.contains("not finite")).count(), 2, "{all:?}");
     }
 
+    /// A plan timed steps at the study's learning rate, and failed where that diverges.
+    #[test]
+    fn a_study_that_diverges_can_be_planned() {
+        let maps = maps();
+        let mut spec = StudySpec { learning_rates: vec![1e30], label_fractions: vec![1.0], ..spec() };
+        spec.train.warm_up_steps = 1;
+        let folder = tempfile::tempdir().expect("a folder");
+        let plan =
+            Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens").plan(0, &mut |_| {}).expect("a plan");
+        assert_eq!((plan.trainings, plan.done), (4, 0));
+        assert!(
+            plan.networks.iter().all(|network| network.step_seconds.is_some_and(|seconds| seconds > 0.0)),
+            "{plan:?}"
+        );
+    }
+
     /// Asserts that a training that diverged, and therefore has no model, counts as chance under every condition.
     #[test]
     fn a_training_that_diverged_is_chance_under_conditions() {
@@ -413,6 +429,33 @@ mod hard_cases {
         let study = Study::open(&half, &maps, other.path(), (0, 1)).expect("opens");
         let error = study.with_conditions(&strange).err().expect("no model of all labels").to_string();
         assert!(error.contains("label_fractions"), "{error}");
+    }
+
+    /// A cut result said "EOF while parsing", and one in the place of another counted under the wrong seed.
+    #[test]
+    fn results_and_models_that_are_damaged_or_elsewhere_are_named_with_the_remedy() {
+        let (maps, spec) = (maps(), StudySpec { learning_rates: Vec::new(), label_fractions: vec![1.0], ..spec() });
+        let folder = tempfile::tempdir().expect("a folder");
+        outcomes(&spec, &maps, folder.path());
+        let at = |name: &str| folder.path().join(name);
+        let strange = [strangers()];
+        let said = || {
+            let study = open(&spec, &maps, folder.path(), &strange).expect("opens");
+            study.run(&|| true, &mut |_| {}).expect_err("refused").to_string()
+        };
+        let (model, result) = ("models/hqnn-1-0.001-1.safetensors", "results/hqnn-1-0.001-1.json");
+        let whole = [model, result].map(|name| std::fs::read(at(name)).expect("reads"));
+        std::fs::write(at(model), &whole[0][..whole[0].len() / 2]).expect("writes");
+        let error = said();
+        assert!(error.contains("truncated") && error.contains("remove ") && error.contains(result), "{error}");
+        std::fs::write(at(model), &whole[0]).expect("writes");
+
+        std::fs::write(at(result), &whole[1][..whole[1].len() / 2]).expect("writes");
+        let error = said();
+        assert!(error.contains("it is no result") && error.contains("hint: remove it"), "{error}");
+        std::fs::copy(at("results/hqnn-1-0.001-2.json"), at(result)).expect("copies");
+        let error = said();
+        assert!(error.contains("another training, hqnn-1-0.001-2") && error.contains("hint: remove it"), "{error}");
     }
 
     /// Asserts that a whole run excludes all other runs, and that shards exclude whole runs.

@@ -371,6 +371,46 @@ mod hard_cases {
         assert!(error.contains("none: reading failed"), "{error}");
     }
 
+    /// A flipped bit in a number gave other answers, and nothing was said.
+    #[test]
+    fn a_flipped_bit_in_the_numbers_is_noticed() {
+        let (_, model) = trained();
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("model.safetensors");
+        model.save(&path).expect("save");
+        let mut bytes = std::fs::read(&path).expect("read");
+        let last = bytes.len() - 4;
+        bytes[last] ^= 1;
+        let error = Model::from_bytes(&path, &bytes).err().expect("damaged");
+        assert!(matches!(error, ModelError::Hash { .. }) && error.to_string().contains("hint: "), "{error}");
+        // A file of an earlier version has no hash; its key is renamed to one that is not known.
+        let key = b"arrays_sha256";
+        let at = bytes.windows(key.len()).position(|w| w == key).expect("in the card");
+        bytes[at] = b'A';
+        Model::from_bytes(&path, &bytes).expect("not checked");
+    }
+
+    #[test]
+    fn a_flipped_bit_in_a_checkpoint_is_noticed() {
+        let (set, spec) = brief();
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("checkpoint");
+        let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let mut count = 0;
+            let _ = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {
+                count += 1;
+                assert!(count < 2, "stop");
+            });
+        }));
+        assert!(stopped.is_err());
+        let mut bytes = std::fs::read(&path).expect("read");
+        let last = bytes.len() - 4;
+        bytes[last] ^= 1;
+        std::fs::write(&path, &bytes).expect("write");
+        let error = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {}).err().expect("damaged").to_string();
+        assert!(error.contains("not those that were written") && error.contains("hint: "), "{error}");
+    }
+
     #[test]
     fn maps_that_cannot_be_classified_are_refused() {
         let (set, model) = trained();
@@ -461,6 +501,8 @@ mod hard_cases {
         let error = refused(&set, &TrainSpec { learning_rate: 1e30, warm_up_steps: 1, ..spec });
         match &error {
             TrainError::NonFinite { what, step, .. } => {
+                // The log counts starts from 1, and so does the message.
+                assert!(error.to_string().contains("not finite at start 1, "), "{error}");
                 assert!(
                     *step >= 1 && (what.contains("conv") || what.contains("fc") || what.contains("head")),
                     "{error}"

@@ -133,8 +133,9 @@ def adapt(
     :param recordings: sources, or pairs of a source and what is true of it: ``"empty"``, ``"one"``, ``"two"``, or a
         list of :class:`Label`. A source alone has the labels that it holds, or the truth of its frames. Two or more
         that show the same are held out in turn: that measures what is gained
-    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms; by
-        the default rule, so that a :class:`Dataset` with a rule of its own is refused
+    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms: that
+        of the model's training if this is its dataset, else by the default rule. A :class:`Dataset` with a rule of its own
+        is refused
 
     >>> result = radome.adapt("room-hqnn", [("empty.mcap", "empty"), ("me.mcap", "one")])
     >>> result.model.save("my-room.safetensors")
@@ -144,7 +145,7 @@ def adapt(
         native, rule = _whole(simulated)
         if rule:
             raise ValueError(
-                f"the simulated dataset has the rule {rule}, and its training split is that of the default rule; "
+                f"the simulated dataset has the rule {rule}, and its training split is not divided by it; "
                 "give radome.Dataset(path) without rule"
             )
         adapter.mix(native)

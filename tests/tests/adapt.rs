@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
 use radome_tests::{add_signal, fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
 use serde_json::Value;
@@ -175,6 +176,22 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
 mod hard_cases {
     use super::*;
 
+    /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.
+    #[test]
+    fn reliability_is_of_the_predictions_that_are_scored() {
+        let model = made().join("model.safetensors");
+        let recordings = ["0-3.mcap=empty", "1-3.mcap=one"].map(|name| made().join(name));
+        let [alone, filtered] = [&["--no-smoothing"][..], &[]].map(|args| {
+            let answer = evaluate(&model, args, &recordings);
+            let right = |of: &Value| of["right"].as_f64().unwrap_or(0.0) * of["frames"].as_f64().expect("a number");
+            let sum = |list: &Value| list.as_array().expect("a list").iter().map(right).sum::<f64>();
+            let (scored, binned) = (sum(&answer["recordings"]), sum(&answer["reliability"]["bins"]));
+            assert!((scored - binned).abs() < 1e-6, "{args:?}: {scored} right, {binned} by confidence");
+            answer["reliability"].clone()
+        });
+        assert_ne!(alone, filtered);
+    }
+
     #[test]
     fn wrong_labels_are_refused_unless_forced() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -200,6 +217,15 @@ mod hard_cases {
         ] {
             fails_with(&mut adapt(recordings), &[expected]);
         }
+        let folder = tempfile::tempdir().expect("a folder");
+        let none = folder.path().join("none.mcap");
+        let header = Recording::open(&made().join("0-1.mcap")).expect("opens").header();
+        RecordingWriter::create(&none, Format::Mcap, &header).and_then(RecordingWriter::finish).expect("writes");
+        let labelled = format!("{}=empty", none.display());
+        fails_with(adapt(&[]).arg(labelled), &["none.mcap: no frame of it can be judged"]);
+        // Frames that count twice would give a wrong score.
+        let twice = [made().join("0-1.mcap=empty"), made().join("./0-1.mcap=one")];
+        fails_with(subcommand("model evaluate").arg("cfar").args(twice), &["0-1.mcap is named twice", "hint: "]);
         fails_with(subcommand("model adapt").arg("cfar").arg(text.path()), &["cannot be adapted"]);
         assert_eq!(subcommand("model adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
     }

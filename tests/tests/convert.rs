@@ -8,8 +8,8 @@ use std::time::Duration;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use radome_tests::{
-    convert, fails_with, failure, fixture, frames, json_lines_of, limited, radome, shared, simulate, subcommand,
-    success,
+    convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared, simulate,
+    subcommand, success,
 };
 use serde_json::Value;
 
@@ -170,6 +170,46 @@ mod hard_cases {
         std::fs::read_dir(folder).expect("lists").flatten().map(|entry| entry.path()).collect()
     }
 
+    /// Labels beside a recording of another format were dropped without a word.
+    #[test]
+    fn labels_beside_a_recording_are_converted_with_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulated(&at("x.mcap"), "6");
+        for input in ["session", "y.txt"] {
+            convert(&at("x.mcap"), &at(input));
+            let mut label = subcommand("recording label --span 0:0.2=empty --span 0.2:0.5=one");
+            success(label.arg(at(input)));
+            let native = at(&format!("{input}.mcap"));
+            convert(&at(input), &native);
+            let labels = labels_of(&native);
+            let names: Vec<_> = labels.iter().map(|label| label["label"].as_str()).collect();
+            assert_eq!(names, [Some("empty"), Some("one")], "{input}");
+        }
+        // A format that cannot hold them says so.
+        let (_, said) = success(subcommand("recording convert").args([at("session"), at("z.txt")]));
+        assert!(said.contains("not held by this format: 2 labels"), "{said}");
+    }
+
+    /// A text recording or a folder that is cut was said to be finished.
+    #[test]
+    fn recordings_of_other_formats_that_are_cut_are_not_finished() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulated(&at("x.mcap"), "4");
+        for (name, samples) in [("y.txt", "y.txt"), ("session", "session/RadarIfxAvian_00/radar.npy")] {
+            convert(&at("x.mcap"), &at(name));
+            let finished = || {
+                let info = json_lines_of(subcommand("recording info --json").arg(at(name)), &[0]).remove(0);
+                info["finished"].clone()
+            };
+            assert_eq!(finished(), true, "{name}");
+            let bytes = std::fs::read(at(samples)).expect("reads");
+            std::fs::write(at(samples), &bytes[..bytes.len() - 100]).expect("writes");
+            assert_eq!(finished(), false, "{name}");
+        }
+    }
+
     /// Asserts that a full disk ends the recording; a file-size limit stands for it.
     #[test]
     #[cfg(unix)]
@@ -199,6 +239,8 @@ mod hard_cases {
         std::fs::create_dir(at("full")).expect("creates");
         std::fs::write(at("full/thesis.tex"), "x").expect("writes");
         assert!(refused("x.mcap", "full").contains("not empty"));
+        let mut over = subcommand("recording convert --overwrite");
+        fails_with(over.args([at("x.mcap"), at("full")]), &["not empty", "--overwrite replaces files, never folders"]);
 
         let mut bytes = std::fs::read(at("x.mcap")).expect("reads");
         let middle = bytes.len() / 2;

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of, model_of_one_waveform, npy,
-    radome, simulate, subcommand, success,
+    add_signal, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
+    model_of_one_waveform, npy, radome, simulate, subcommand, success,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -414,6 +415,46 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     assert!(said.contains("'empty' (0 to 0.6 s) and 'two' (0.5 to 0.7 s) overlap"), "{said}");
 }
 
+/// Units of a build that gave no map stayed, so that the corrected spec was refused.
+#[test]
+fn a_build_without_labels_says_what_is_missing_and_can_be_repeated() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 3", &path("made.mcap"));
+    std::fs::create_dir(path("captures")).expect("writable");
+    add_signal(&path("made.mcap"), &path("captures/a.mcap"), false, |_, _, _| 0.0);
+    let header = Recording::open(&path("made.mcap")).expect("opens").header();
+    let none = RecordingWriter::create(&path("captures/none.mcap"), Format::Mcap, &header);
+    none.and_then(RecordingWriter::finish).expect("writes");
+    let spec = |label: &str| {
+        let text = "format = 1\n[[recorded]]\nfolders = \"captures\"\nlabels = { \"*\" = \"LABEL\" }\n";
+        std::fs::write(path("spec.toml"), text.replace("LABEL", label)).expect("writable");
+        path("spec.toml")
+    };
+    let said = failure(&mut build(&spec("spans"), &path("set")));
+    assert!(said.contains("no source gave a map") && said.contains("hint: frames need a label"), "{said}");
+    assert!(said.contains("none: no frame, and so no map"), "{said}");
+    assert!(!path("set.parts").exists(), "{said}");
+    assert_eq!(json_lines(&mut build(&spec("empty"), &path("set"))).remove(0)["empty"], 3);
+}
+
+#[test]
+fn a_build_by_subjects_names_recordings_of_people_without_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 3", &path("made.mcap"));
+    for name in ["ann/one_a", "bob/one_b", "one_x", "empty_e"] {
+        let copy = path(&format!("captures/{name}.mcap"));
+        std::fs::create_dir_all(copy.parent().expect("a parent")).expect("writable");
+        std::fs::copy(path("made.mcap"), copy).expect("writable");
+    }
+    let text = "format = 1\nsplit = { by = \"subject\" }\n[[recorded]]\nfolders = \"captures\"\n\
+                labels = { \"{subject}/one*\" = \"one\", \"one_x\" = \"one\", \"empty*\" = \"empty\" }\n";
+    std::fs::write(path("spec.toml"), text).expect("writable");
+    let (_, said) = success(&mut build(&path("spec.toml"), &path("set")));
+    assert!(said.contains("warning: 1 sequences with people have no subject: 'one_x'"), "{said}");
+}
+
 #[test]
 fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -481,7 +522,9 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     assert!(said.contains("the sampled band is 0.2") && said.contains("0.300 GHz or more"), "{said}");
     let said = failure(&mut build(&write("", &["own", "short"]), &path("no")));
     assert!(
-        said.contains("sources of one dataset must agree") && said.contains("waveforms differ in map size"),
+        said.contains("sources of one dataset must agree")
+            && said.contains("waveforms differ in map size")
+            && said.contains("hint: leave one of them out"),
         "{said}"
     );
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
+use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
@@ -33,6 +34,37 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
     let said = failure(subcommand("recording labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
+}
+
+/// Asserts that labels are checked against the recording wherever they go, and that near misses of classes are told.
+#[test]
+fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
+    let label = |name: &str, options: &[&str]| {
+        let mut command = subcommand("recording label");
+        command.arg(path(name)).args(options);
+        command
+    };
+    // A time before the recording is out of range, and no option of the command.
+    let said = failure(&mut label("run.mcap", &["--span", "-1:2=two"]));
+    assert!(said.contains("'two' from -1 to 2 s is out of range"), "{said}");
+    let file = path("labels.txt").display().to_string();
+    let said = failure(&mut label("run.mcap", &["--span", "0:99=two", "-o", &file]));
+    assert!(said.contains("out of range") && !path("labels.txt").exists(), "{said}");
+    let (_, said) = success(&mut label("run.mcap", &["--span", "0:1=Empty", "--span", "1:2="]));
+    assert!(said.contains("'Empty' is kept as free text; the class is written 'empty'"), "{said}");
+    assert!(said.contains("the label from 1 to 2 s is empty"), "{said}");
+    let said = failure(&mut label("run.mcap", &["--propose", "truth", "--who", "me"]));
+    assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
+
+    let header = Recording::open(&path("run.mcap")).expect("opens").header();
+    RecordingWriter::create(&path("none.mcap"), Format::Mcap, &header)
+        .and_then(RecordingWriter::finish)
+        .expect("writes");
+    let said = failure(&mut label("none.mcap", &["--span", "0:1=empty"]));
+    assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
 }
 
 /// Asserts that labels that the page reports as saved are in the file, even if the program is killed.

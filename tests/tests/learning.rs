@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_tests::running::Running;
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success};
 
 /// Small dataset of halls, made once for all tests.
 pub fn maps() -> &'static Path {
@@ -112,6 +112,9 @@ fn one_recording_can_be_held_out() {
     let told = json_lines(&mut train(sequence));
     let test = &told.last().expect("an answer")["training"]["test"];
     assert_eq!(test["samples"].as_u64(), Some(maps_of), "{test}");
+    let mut evaluate = subcommand("model evaluate");
+    evaluate.arg(&model).arg(maps()).arg("--json");
+    assert_eq!(&json_lines(&mut evaluate).remove(0), test, "evaluate divides the dataset as the training did");
     assert!(failure(&mut train("nobody")).contains("no sequence 'nobody'"));
 }
 
@@ -240,6 +243,137 @@ fn shipped_settings_train_a_model() {
 mod hard_cases {
     use super::*;
 
+    /// The test split was that of the default rule, so that maps that were trained on counted.
+    #[test]
+    fn a_model_is_evaluated_on_the_test_split_of_its_own_training() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
+        let model = folder.path().join("model.safetensors");
+        let mut train = subcommand("model train");
+        train.arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model);
+        let trained = json_lines(&mut train).pop().expect("an answer")["training"]["test"].take();
+        let evaluate = |model: &Path| {
+            let mut command = subcommand("model evaluate");
+            command.arg(model).arg(maps()).arg("--json");
+            command
+        };
+        let (told, said) = success(&mut evaluate(&model));
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON"), trained);
+        assert!(!said.contains("default rule"), "{said}");
+
+        // A file of an older program does not say by which rule it was trained.
+        let mut older = radome_models::Model::load(&model).expect("a model");
+        older.card.split = None;
+        let older_file = folder.path().join("older.safetensors");
+        older.save(&older_file).expect("writable");
+        let (told, said) = success(&mut evaluate(&older_file));
+        assert_ne!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON")["samples"], trained["samples"]);
+        assert!(said.contains("does not say how its training divided this dataset"), "{said}");
+    }
+
+    /// No map is no score.
+    #[test]
+    fn an_empty_split_has_no_score() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
+        let model = folder.path().join("model.safetensors");
+        json_lines(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+        let mut evaluate = subcommand("model evaluate");
+        fails_with(evaluate.arg(&model).arg(maps()), &["the test split is empty", "24 sequences", "hint: "]);
+    }
+
+    /// A dataset was taken for a model, and a folder of recordings for a dataset.
+    #[test]
+    fn inputs_of_another_kind_are_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let model = fixture("models/room-cnn.safetensors");
+        let evaluate = |inputs: &[&Path]| {
+            let mut command = subcommand("model evaluate");
+            command.args(inputs);
+            command
+        };
+        fails_with(&mut evaluate(&[maps()]), &["a folder is no model", "MODEL DATASET"]);
+        fails_with(
+            &mut evaluate(&[&model, folder.path()]),
+            &["neither a dataset nor a recording", "name each recording"],
+        );
+        let mut mixed = evaluate(&[&model, maps()]);
+        fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
+        // A name that stands for another format is refused, before any work.
+        let named = |name: &str| folder.path().join(name);
+        let mut train = subcommand("model train");
+        fails_with(train.arg(maps()).arg("-o").arg(named("a.onnx")), &["a.onnx", "radome model export writes ONNX"]);
+        let mut export = subcommand("model export");
+        fails_with(export.arg(&model).arg("-o").arg(named("a.safetensors")), &["end its name in .onnx"]);
+        std::fs::write(named("a.onnx"), "x").expect("writable");
+        let mut export = subcommand("model export");
+        fails_with(export.arg(named("a.onnx")).arg("-o").arg(named("b.onnx")), &["an ONNX file can only judge"]);
+        std::fs::remove_file(named("a.onnx")).expect("removed");
+        // The built-in model is found by its name, and has no ONNX form.
+        let mut export = subcommand("model export room-hqnn -o");
+        fails_with(export.arg(folder.path().join("a.onnx")), &["no ONNX form"]);
+    }
+
+    /// Command `radome model train` with options, into `model.safetensors` of a folder.
+    fn train(folder: &Path, options: &[&str]) -> std::process::Command {
+        let mut command = subcommand("model train");
+        command.arg(maps()).args(["--epochs", "1"]).args(options).arg("-o").arg(folder.join("model.safetensors"));
+        command
+    }
+
+    /// A checkpoint beside the output stood for `--overwrite`, and two trainings into one file joined in one checkpoint.
+    #[test]
+    fn a_training_keeps_to_its_own_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (model, checkpoint) = ("model.safetensors", "model.safetensors.checkpoint");
+        let of_other = write(folder.path(), model, "another model");
+        write(folder.path(), checkpoint, "another checkpoint");
+        fails_with(&mut train(folder.path(), &[]), &["exists already", "--overwrite"]);
+        assert_eq!(std::fs::read_to_string(&of_other).expect("reads"), "another model");
+        let lock = folder.path().join(format!("{checkpoint}.lock"));
+        let held = radome_models::dataset::lock_file(&lock).expect("free");
+        fails_with(&mut train(folder.path(), &["--overwrite"]), &["another process is at work here"]);
+        drop(held);
+    }
+
+    /// Hints named a file to remove that was no checkpoint, and a command to repeat that failed again.
+    #[test]
+    fn hints_about_checkpoints_fit() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = write(folder.path(), "a.mcap", "a recording");
+        let named = recording.display().to_string();
+        let said = failure(&mut train(folder.path(), &["--checkpoint", &named]));
+        assert!(said.contains("name another file for the checkpoint") && !said.contains("carries on"), "{said}");
+        assert_eq!(std::fs::read_to_string(&recording).expect("reads"), "a recording");
+        let nowhere = folder.path().join("no/folder.checkpoint").display().to_string();
+        let (_, told, said) = outcome(&mut train(folder.path(), &["--checkpoint", &nowhere]));
+        assert!(told.is_empty() && said.contains("does not exist") && said.contains("mkdir"), "{told}{said}");
+    }
+
+    /// Options that have no effect, or values beyond any use, were taken without a word.
+    #[test]
+    fn options_and_values_without_use_are_refused() {
+        let model = fixture("models/room-cnn.safetensors");
+        let set = maps().display().to_string();
+        let ladder = fixture("ladder/rooms.toml").display().to_string();
+        for (arguments, expected) in [
+            (vec![set.as_str(), "--no-smoothing"], "each map of a dataset is judged by itself"),
+            (vec![set.as_str(), "--skip-refused"], "each map of a dataset is judged by itself"),
+            (vec!["none.mcap=one", "--split", "test"], "--split names a split of a dataset"),
+            (vec!["none.mcap=one", "--thermal-snr-db=-4000"], "expected -100 to 100"),
+            (vec!["none.mcap=one", "--thermal-snr-db", "nan"], "expected -100 to 100"),
+            (vec!["--ladder", ladder.as_str(), "--split", "test"], "cannot be used with"),
+            (vec!["--ladder", ladder.as_str(), "--empty-hours", "0"], "no number of frames"),
+        ] {
+            let mut evaluate = subcommand("model evaluate --model");
+            let (status, told, said) = outcome(evaluate.arg(&model).args(&arguments));
+            assert!(status != Some(0) && told.is_empty() && said.contains(expected), "{arguments:?}: {said}");
+        }
+        let mut background = subcommand("model background none.mcap -o none.json --seconds nan");
+        let (status, _, said) = outcome(&mut background);
+        assert!(status == Some(2) && said.contains("expected a finite number"), "{said}");
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]
@@ -274,6 +408,8 @@ mod hard_cases {
             ("seeds = [1]", "seeds = [1]\nlabel_fractions = [0.0]", "label_fractions"),
             ("seeds = [1]", "seeds = [1]\nlearning_rates = [-1.0]", "learning_rates"),
             ("seeds = [1]", "sedes = [1]", "no study"),
+            ("seeds = [1]", "seeds = [1]\ntarget = 2.0", "target is 2"),
+            ("\"hqnn\" }]", "\"hqnn\" }]\n[train]\nlabel_fraction = 0.5", "train.label_fraction is 0.5"),
             ("{ name = \"hqnn\" }", "{ name = \"hqnn\" }, { name = \"hqnn\" }", "twice"),
             ("{ name = \"hqnn\" }", "{ name = \"../x\", network = \"hqnn\" }", "letters"),
             (

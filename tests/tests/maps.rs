@@ -70,5 +70,11 @@ fn an_array_on_stdout_is_the_file() {
         assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
         assert!(!picture.exists(), "{wrong:?}");
     }
+    // An array is no picture, and a picture no array.
+    let mut array_as_picture = subcommand("recording maps");
+    fails_with(array_as_picture.arg(&input).arg("-o").arg(&picture), &["map.png", "--png writes a picture"]);
+    let mut picture_as_array = subcommand("recording maps --overwrite");
+    fails_with(picture_as_array.arg(&input).arg("--png").arg(&path), &["maps.npy", "-o writes the array"]);
+    assert!(!picture.exists());
     fails_with(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input), &["--json", "stdout"]);
 }

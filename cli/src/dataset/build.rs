@@ -60,8 +60,12 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
             match shard {
                 Some(_) => rename_synced(&parts.folder, &target)?,
                 None => {
-                    merge_units(&parts.folder, &plan.card, 1, &target, |_| parts.folder.clone())?;
-                    parts.remove()?;
+                    let merged = merge_units(&target, &plan.card, 1, &target, |_| parts.folder.clone());
+                    // Units without a map are of no use, and would only refuse the corrected spec.
+                    if merged.as_ref().map_or_else(|error| error.is::<NoMaps>(), |_| true) {
+                        parts.remove()?;
+                    }
+                    merged?;
                 }
             }
             found
@@ -180,6 +184,16 @@ impl Parts {
     }
 }
 
+/// Error of a build of which no source gave a map.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{path}: no source gave a map\n\nhint: frames need a label: label the recordings (radome recording label), or give them one in the \
+     spec; and recordings need as many frames as a map is made of"
+)]
+struct NoMaps {
+    path: PathBuf,
+}
+
 /// Merges all units of a plan into the dataset, in order. `place` returns the folder with the units of a shard.
 ///
 /// # Errors
@@ -194,10 +208,14 @@ pub fn merge_units(
     let folders: Vec<PathBuf> = (0..card.units).map(|unit| place(unit % shards).join(unit_name(unit))).collect();
     let units = folders.iter().map(|folder| Dataset::open(folder)).collect::<Result<Vec<_>, _>>()?;
     if units.iter().all(Dataset::is_empty) {
-        bail!("{}: no source gave a map", what.display());
+        return Err(NoMaps { path: what.to_owned() }.into());
     }
     let units: Vec<(&Path, &Dataset)> = folders.iter().map(PathBuf::as_path).zip(&units).collect();
     let split: Option<SplitSpec> = card.spec.split.clone();
+    let rows = units.iter().flat_map(|(_, unit)| unit.rows()).filter(|row| row.split.is_none());
+    if let Some(warning) = split.as_ref().and_then(|split| split.by.warning(rows)) {
+        message!("warning: {warning}");
+    }
     Ok(dataset::merge(&units, target, split.as_ref())?)
 }
 

@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use radome_driver::recording::Recording;
-use radome_dsp::rdm::Channels;
-use radome_dsp::{FrameSource, KernelLevel, Occupancy};
+use radome_dsp::rdm::{Channels, MapMismatch};
+use radome_dsp::{FrameSource, KernelLevel, Occupancy, WaveformMismatch};
 use radome_files::{named_by_spec, read_text};
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
@@ -135,10 +135,18 @@ struct List<'a> {
 impl List<'_> {
     fn check_waveform(&mut self, name: &str, waveform: &radome_dsp::Waveform) -> anyhow::Result<()> {
         match &self.header {
-            Some((first, header)) => header
-                .rdm_spec
-                .check_compatible(waveform, &header.waveform)
-                .with_context(|| format!("{name} and {first}: sources of one dataset must agree")),
+            Some((first, header)) => {
+                let agree = || format!("{name} and {first}: sources of one dataset must agree");
+                let checked = header.rdm_spec.check_compatible(waveform, &header.waveform);
+                checked.map_err(|mismatch| match mismatch {
+                    MapMismatch::Waveform(WaveformMismatch { what, expected, got }) => anyhow!(
+                        "{}: waveforms differ in {what}: {got} and {expected}\n\nhint: leave one of them out, or make maps on axes that \
+                         take both: physical_axes under [map]",
+                        agree()
+                    ),
+                    of_spec => anyhow::Error::from(of_spec).context(agree()),
+                })
+            }
             None => {
                 self.header = Some((name.to_owned(), DatasetHeader::new(waveform.clone(), self.spec.map)?));
                 Ok(())

@@ -21,7 +21,7 @@ const MOST_FRAMES: u64 = 10_000_000;
 /// Largest total number of runs of all scenes. Each is a folder of its own while a dataset is built.
 const MOST_RUNS: u64 = 1_000_000;
 /// Largest magnitude of a signal-to-noise ratio, dB. Beyond it, the noise or the signal is not visible.
-const MOST_SNR_DB: f64 = 100.0;
+pub const MOST_SNR_DB: f64 = 100.0;
 
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -152,6 +152,9 @@ fn recording(
         }
     }
     check_spans(spans, extent_s)?;
+    if extent_s.is_none() {
+        message!("{}: no frame, and so no map", sink.unit.recording);
+    }
     if unlabelled > 0 {
         message!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);
     }

@@ -32,11 +32,13 @@ pub fn to_audacity(spans: &[LabelSpan]) -> String {
     spans.iter().map(line).collect()
 }
 
-/// Parses an Audacity label track. Lines that begin with a backslash hold frequencies and are skipped.
+/// Parses an Audacity label track, also one that begins with a mark of the byte order. Lines that begin with a backslash hold
+/// frequencies and are skipped.
 ///
 /// # Errors
 /// [`LabelTextError`] for a line without two times, or with times that are not finite or reversed.
 pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('\\'));
     lines
         .map(|(index, line)| {
@@ -160,6 +162,8 @@ mod tests {
         let track = "0.500000\t2.250000\tempty\r\n\\\t100.0\t200.0\n2.25\t4\ttwo people\n";
         let spans = [LabelSpan::new(0.5, 2.25, "empty"), LabelSpan::new(2.25, 4.0, "two people")];
         assert_eq!(from_audacity(track), Ok(spans.to_vec()));
+        // Editors on Windows put a mark of the byte order before the text.
+        assert_eq!(from_audacity(&format!("\u{feff}{track}")), Ok(spans.to_vec()));
         let file = format!(
             "\u{feff}{DEEPCRAFT_HEADER}\r\n0.5,1.75,empty,1,\r\n2.25,1.75,\"two, or \"\"more\"\"\",0.5,seen\r\n"
         );

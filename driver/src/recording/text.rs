@@ -78,6 +78,11 @@ impl TextReader {
         shape.codes() * (VALUE + self.line_end) + shape.rx * shape.chirps * self.line_end
     }
 
+    /// Returns whether the file ends behind a whole frame.
+    pub fn is_complete(&self) -> bool {
+        self.whole_frames() * self.frame_bytes() as u64 == self.length
+    }
+
     fn whole_frames(&self) -> u64 {
         self.length / self.frame_bytes().max(1) as u64
     }

@@ -1,6 +1,7 @@
 //! Manifest of a dataset: `manifest.jsonl`, with a row for each map.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 use radome_dsp::Occupancy;
 use schemars::JsonSchema;
@@ -124,7 +125,31 @@ pub enum SplitBy {
     Seed,
 }
 
+/// Largest number of sequences that a warning names.
+const MOST_NAMED: usize = 5;
+
 impl SplitBy {
+    /// Sequences that show people and lack this property. A split takes each of them for a group of its own, whoever is in it.
+    pub fn ungrouped<'a>(self, rows: impl IntoIterator<Item = &'a ManifestRow>) -> BTreeSet<&'a str> {
+        let is_ungrouped = |row: &&ManifestRow| row.label != Occupancy::Empty && self.name(row).is_none();
+        rows.into_iter().filter(is_ungrouped).map(|row| row.sequence.as_str()).collect()
+    }
+
+    /// Warning that names the sequences of [`SplitBy::ungrouped`]; `None` if there are none.
+    pub fn warning<'a>(self, rows: impl IntoIterator<Item = &'a ManifestRow>) -> Option<String> {
+        let sequences = self.ungrouped(rows);
+        let named: Vec<String> = sequences.iter().take(MOST_NAMED).map(|sequence| format!("'{sequence}'")).collect();
+        let others = if sequences.len() > MOST_NAMED { " and others" } else { "" };
+        (!sequences.is_empty()).then(|| {
+            format!(
+                "{} sequences with people have no {self}: {}{others}; a split by {self} takes each for a group of its own, and may part \
+                 it from others of the same {self}",
+                sequences.len(),
+                named.join(", ")
+            )
+        })
+    }
+
     /// Name of the group of a row; `None` if the row has none.
     pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
         match self {

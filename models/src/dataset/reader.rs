@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use radome_dsp::{Rdm, RdmShape};
+use radome_dsp::{Rdm, RdmShape, Waveform};
 use radome_files::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 use sha2::{Digest, Sha256};
 
@@ -61,6 +61,12 @@ impl Dataset {
             within(dir, &shard_name(shard)).map_err(DatasetError::io(&path, "opening"))?;
             let offset = check_shard(&path, header.shape, rows.len())?;
             shards.push((path, offset));
+        }
+        let next = dir.join(shard_name(shards.len()));
+        if next.exists() {
+            let expected = format!("no shard behind the {} maps that the manifest lists", rows.len());
+            let found = "one more; the manifest is cut short, or the shard is of another dataset".to_owned();
+            return Err(DatasetError::Inconsistent { path: next, expected, found });
         }
         Ok(Dataset { header, rows, cells: Cells::Shards(shards) })
     }
@@ -233,7 +239,38 @@ fn read_header(dir: &Path) -> Result<DatasetHeader, DatasetError> {
         let found = format!("{:?} and {:?}", header.dimensions, header.class_names);
         return Err(DatasetError::Inconsistent { path, expected, found });
     }
+    check_waveform(path, &header.waveform)?;
     Ok(header)
+}
+
+/// Largest share by which a realised quantity may differ from the one that the request gives: boards measure their chirp interval.
+const WAVEFORM_TOLERANCE: f64 = 0.05;
+
+/// Checks that the realised quantities of a waveform are those of its request. `path` is for the error.
+fn check_waveform(path: PathBuf, waveform: &Waveform) -> Result<(), DatasetError> {
+    let realised = match Waveform::realise(waveform.request.clone()) {
+        Ok(realised) => realised,
+        Err(error) => {
+            let expected = "a waveform that the chip can produce".to_owned();
+            return Err(DatasetError::Inconsistent { path, expected, found: error.to_string() });
+        }
+    };
+    let quantities = |of: &Waveform| {
+        [
+            ("slope_hz_per_s", of.slope_hz_per_s),
+            ("sample_rate_hz", of.sample_rate_hz),
+            ("chirp_interval_s", of.chirp_interval_s),
+            ("sampled_start_frequency_hz", of.sampled_start_frequency_hz),
+        ]
+    };
+    for ((name, expected), (_, found)) in quantities(&realised).into_iter().zip(quantities(waveform)) {
+        let is_near = (found / expected - 1.0).abs() <= WAVEFORM_TOLERANCE;
+        if !is_near {
+            let (expected, found) = (format!("{name} {expected}, as the request gives"), found.to_string());
+            return Err(DatasetError::Inconsistent { path, expected, found });
+        }
+    }
+    Ok(())
 }
 
 /// Reads `manifest.jsonl`.

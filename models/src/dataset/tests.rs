@@ -216,6 +216,30 @@ mod hard_cases {
         assert_eq!((report.maps, report.sequences, report.split_maps), (6, 3, [3, 1, 2]));
     }
 
+    /// Recordings of people without a name were each a group of their own, and nothing was said.
+    #[test]
+    fn sequences_with_people_that_lack_the_property_of_a_split_are_named() {
+        let header = header();
+        let make = |frame: u64, sequence: &str, label: Occupancy, subject: Option<&str>| {
+            let row = ManifestRow { subject: subject.map(str::to_owned), ..row(sequence, frame, label) };
+            (map(&header, frame), row)
+        };
+        let maps = vec![
+            make(0, "a", Occupancy::One, Some("ann")),
+            make(1, "nobody", Occupancy::Empty, None),
+            make(2, "b", Occupancy::Two, None),
+            make(3, "b", Occupancy::One, None),
+        ];
+        let set = Dataset::from_maps(header.clone(), maps).expect("in memory");
+        let report = |by: SplitBy| verify(&set, &SplitSpec { by, ..SplitSpec::default() }).expect("a report");
+        assert_eq!(report(SplitBy::Subject).ungrouped, ["b"]);
+        assert_eq!(report(SplitBy::Seed).ungrouped, ["a", "b"]);
+        assert!(report(SplitBy::Sequence).ungrouped.is_empty() && report(SplitBy::Scene).ungrouped.is_empty());
+        let warning = SplitBy::Subject.warning(set.rows()).expect("a warning");
+        assert!(warning.contains("1 sequences with people have no subject: 'b'"), "{warning}");
+        assert_eq!(SplitBy::Scene.warning(set.rows()), None);
+    }
+
     #[test]
     fn two_writers_of_one_folder_are_one_too_many() {
         let dir = tempfile::tempdir().expect("folder");
@@ -304,6 +328,24 @@ mod hard_cases {
         Dataset::open(&path).expect("opens").verify().expect("whole");
     }
 
+    /// A manifest that was cut at the border of a shard opened, with fewer maps.
+    #[test]
+    fn a_shard_that_the_manifest_does_not_list_is_refused() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+        for frame in 0..MAPS_PER_SHARD as u64 + 1 {
+            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
+        }
+        writer.finish().expect("finish");
+        let manifest = path.join("manifest.jsonl");
+        let text = std::fs::read_to_string(&manifest).expect("read");
+        let cut: String = text.split_inclusive('\n').take(MAPS_PER_SHARD).collect();
+        std::fs::write(&manifest, cut).expect("write");
+        let error = Dataset::open(&path).expect_err("cut").to_string();
+        assert!(error.contains("maps-00001.npy") && error.contains("cut short"), "{error}");
+    }
+
     #[test]
     fn numbers_beyond_the_files_are_refused() {
         let dir = tempfile::tempdir().expect("folder");
@@ -326,6 +368,8 @@ mod hard_cases {
         head("\"chirps_per_frame\": 8", "\"chirps_per_frame\": 1000000000", "at most 32768");
         head("\"chirps_per_frame\": 8", "\"chirps_per_frame\": 32000", "maps of");
         head("\"doppler\": 8", &format!("\"doppler\": {most}"), "maps of");
+        let realised = format!("\"slope_hz_per_s\": {}", serde_json::json!(header().waveform.slope_hz_per_s));
+        head(&realised, "\"slope_hz_per_s\": -1.0", "as the request gives, found -1");
         head("\"request\"", &format!("\"deep\": {}, \"request\"", "[".repeat(100_000)), "dataset.json, line");
         let shape: String = files[2].1.iter().map(|byte| char::from(*byte)).skip_while(|c| *c != '(').collect();
         let shape = shape.split_inclusive(')').next().expect("a shape");

@@ -68,6 +68,9 @@ pub struct VerifyReport {
     pub duplicates: Vec<Duplicate>,
     /// Sequences and other groups in more than one split.
     pub leaks: Vec<Leak>,
+    /// Sequences with people that lack the property which is checked besides the sequence ([`SplitBy::ungrouped`]): no leak of theirs
+    /// can be found.
+    pub ungrouped: Vec<String>,
     /// Number of pairs of a recording and its simulation.
     pub pairs: usize,
     /// Pairs whose two sides do not match.
@@ -132,7 +135,8 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     splits.iter().for_each(|split| split_maps[*split as usize] += 1);
     let sequences = rows.iter().map(|row| row.sequence.as_str()).collect::<BTreeSet<_>>().len();
     let (pairs, unpaired) = check_pairs(rows);
-    Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks, pairs, unpaired })
+    let ungrouped = spec.by.ungrouped(rows).into_iter().map(str::to_owned).collect();
+    Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks, ungrouped, pairs, unpaired })
 }
 
 /// Number of pairs, and those with faults. Both sides must have the same frames with the same times and labels, and belong to one

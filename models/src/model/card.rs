@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
+use crate::dataset::{Dataset, SplitSpec};
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
@@ -77,6 +78,9 @@ pub struct ModelCard {
     pub temperature: f64,
     /// Hash of the dataset trained on.
     pub dataset_hash: String,
+    /// Rule that divided that dataset into splits; absent in old models.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub split: Option<SplitSpec>,
     /// Seed of the training.
     pub seed: u64,
     /// Summary of the training.
@@ -118,6 +122,12 @@ pub enum ModelError {
     /// A value in the file contradicts another one or is out of range.
     #[error("{path}: {what}: expected {expected}, found {found}")]
     Inconsistent { path: PathBuf, what: String, expected: String, found: String },
+    /// The numbers are not those that were written.
+    #[error(
+        "{path}: the numbers have SHA-256 {found}, the card says {expected}; the file was changed or damaged\n\nhint: copy it once more \
+         from where it comes, or train it again"
+    )]
+    Hash { path: PathBuf, expected: String, found: String },
     /// An ONNX network cannot be run.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
@@ -147,6 +157,12 @@ impl ModelCard {
     /// Settings of the network.
     pub fn network_spec(&self) -> NetworkSpec {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
+    }
+
+    /// Rule that divided this dataset into splits in the model's training; `None` if the model was trained on another dataset, or
+    /// its file does not say.
+    pub fn split_of(&self, dataset: &Dataset) -> Option<&SplitSpec> {
+        self.split.as_ref().filter(|_| self.dataset_hash == dataset.hash())
     }
 
     /// Returns whether the network sees range and Doppler exchanged.

@@ -7,6 +7,7 @@ use radome_files::MODEL_LIMIT_BYTES;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::card::{CARD_KEY, ModelCard, ModelError};
+use crate::array_hash::{self, Damaged};
 use crate::kernel::KernelLevel;
 use crate::network::Network;
 use crate::whole_file;
@@ -43,8 +44,6 @@ impl Model {
             let path = path.to_owned();
             move |source| ModelError::Io { path, action, source }
         };
-        let card =
-            serde_json::to_string(&self.card).map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
         let values = self.network.values()?;
         let arrays = self.network.spec().layout().into_iter().map(|(name, shape)| {
             let numbers = values.get(&name).map(Vec::as_slice).unwrap_or_default();
@@ -56,6 +55,9 @@ impl Model {
             let view = TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
             views.push((name, view));
         }
+        let hashed = arrays.iter().map(|(name, _, bytes)| (name.as_str(), bytes.as_slice()));
+        let card = array_hash::to_json(&self.card, hashed);
+        let card = card.map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
         let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
         let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
         whole_file::write(path, &data).map_err(io("writing"))
@@ -73,12 +75,13 @@ impl Model {
     ///
     /// # Errors
     /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers
-    /// that are not finite.
+    /// that are not finite, and [`ModelError::Hash`] if the numbers are not those that were written.
     pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
-        let card = ModelCard::of_safetensors(path, data)?;
+        let text = card_text(path, data)?;
+        let card = ModelCard::parse(path, &text)?;
         let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;
         let spec = card.network_spec();
-        let mut values = BTreeMap::new();
+        let (mut values, mut arrays) = (BTreeMap::new(), BTreeMap::new());
         for (name, shape) in spec.layout() {
             let inconsistent = |found: String| ModelError::Inconsistent {
                 path: path.to_owned(),
@@ -95,7 +98,15 @@ impl Model {
             if bad > 0 {
                 return Err(inconsistent(format!("{bad} values that are NaN or infinite")));
             }
+            arrays.insert(name.clone(), view.data());
             values.insert(name, numbers);
+        }
+        let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), *bytes));
+        let damaged = array_hash::check(&text, hashed);
+        if let Some(Damaged { expected, found }) =
+            damaged.map_err(|source| ModelError::Card { path: path.to_owned(), source })?
+        {
+            return Err(ModelError::Hash { path: path.to_owned(), expected, found });
         }
         let mut network = Network::from_values(&spec, &values, KernelLevel::detect())?;
         network.set_latent_constants(card.latent.clone());
@@ -106,12 +117,15 @@ impl Model {
 impl ModelCard {
     /// Card in the bytes of the safetensors file `path` (used in errors only).
     pub(super) fn of_safetensors(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
-        let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
-        match header.metadata().as_ref().and_then(|metadata| metadata.get(CARD_KEY)) {
-            Some(text) => Self::parse(path, text),
-            None => Err(ModelError::NoCard { path: path.to_owned() }),
-        }
+        Self::parse(path, &card_text(path, data)?)
     }
+}
+
+/// Card as JSON in the bytes of the safetensors file `path` (used in errors only).
+fn card_text(path: &Path, data: &[u8]) -> Result<String, ModelError> {
+    let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+    let text = header.metadata().as_ref().and_then(|metadata| metadata.get(CARD_KEY));
+    text.cloned().ok_or_else(|| ModelError::NoCard { path: path.to_owned() })
 }
 
 fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {

@@ -30,10 +30,25 @@ pub enum NetworkKind {
     DescriptorHqnn,
 }
 
+impl std::fmt::Display for NetworkKind {
+    /// Writes the name that users type.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            NetworkKind::Hqnn => "hqnn",
+            NetworkKind::DopplerNet => "doppler_net",
+            NetworkKind::ResNet18 => "resnet18",
+            NetworkKind::EfficientNetB0 => "efficientnet_b0",
+            NetworkKind::EfficientNetB0Rgb => "efficientnet_b0_rgb",
+            NetworkKind::DescriptorLinear => "descriptor_linear",
+            NetworkKind::DescriptorHqnn => "descriptor_hqnn",
+        })
+    }
+}
+
 /// Error: a network of descriptors cannot read such maps.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
-    "{network:?} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
+    "{network} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
      reference = {{ over_noise = {{ skip_range_bins = 3 }} }}, and neither transposed nor label_leaking_cells"
 )]
 pub struct UnreadableMaps {

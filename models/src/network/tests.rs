@@ -28,6 +28,18 @@ fn parameters_are_the_papers() {
     }
 }
 
+/// Errors name a network as files and commands do; they had names of the code.
+#[test]
+fn kinds_are_written_as_users_type_them() {
+    for (_, NetworkSpec { kind, .. }) in named() {
+        let name = kind.to_string();
+        assert_eq!(serde_json::json!(kind), name.as_str());
+        assert_eq!(NetworkSpec::named(&name).map(|spec| spec.kind), Some(kind));
+    }
+    let error = kind::UnreadableMaps { network: NetworkKind::DescriptorLinear, found: "they are transposed" };
+    assert!(error.to_string().starts_with("descriptor_linear describes maps"), "{error}");
+}
+
 /// ResNet-18 is known for 1.82 G multiply-adds at 3 x 224 x 224; ours differ by the stem's two channels and the classes.
 #[test]
 fn multiply_adds_are_the_known_ones() {

@@ -37,12 +37,12 @@ pub enum WeightsError {
     NotSafetensors { path: PathBuf, reason: String },
     /// torchvision has no such network.
     #[error(
-        "torchvision has no {network:?}\n\nhint: weights exist for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
+        "torchvision has no {network}\n\nhint: weights exist for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
     )]
     NoCounterpart { network: NetworkKind },
     /// Arrays that the network needs are not in the file.
     #[error(
-        "{path}: the weights are not those of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
+        "{path}: the weights are not those of torchvision's {network}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
     )]
     Missing { path: PathBuf, network: NetworkKind, missing: String, unknown: String },
     /// An array is of another kind than the network's.

@@ -36,6 +36,12 @@ pub enum StudyError {
     /// The model of a training is not there, although the training is done.
     #[error("{path} is not there\n\nhint: remove {result} and the study trains it again")]
     NoModel { path: PathBuf, result: PathBuf },
+    /// The result of a training is damaged or of another training.
+    #[error("{path}: {reason}\n\nhint: remove it, and the study trains it again")]
+    DamagedResult { path: PathBuf, reason: String },
+    /// The model of a training is damaged.
+    #[error("{source}\n\nhint: remove {result}, and the study trains it again")]
+    DamagedModel { source: Box<ModelError>, result: PathBuf },
     /// A training cannot be run.
     #[error(transparent)]
     Train(#[from] TrainError),

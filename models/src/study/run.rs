@@ -189,7 +189,8 @@ impl<'a> Study<'a> {
     /// All outcomes that exist, in the order of their file names.
     ///
     /// # Errors
-    /// [`StudyError::File`] if the folder or a file of it cannot be read or understood.
+    /// [`StudyError::File`] if the folder or a file of it cannot be read, and [`StudyError::DamagedResult`] if a file is no result, or
+    /// that of another training than its name says.
     pub fn outcomes(&self) -> Result<Vec<Outcome>, StudyError> {
         let folder = self.folder.join("results");
         let mut paths: Vec<PathBuf> = std::fs::read_dir(&folder)
@@ -298,7 +299,7 @@ impl<'a> Study<'a> {
     fn judgement(&self, job: &Job, condition: &Condition) -> Option<Judgement> {
         let path = self.judgement_path(Task { job, condition: Some(condition) });
         let found: Judgement = serde_json::from_str(&read_text(&path, TEXT_LIMIT_BYTES).ok()?).ok()?;
-        (found.dataset_hash == condition.hash).then_some(found)
+        (found.dataset_hash == condition.hash && found.job == *job).then_some(found)
     }
 
     fn claim_path(&self, task: Task) -> PathBuf {
@@ -366,7 +367,9 @@ impl<'a> Study<'a> {
         let metrics = if path.exists() {
             let splits = self.dataset.splits(&self.spec.train_spec(job)?.split)?;
             let maps = condition.unseen(self.dataset, &splits)?;
-            let Model { card, network } = Model::load(&path)?;
+            let loaded = Model::load(&path);
+            let Model { card, network } =
+                loaded.map_err(|source| StudyError::DamagedModel { source: Box::new(source), result })?;
             let network = network.at_level(card.training.kernel_level);
             let mut classifier = Classifier::new(Model { card, network });
             Some(evaluate(&mut classifier, &condition.dataset, &maps)?)
@@ -443,7 +446,8 @@ impl<'a> Study<'a> {
         let checkpoint = self.checkpoint_path(job);
         let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
         let trained = train();
-        if matches!(trained, Err(TrainError::Checkpoint { .. })) && std::fs::remove_file(&checkpoint).is_ok() {
+        let is_unusable = matches!(trained, Err(TrainError::Checkpoint { .. } | TrainError::OtherTraining { .. }));
+        if is_unusable && std::fs::remove_file(&checkpoint).is_ok() {
             // The checkpoint may come from a machine with other instructions.
             tracing::warn!("{} cannot be continued: this training begins again", checkpoint.display());
             return train();
@@ -473,9 +477,16 @@ impl<'a> Study<'a> {
     }
 }
 
+/// Reads a result, and checks that it is of the training that its file is named after.
 fn read_outcome(path: &Path) -> Result<Outcome, StudyError> {
     let text = read_text(path, TEXT_LIMIT_BYTES).map_err(|e| file(path, e))?;
-    serde_json::from_str(&text).map_err(|e| file(path, e))
+    let damaged = |reason: String| StudyError::DamagedResult { path: path.to_owned(), reason };
+    let outcome: Outcome = serde_json::from_str(&text).map_err(|e| damaged(format!("it is no result: {e}")))?;
+    let own = name(&outcome.job);
+    if path.file_stem().is_none_or(|stem| stem != own.as_str()) {
+        return Err(damaged(format!("it holds the result of another training, {own}")));
+    }
+    Ok(outcome)
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StudyError> {

@@ -90,6 +90,9 @@ impl StudySpec {
         let fractions: BTreeSet<u64> = self.label_fractions.iter().map(|fraction| fraction.to_bits()).collect();
         let is_once = seeds.len() == self.seeds.len() && fractions.len() == self.label_fractions.len();
         check_setting(is_once, "seeds and label_fractions", "one twice", "each once")?;
+        check_setting((0.0..=1.0).contains(&self.target), "target", self.target, "0 to 1, as balanced accuracy is")?;
+        let expected = "1, for label_fractions of the study say which shares are trained on";
+        check_setting(self.train.label_fraction == 1.0, "train.label_fraction", self.train.label_fraction, expected)?;
         self.train.check()?;
         for (index, variant) in self.variants.iter().enumerate() {
             let name = &variant.name;

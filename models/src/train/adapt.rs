@@ -24,7 +24,7 @@
 use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
 
-use crate::dataset::{Dataset, Split, SplitSpec};
+use crate::dataset::{Dataset, Split};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value};
@@ -130,7 +130,8 @@ impl Adapter {
         self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
-    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number.
+    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The split is that of the model's
+    /// training if the model was trained on this dataset, and by the default rule otherwise.
     ///
     /// # Errors
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
@@ -142,7 +143,8 @@ impl Adapter {
             ClassifyError::OtherMaps { what } => AdaptError::Simulated { what },
             other => AdaptError::Simulated { what: other.to_string() },
         })?;
-        let splits = dataset.splits(&SplitSpec::default())?;
+        let rule = self.classifier.card().split_of(dataset).cloned().unwrap_or_default();
+        let splits = dataset.splits(&rule)?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
         let wanted: Vec<usize> = rows
             .filter(|(_, (row, split))| **split == Split::Train && !row.transition)

@@ -10,6 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::TrainError;
 use super::outcome::EpochReport;
+use crate::array_hash;
 use crate::network::Normalisation;
 use crate::whole_file;
 
@@ -73,7 +74,6 @@ fn infinity_if_null<'de, D: Deserializer<'de>>(number: D) -> Result<f64, D::Erro
 impl Checkpoint {
     /// Writes under a temporary name and renames, so that a file of this name is whole.
     pub(super) fn save(&self, path: &Path) -> Result<(), TrainError> {
-        let text = serde_json::to_string(self).map_err(|e| unusable(path, e))?;
         let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
         for (role, state) in [("leader", &self.leader), ("trial", &self.trial)] {
             let Some(state) = state else { continue };
@@ -85,14 +85,16 @@ impl Checkpoint {
                 }
             }
         }
+        let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
+        let text = array_hash::to_json(self, hashed).map_err(|e| unwritten(path, e))?;
         let views = arrays
             .iter()
             .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-            .map_err(|e| unusable(path, e))?;
+            .map_err(|e| unwritten(path, e))?;
         let metadata = HashMap::from([(KEY.to_owned(), text)]);
-        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unusable(path, e))?;
-        whole_file::write(path, &data).map_err(|e| unusable(path, e))
+        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unwritten(path, e))?;
+        whole_file::write(path, &data).map_err(|e| unwritten(path, e))
     }
 
     /// Reads a checkpoint; `None` if there is no file.
@@ -106,6 +108,10 @@ impl Checkpoint {
         let tensors = SafeTensors::deserialize(&data).map_err(|e| unusable(path, e))?;
         let text = header.metadata().as_ref().and_then(|metadata| metadata.get(KEY)).cloned();
         let Some(text) = text else { return Err(unusable(path, "it is no checkpoint of a training")) };
+        let arrays: Vec<(&str, &[u8])> = tensors.iter().map(|(name, view)| (name, view.data())).collect();
+        if array_hash::check(&text, arrays).map_err(|e| unusable(path, e))?.is_some() {
+            return Err(unusable(path, "its numbers are not those that were written; the file was changed or damaged"));
+        }
         let mut found: Checkpoint = serde_json::from_str(&text).map_err(|e| unusable(path, e))?;
         for name in tensors.names() {
             let mut parts = name.splitn(3, '/');
@@ -127,6 +133,10 @@ impl Checkpoint {
         }
         Ok(Some(found))
     }
+}
+
+fn unwritten(path: &Path, reason: impl std::fmt::Display) -> TrainError {
+    TrainError::Unwritten { path: path.to_owned(), reason: reason.to_string() }
 }
 
 fn unusable(path: &Path, reason: impl std::fmt::Display) -> TrainError {

@@ -12,7 +12,7 @@ use super::augmentation::{Augmentation, MapUse, Partners};
 use super::error::TrainError;
 use super::maps::Maps;
 use super::spec::TrainSpec;
-use crate::dataset::{Dataset, DatasetError, ManifestRow, Split};
+use crate::dataset::{Dataset, DatasetError, ManifestRow, Split, SplitSpec};
 use crate::model::input_shape;
 use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
@@ -113,6 +113,7 @@ impl Data {
             return Err(TrainError::OneClass { class });
         }
         let mut warnings = split_warnings(&train, &validation, &test);
+        warnings.extend(rule_warning(&spec.split, rows));
         let partners = spec.augmentation.superpose.map(|superpose| {
             let sequences = train.indices.iter().filter_map(|&i| rows.get(i)).map(|row| row.sequence.as_str());
             Partners::new(superpose, &train.labels, sequences)
@@ -214,6 +215,12 @@ fn split_warnings(train: &Part, validation: &Part, test: &[usize]) -> Vec<String
         warnings.push("the test split is empty: scores on the validation split are optimistic".to_owned());
     }
     warnings
+}
+
+/// Warning about sequences that the rule of the splits cannot group.
+fn rule_warning(rule: &SplitSpec, rows: &[ManifestRow]) -> Option<String> {
+    // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
+    rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()))
 }
 
 /// Weight of each class in the loss: `n / (k n_c)` over the k classes shown, so that the mean weight of a map is one, times the

@@ -1,6 +1,7 @@
 //! Errors of a training.
 
 use std::fmt::Display;
+use std::path::PathBuf;
 
 use radome_dsp::Occupancy;
 use thiserror::Error;
@@ -54,10 +55,12 @@ pub enum TrainError {
     Standardise(#[from] StandardiseError),
     /// A number became NaN or infinite.
     #[error(
-        "{what} is not finite at start {start}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high"
+        "{what} is not finite at start {}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high",
+        start + 1
     )]
     NonFinite {
         what: String,
+        /// Initialisation, from 0; the message counts from 1, as the log does.
         start: u64,
         /// Epoch, from 1.
         epoch: usize,
@@ -67,7 +70,7 @@ pub enum TrainError {
     },
     /// A training step does not fit into memory.
     #[error(
-        "a training of {network:?} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
+        "a training of {network} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
         gigabytes(.needed_bytes), gigabytes(.available_bytes)
     )]
     Memory {
@@ -80,9 +83,19 @@ pub enum TrainError {
     /// Initial weights do not fit.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// A stopped training cannot be continued.
-    #[error("checkpoint: {what}\n\nhint: remove the file to start again")]
+    /// A checkpoint cannot be read.
+    #[error(
+        "checkpoint: {what}\n\nhint: name another file for the checkpoint; if this one is a checkpoint that was damaged, remove it to start again"
+    )]
     Checkpoint { what: String },
+    /// A checkpoint is of another training.
+    #[error(
+        "checkpoint: {path} is of a training with other settings, data or instructions\n\nhint: the command of that training goes on with it; name another file for this checkpoint, or remove that one to start again"
+    )]
+    OtherTraining { path: PathBuf },
+    /// A checkpoint cannot be written.
+    #[error("checkpoint: {path} cannot be written: {reason}")]
+    Unwritten { path: PathBuf, reason: String },
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

@@ -37,7 +37,8 @@ pub fn train(
 /// was killed and continued gives the same model as one that was not.
 ///
 /// # Errors
-/// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.
+/// Those of [`train`], [`TrainError::Checkpoint`] if the checkpoint cannot be read, [`TrainError::OtherTraining`] if it is of another
+/// training, and [`TrainError::Unwritten`] if it cannot be written.
 pub fn train_with_checkpoint(
     dataset: &Dataset,
     spec: &TrainSpec,
@@ -124,6 +125,7 @@ fn card(
         latent: network.latent_constants(),
         temperature,
         dataset_hash: dataset.hash(),
+        split: Some(spec.split.clone()),
         seed: spec.seed,
         training,
         adapted: None,
@@ -148,12 +150,16 @@ impl Prepared {
     }
 }
 
+/// Largest learning rate at which steps are timed. At any other a step takes as long, and at a large one it may diverge.
+const TIMED_RATE: f64 = 1e-4;
+
 /// Measures how long the parts of a training take, by a few steps of it.
 ///
 /// # Errors
 /// Those of [`train`].
 pub(crate) fn time_steps(maps: &Maps, spec: &TrainSpec) -> Result<StepTimes, TrainError> {
     spec.check()?;
+    let spec = &TrainSpec { learning_rate: spec.learning_rate.min(TIMED_RATE), ..spec.clone() };
     let Prepared { weights, data, level } = Prepared::new(maps, spec)?;
     run::Run::start(&data, spec, weights.as_ref(), 0, level)?.time_steps()
 }
@@ -224,8 +230,7 @@ impl<'a> Training<'a> {
         let Some(path) = self.checkpoint else { return Ok(None) };
         let Some(found) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
         if found.fingerprint != self.fingerprint()? {
-            let what = format!("{} is of a training with other settings, data or instructions", path.display());
-            return Err(TrainError::Checkpoint { what });
+            return Err(TrainError::OtherTraining { path: path.to_owned() });
         }
         Ok(Some(found))
     }

@@ -191,7 +191,7 @@ impl TrainSpec {
         check_setting(
             self.network.reads_descriptors() && self.augmentation == Augmentation::default(),
             "full_batch",
-            format!("{steps} steps for network {:?}", self.network),
+            format!("{steps} steps for network {}", self.network),
             "a network of descriptors without augmentation, whose inputs stay the same",
         )
     }

@@ -65,6 +65,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             format!("{} '{}' is in {}", leak.by, leak.name, splits.join(" and "))
         };
         show(report.leaks.iter().map(leak), "leaks between splits")?;
+        let ungrouped = report.ungrouped.iter();
+        let ungrouped =
+            ungrouped.map(|sequence| format!("sequence '{sequence}' shows people and has no {}", arguments.by));
+        show(ungrouped, "sequences without one")?;
         if report.pairs > 0 {
             output::text_line(&format!("{} pairs of a recording and its mirror", report.pairs))?;
         }

@@ -1,7 +1,6 @@
 mod curve;
 mod frames;
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -15,7 +14,7 @@ use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
 use crate::output;
-use crate::output_file::Overwrite;
+use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -63,6 +62,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             inputs.extend([named.as_str(), recording, labels].map(Path::new));
         }
         arguments.overwrite.check(path, &inputs)?;
+        check_ending(path, &["safetensors"], MODEL_HINT)?;
     }
     if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
         bail!(
@@ -110,16 +110,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Opens the recordings with their labels.
 fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
-    let inputs = arguments.recordings.iter().cloned().chain(empty);
-    let inputs = inputs.map(|input| LabelledRecording::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
-    // Testing on training frames would hide errors, so each recording may be named once.
-    let mut seen = BTreeSet::new();
-    for LabelledRecording { path, .. } in &inputs {
-        if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
-            bail!("{} is named twice", path.display());
-        }
-    }
-    Ok(inputs)
+    LabelledRecording::parse_all(arguments.recordings.iter().cloned().chain(empty))
 }
 
 /// Reads the frames of a recording.
@@ -129,6 +120,9 @@ fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<Ad
     let waveform = source.waveform().clone();
     let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
     let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
+    if found.frames.is_empty() {
+        return Err(recording.without_frames());
+    }
     if found.frames.iter().all(|frame| frame.label.is_none()) {
         bail!(
             "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \

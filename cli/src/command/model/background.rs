@@ -8,7 +8,7 @@ use crate::judge::{BUILT_IN, Model, Prediction};
 use crate::live::background::{Background, Capture};
 use crate::output;
 use crate::output_file::Overwrite;
-use crate::source::{self, SourceArgs};
+use crate::source::{self, SourceArgs, not_negative};
 
 /// `radome model background`
 #[derive(clap::Args)]
@@ -24,7 +24,7 @@ pub struct Arguments {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Duration of the measurement by the frames' own clock, s
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, value_parser = not_negative)]
     seconds: f64,
     /// Print one JSON object at the end
     #[arg(long)]

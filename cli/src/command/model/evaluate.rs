@@ -4,20 +4,21 @@ mod labelled;
 mod ladder;
 mod thermal;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use radome_driver::RecordingError;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_models::Classifier;
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, evaluate};
+use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
 
-use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion};
+use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};
@@ -42,12 +43,12 @@ pub struct Arguments {
     /// End with exit status 0 instead of 1 if the model refuses some recordings. They are listed and left out in either case
     #[arg(long)]
     skip_refused: bool,
-    /// Split of a dataset
-    #[arg(long, value_enum, default_value_t = Split::Test)]
-    split: Split,
+    /// Split of a dataset; the test split if absent
+    #[arg(long, value_enum)]
+    split: Option<Split>,
     /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
     /// dB
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...", value_parser = thermal::snr_db)]
     thermal_snr_db: Vec<f64>,
     /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
     /// which parts of a map the model relies on
@@ -55,7 +56,7 @@ pub struct Arguments {
     ablate: bool,
     /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
     /// from training data in one way. Frames in which someone enters or leaves are left out
-    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused"])]
+    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
     ladder: Option<PathBuf>,
     /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
@@ -101,6 +102,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             models.len()
         ),
     };
+    if model.is_dir() {
+        bail!(
+            "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
+            model.display()
+        );
+    }
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
         bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
@@ -120,10 +127,31 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                      build a dataset with raw_snr_db"
                 );
             }
+            if arguments.no_smoothing || arguments.skip_refused {
+                bail!(
+                    "--no-smoothing and --skip-refused are for recordings; each map of a dataset is judged by itself\n\nhint: leave them \
+                     out"
+                );
+            }
             on_dataset(&mut classifier, Path::new(folder), arguments)
+        }
+        _ if arguments.split.is_some() => {
+            bail!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
         }
         recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
     }
+}
+
+/// Fails if a folder without a recording is no dataset either.
+fn check_is_dataset(folder: &Path) -> anyhow::Result<()> {
+    if !folder.join("dataset.json").exists() {
+        bail!(
+            "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
+             dataset of them: radome dataset build SPEC.toml -o FOLDER",
+            folder.display()
+        );
+    }
+    Ok(())
 }
 
 /// Returns whether a path is a folder that holds no recording, and is therefore taken for a dataset.
@@ -244,11 +272,7 @@ impl<'a> Answers<'a> {
     ) -> anyhow::Result<()> {
         let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
         if predictions.alone.is_empty() {
-            bail!(
-                "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give \
-                 no signal",
-                recording.path.display()
-            );
+            return Err(recording.without_frames());
         }
         if alone.frames() == 0 {
             bail!(
@@ -258,9 +282,10 @@ impl<'a> Answers<'a> {
             );
         }
         add_confusion(&mut self.confusion_alone, &alone.confusion);
-        let scores = if no_smoothing { alone } else { filtered };
+        let (scores, judged) =
+            if no_smoothing { (alone, &predictions.alone) } else { (filtered, &predictions.filtered) };
         add_confusion(&mut self.confusion, &scores.confusion);
-        predictions.count_reliability(&mut self.reliability);
+        count_reliability(judged, &mut self.reliability);
         self.judged.push(Judged::new(&recording.path, &scores));
         self.scores.push(scores);
         self.taken.push(recording);
@@ -310,7 +335,14 @@ impl<'a> Answers<'a> {
 }
 
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
-    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    if let Some(folder) = inputs.iter().map(Path::new).find(|input| is_dataset(input)) {
+        check_is_dataset(folder)?;
+        bail!(
+            "{}: a dataset is evaluated by itself, and there are other inputs\n\nhint: evaluate them one after the other",
+            folder.display()
+        );
+    }
+    let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
     let mut answers = Answers::default();
     for recording in &all {
         match judge(&mut candidate, recording, None)? {
@@ -367,9 +399,6 @@ fn under_thermal_noise(
 ) -> anyhow::Result<Vec<Thermal>> {
     let mut all = Vec::new();
     for &snr_db in &arguments.thermal_snr_db {
-        if !snr_db.is_finite() {
-            bail!("--thermal-snr-db is {snr_db}, expected a finite number");
-        }
         let mut confusion = Confusion::default();
         for recording in recordings {
             let noise = ThermalNoise::of(&recording.path, snr_db)?;
@@ -411,16 +440,28 @@ fn judge(
 }
 
 fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
+    check_is_dataset(folder)?;
     let dataset = Dataset::open(folder)?;
     let wanted = match arguments.split {
-        Split::Train => Some(dataset::Split::Train),
-        Split::Validation => Some(dataset::Split::Validation),
-        Split::Test => Some(dataset::Split::Test),
-        Split::All => None,
+        Some(Split::Train) => Some(dataset::Split::Train),
+        Some(Split::Validation) => Some(dataset::Split::Validation),
+        None | Some(Split::Test) => Some(dataset::Split::Test),
+        Some(Split::All) => None,
     };
-    let splits = dataset.splits(&SplitSpec::default())?;
+    let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
+    if indices.is_empty() {
+        let split = wanted.map_or_else(|| "dataset".to_owned(), |split| format!("{split} split"));
+        let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        bail!(
+            "{}: the {split} is empty: {} maps in {} sequences\n\nhint: splits are made of whole sequences; --split names another one, \
+             --split all takes all maps",
+            folder.display(),
+            dataset.len(),
+            sequences.len()
+        );
+    }
     let metrics = evaluate(classifier, &dataset, &indices)?;
     let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
     if classifier.card().standardisation.needs_labels() {
@@ -431,6 +472,20 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     }
     print(&metrics)?;
     ablation::print(&ablated.unwrap_or_default())
+}
+
+/// Returns the rule by which the model's training divided a dataset. Where it is not known, returns the default rule, and says so
+/// if a split `is_wanted` that depends on it.
+fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec {
+    let known = card.split_of(dataset);
+    if known.is_none() && is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
+        let why = match card.dataset_hash == dataset.hash() {
+            true => "the model's file does not say how its training divided this dataset",
+            false => "the model was trained on another dataset",
+        };
+        message!("{why}: the split is that of the default rule, by sequence with seed 0");
+    }
+    known.cloned().unwrap_or_default()
 }
 
 /// Scores on the maps of a dataset.

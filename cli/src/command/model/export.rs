@@ -1,11 +1,11 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use radome_models::{Model, onnx};
+use radome_models::onnx;
 use serde_json::json;
 
-use crate::output_file::Overwrite;
-use crate::{files, output};
+use crate::output_file::{Overwrite, check_ending};
+use crate::{files, judge, output};
 
 /// Text below the options in the help.
 const NOTES: &str = "\
@@ -39,7 +39,8 @@ pub struct Arguments {
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.model])?;
-    let model = Model::load(&arguments.model)?;
+    check_ending(&arguments.output, &["onnx"], "end its name in .onnx")?;
+    let model = judge::network(&arguments.model)?;
     let bytes = onnx::export(&model)?;
     files::write_output(&arguments.output, arguments.overwrite.existing(), |file| Ok(file.write_all(&bytes)?))?;
     let file = arguments.output.display().to_string();

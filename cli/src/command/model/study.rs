@@ -128,13 +128,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let is_shard = count > 1 && !arguments.report_only;
     let reported = report(&study, folder, is_shard);
     if let Ok((report, _)) = &reported {
-        let next = if is_shard { "when all shards are, --report-only reports" } else { "the same command carries on" };
+        let next = match worked {
+            // The error says what to do.
+            Err(_) => "",
+            Ok(()) if is_shard => "; when all shards are, --report-only reports",
+            Ok(()) => "; the same command carries on",
+        };
         if report.done < report.planned {
-            message!("{} of {} trainings are done; {next}", report.done, report.planned);
+            message!("{} of {} trainings are done{next}", report.done, report.planned);
         }
         let (judged, planned) = conditions::count(report);
         if judged < planned {
-            message!("{judged} of {planned} scores under conditions are done; {next}");
+            message!("{judged} of {planned} scores under conditions are done{next}");
         }
     }
     worked?;

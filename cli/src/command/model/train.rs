@@ -2,12 +2,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
-use radome_models::dataset::Dataset;
-use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
+use radome_models::dataset::{Dataset, DatasetError, lock_file};
+use radome_models::{NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
-use crate::output;
-use crate::output_file::Overwrite;
+use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
+use crate::{files, output};
 
 /// `radome model train`
 #[derive(clap::Args)]
@@ -47,11 +47,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn checkpoint(&self) -> PathBuf {
-        self.checkpoint.clone().unwrap_or_else(|| {
-            let mut name = self.output.file_name().unwrap_or_default().to_owned();
-            name.push(".checkpoint");
-            self.output.with_file_name(name)
-        })
+        self.checkpoint.clone().unwrap_or_else(|| with_ending(&self.output, ".checkpoint"))
     }
 
     /// Returns the settings of the file, with those that the options override.
@@ -76,19 +72,33 @@ impl Arguments {
     }
 }
 
+/// Appends an ending to the name of a file.
+fn with_ending(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(ending);
+    path.with_file_name(name)
+}
+
 /// Trains a network and writes the weights of its best epoch.
 ///
 /// # Errors
 /// The dataset or the spec cannot be read, or the training fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let checkpoint = arguments.checkpoint();
-    // A resumed training passed this check when it began.
-    let overwrite = match checkpoint.exists() {
-        true => Overwrite::yes(),
-        false => arguments.overwrite,
-    };
     let spec_file = arguments.spec.as_deref().unwrap_or(Path::new(""));
-    overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
+    arguments.overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
+    check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
+    files::check_parent(&checkpoint)?;
+    // Two trainings at once would take over each other's checkpoint.
+    let lock = with_ending(&checkpoint, ".lock");
+    let _held = lock_file(&lock)?;
+    let trained = train(arguments, &checkpoint);
+    let _ = std::fs::remove_file(&lock);
+    trained
+}
+
+/// Trains a network, from the checkpoint if it exists.
+fn train(arguments: &Arguments, checkpoint: &Path) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let spec = arguments.spec()?;
     if checkpoint.exists() {
@@ -96,7 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let bar = output::progress(spec.all_epochs() as u64, "training");
     let mut trouble = None;
-    let outcome = train_with_checkpoint(&dataset, &spec, Some(&checkpoint), &mut |report| {
+    let outcome = train_with_checkpoint(&dataset, &spec, Some(checkpoint), &mut |report| {
         bar.inc(1);
         let said = if arguments.json {
             output::json_line(&report)
@@ -116,8 +126,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         trouble = trouble.take().or(said.err());
     });
     bar.finish_and_clear();
-    let outcome = outcome.inspect_err(|_| {
-        if checkpoint.exists() {
+    let outcome = outcome.inspect_err(|error| {
+        // After any other error the same command fails again.
+        let may_pass = matches!(error, TrainError::Unwritten { .. } | TrainError::Dataset(DatasetError::Io { .. }));
+        if may_pass && checkpoint.exists() {
             message!("the epochs so far are in {}; the same command carries on", checkpoint.display());
         }
     })?;

@@ -71,6 +71,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         },
     };
     arguments.overwrite.check_name(path, &[input])?;
+    if format == Some(Format::Infineon) {
+        check_is_empty(path)?;
+    }
     if format == Some(Format::Text) {
         check_labels(path)?;
     }
@@ -100,6 +103,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         report.frames_lost,
         report.bytes
     ))
+}
+
+/// Fails if the folder to write has something in it.
+fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
+    if std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
+        bail!(
+            "{} exists already and is not empty\n\nhint: --overwrite replaces files, never folders; move it away, or name another",
+            folder.display()
+        );
+    }
+    Ok(())
 }
 
 /// Fails if labels stand beside the text recording that is to be replaced: they would be taken for those of the new one.
@@ -152,7 +166,8 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
         }
         bar.inc(1);
     }
-    for label in source.labels()? {
+    // Those beside the recording, too.
+    for label in labels::of(&arguments.input)? {
         writer.label(&label)?;
     }
     for result in source.results()?.into_iter().flatten() {

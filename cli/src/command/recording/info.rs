@@ -37,7 +37,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Recording::Infineon(_) => "infineon",
         Recording::Text(_) => "text",
     };
-    let is_finished = !matches!(&recording, Recording::Mcap(reader) if !reader.is_complete());
+    let is_finished = match &recording {
+        Recording::Mcap(reader) => reader.is_complete(),
+        Recording::Text(reader) => reader.is_complete(),
+        Recording::Infineon(reader) => Some(reader.whole_frames()) == reader.frame_count(),
+    };
+    if !is_finished && !matches!(recording, Recording::Mcap(_)) {
+        message!("{}: the file is cut short", path.display());
+    }
     let spans = labels::of(path)?;
     let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
     for span in &spans {

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
-use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, FrameSource};
 use serde_json::json;
 
@@ -20,7 +19,7 @@ pub struct Arguments {
     /// Recording of any kind; labels are stored in an MCAP file, or in a file beside another kind
     recording: PathBuf,
     /// Interval and its label, such as 0.5:12=empty; may be given several times
-    #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span)]
+    #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span, allow_hyphen_values = true)]
     span: Vec<LabelSpan>,
     /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long, group = "what")]
@@ -34,7 +33,7 @@ pub struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Author of the labels, stored with them
+    /// Author of the labels of --span and --from, stored with them; those of --propose name the proposer
     #[arg(long, requires = "what")]
     who: Option<String>,
     /// Print a JSON list of objects
@@ -68,6 +67,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.span.is_empty() && arguments.from.is_none() && arguments.propose.is_none() {
         return show(arguments);
     }
+    if arguments.who.is_some() && arguments.span.is_empty() && arguments.from.is_none() {
+        bail!(
+            "--who names the author of labels by --span and --from, and there are none\n\nhint: leave it out; labels of --propose name the \
+             proposer"
+        );
+    }
     let mut spans = arguments.span.clone();
     if let Some(file) = &arguments.from {
         spans.extend(labels::read(file)?);
@@ -83,7 +88,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let place = match &arguments.output {
         Some(file) => {
-            check_spans(&spans, None)?;
+            labels::check(&arguments.recording, &spans)?;
             labels::write(file, arguments.overwrite.existing(), &spans)?;
             file.clone()
         }

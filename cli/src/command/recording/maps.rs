@@ -7,7 +7,7 @@ use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Wave
 use serde_json::json;
 
 use crate::map_preset::MapPreset;
-use crate::output_file::{Overwrite, is_stdout};
+use crate::output_file::{Overwrite, check_ending, is_stdout};
 use crate::picture::plot;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long)]
     png: Option<PathBuf>,
     /// Frame of the picture; the last by default
-    #[arg(long)]
+    #[arg(long, requires = "png")]
     frame: Option<u64>,
     /// Kind of map
     #[arg(long, value_enum, default_value_t)]
@@ -61,6 +61,7 @@ impl Arguments {
         let inputs = self.source.inputs();
         if let Some(picture) = &self.png {
             self.overwrite.check(picture, &inputs)?;
+            check_ending(picture, &["png", "svg"], "end the picture's name in .png or .svg; -o writes the array")?;
             if self.output.as_ref() == Some(picture) {
                 bail!("-o and --png name one file\n\nhint: name two");
             }
@@ -70,7 +71,10 @@ impl Arguments {
                 bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
             }
             None => Ok(()),
-            Some(path) if !is_stdout(path) => self.overwrite.check(path, &inputs),
+            Some(path) if !is_stdout(path) => {
+                self.overwrite.check(path, &inputs)?;
+                check_ending(path, &["npy"], "end the array's name in .npy; --png writes a picture")
+            }
             Some(_) if self.json => {
                 bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
             }

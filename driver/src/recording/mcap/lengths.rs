@@ -31,6 +31,23 @@ pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     .map(|_| ())
 }
 
+/// Returns whether a record that the recorder writes between its chunks ends where its content ends. Records of other kinds are not
+/// checked.
+pub(super) fn is_filled(opcode: u8, body: &[u8]) -> bool {
+    let mut rest = Rest(body);
+    let behind = match opcode {
+        op::HEADER => rest.strings(2),
+        // Number, name and encoding; the text of the schema has a length like a string.
+        op::SCHEMA => rest.skip(2).and_then(|rest| rest.strings(3)),
+        op::CHANNEL => rest.skip(4).and_then(|rest| rest.strings(2)).and_then(Rest::string_map),
+        op::METADATA => rest.strings(1).and_then(Rest::string_map),
+        // Number of the channel; the list of places has a length in bytes like a string.
+        op::MESSAGE_INDEX => rest.skip(2).and_then(|rest| rest.strings(1)),
+        _ => return true,
+    };
+    behind.is_some_and(|rest| rest.0.is_empty())
+}
+
 struct Rest<'a>(&'a [u8]);
 
 impl Rest<'_> {

@@ -6,7 +6,7 @@ use std::path::Path;
 use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
-use super::lengths::parse_record;
+use super::lengths::{is_filled, parse_record};
 use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
 use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
@@ -113,7 +113,7 @@ impl Repair {
         records.go_to(8)?;
         loop {
             let at = records.offset;
-            let reason = match records.next(&mut body, |opcode| opcode == op::CHUNK) {
+            let reason = match records.next(&mut body, |opcode| opcode < 0x80) {
                 Ok(Next::Record(op::CHUNK, _)) => match read_chunk(records, at, &body, &mut channels) {
                     Ok(messages) => {
                         for (topic, data) in messages {
@@ -124,6 +124,10 @@ impl Repair {
                     Err(RecordingError::Corrupt { reason, .. }) => reason,
                     Err(error) => return Err(error),
                 },
+                // A damaged length may reach over chunks that are intact.
+                Ok(Next::Record(opcode, _)) if !is_filled(opcode, &body) => {
+                    "the length of a record is not that of its content".to_owned()
+                }
                 // Records of other programs are skipped; a damaged length looks like one.
                 Ok(Next::Record(opcode, _)) if opcode < 0x80 => continue,
                 Ok(Next::Record(opcode, _)) => format!("{opcode:#04x} is no record of a recording"),

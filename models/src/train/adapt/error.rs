@@ -11,7 +11,7 @@ use crate::network::NetworkKind;
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum AdaptError {
     /// The network has no layer to adapt.
-    #[error("{network:?} does not end in a linear layer; only such networks can be adapted")]
+    #[error("{network} does not end in a linear layer; only such networks can be adapted")]
     Network { network: NetworkKind },
     /// No frame has a label.
     #[error(

@@ -121,13 +121,13 @@ impl Predictions {
     pub fn sequence(&self) -> FilterSequence {
         FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.alone.clone() }
     }
+}
 
-    /// Adds the reliability of the filter's confidence to the sums.
-    pub fn count_reliability(&self, sums: &mut ReliabilitySums) {
-        for prediction in &self.filtered {
-            if let Some(truth) = prediction.truth {
-                sums.add(&prediction.probabilities, truth);
-            }
+/// Adds the reliability of the predictions' confidence to the sums.
+pub fn count_reliability(predictions: &[FramePrediction], sums: &mut ReliabilitySums) {
+    for prediction in predictions {
+        if let Some(truth) = prediction.truth {
+            sums.add(&prediction.probabilities, truth);
         }
     }
 }

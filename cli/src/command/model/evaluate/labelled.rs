@@ -1,8 +1,9 @@
 //! Recording with the true classes of its frames.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
@@ -25,12 +26,28 @@ enum Labels {
 }
 
 impl LabelledRecording {
+    /// Parses recordings, each of which may be named once: frames that count twice, or that a model is
+    /// adapted to and tested on, would give wrong scores.
+    ///
+    /// # Errors
+    /// There is something else behind `=`, labels cannot be read or contradict each other, or a recording is named twice.
+    pub fn parse_all(inputs: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Self>> {
+        let all = inputs.into_iter().map(|input| Self::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
+        let mut seen = BTreeSet::new();
+        for LabelledRecording { path, .. } in &all {
+            if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
+                bail!("{} is named twice\n\nhint: name each recording once", path.display());
+            }
+        }
+        Ok(all)
+    }
+
     /// Parses `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`. The latter uses
     /// the labels in the recording: spans, or, without any, the truth that a simulator wrote with its frames.
     ///
     /// # Errors
     /// If there is something else behind `=`, or if labels cannot be read or contradict each other.
-    pub fn parse(input: &str) -> anyhow::Result<Self> {
+    fn parse(input: &str) -> anyhow::Result<Self> {
         let after = input.rsplit_once('=');
         if let Some((path, label)) = after
             && let Some(occupancy) = Occupancy::from_name(label)
@@ -58,6 +75,15 @@ impl LabelledRecording {
         };
         check_spans(&spans, None).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
+    }
+
+    /// Error of a recording of which a model can judge no frame.
+    pub fn without_frames(&self) -> anyhow::Error {
+        anyhow!(
+            "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give no \
+             signal",
+            self.path.display()
+        )
     }
 
     /// Returns the label of a frame; `None` where it has none, or where someone is entering or leaving.

@@ -6,6 +6,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use rand_distr::{Distribution, Normal};
 
+use crate::dataset::spec::MOST_SNR_DB;
 use crate::dataset::thermal::signal_squares;
 use crate::source;
 
@@ -13,6 +14,15 @@ use crate::source;
 pub struct ThermalNoise {
     normal: Normal<f64>,
     seed: u64,
+}
+
+/// Parses a signal-to-noise ratio, dB.
+///
+/// # Errors
+/// The text is no number within [`MOST_SNR_DB`].
+pub fn snr_db(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| (-MOST_SNR_DB..=MOST_SNR_DB).contains(number));
+    number.ok_or_else(|| format!("expected -{MOST_SNR_DB} to {MOST_SNR_DB}"))
 }
 
 /// Largest code of the converter.

@@ -114,11 +114,12 @@ impl Rung {
         for (stem, last) in &last_of_scene {
             let recordings = (time_s / EMPTY_RECORDING_S).ceil();
             let frames = (time_s / recordings / last.scene.waveform().frame_interval_s()).ceil();
-            if !(1.0..=MOST_FRAMES as f64).contains(&(recordings * frames)) {
+            let all = recordings * frames;
+            if !(1.0..=MOST_FRAMES as f64).contains(&all) {
+                let found = if all.is_finite() { all.to_string() } else { "no number of".to_owned() };
                 bail!(
-                    "--empty-hours {hours}: {} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
-                     that can be told",
-                    recordings * frames
+                    "--empty-hours {hours}: {found} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
+                     that can be told"
                 );
             }
             simulations.extend((1..=recordings as u64).map(|after| {

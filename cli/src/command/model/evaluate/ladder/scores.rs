@@ -8,7 +8,7 @@ use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores}
 use radome_models::train::{FilterSequence, SmoothingFit};
 use serde::Serialize;
 
-use super::super::candidate::{Confusion, Predictions, Refused, add_confusion};
+use super::super::candidate::{Confusion, Predictions, Refused, add_confusion, count_reliability};
 use super::rung::Rung;
 use crate::output;
 
@@ -48,7 +48,7 @@ impl RungScores {
         }
         add_confusion(&mut self.filtered, &scores.confusion);
         add_confusion(&mut self.alone, &predictions.alone_scores().confusion);
-        predictions.count_reliability(&mut self.reliability);
+        count_reliability(&predictions.filtered, &mut self.reliability);
         self.sequences.push(predictions.sequence());
         self.recordings.push(OfRecording {
             recording: name.to_owned(),
