@@ -190,8 +190,7 @@ impl Script<'_> {
         }
         if let Some(duration_s) = step.sit_s {
             path = match step.seat.and_then(|number| self.file.seat.get(number)) {
-                Some(seat) if seat.back_m > 0.0 => sit_back(path, self.ground, seat, speed, duration_s),
-                Some(seat) => path.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
+                Some(seat) => sit_on(path, self.ground, seat, speed, duration_s),
                 None => path.sit(self.facing_rad, 0.45, duration_s),
             };
         }
@@ -230,17 +229,17 @@ fn bed(file: &BedFile) -> Bed {
     }
 }
 
-/// Walks to the place before a seat, turns the back to it, and sits there for a duration.
-fn sit_back(
-    path: MotionBuilder,
-    ground: Option<&Ground>,
-    seat: &SeatFile,
-    speed: f64,
-    duration_s: f64,
-) -> MotionBuilder {
+/// Walks to a seat and sits there for a duration. Afterwards the person stands before the seat.
+fn sit_on(path: MotionBuilder, ground: Option<&Ground>, seat: &SeatFile, speed: f64, duration_s: f64) -> MotionBuilder {
     let heading = seat.heading_deg.to_radians();
-    let before = ahead(seat.position_m, heading, seat.back_m);
-    go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
+    if seat.back_m > 0.0 {
+        let before = ahead(seat.position_m, heading, seat.back_m);
+        return go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s);
+    }
+    // The feet stand where the hips come to rest.
+    let before = ahead(seat.position_m, heading, 0.35);
+    let path = go(path, ground, before, speed).walk_to(seat.position_m, 0.5);
+    path.sit(heading, seat.height_m, duration_s).walk_to(before, 0.6)
 }
 
 /// Unit vector from a door into the room.
@@ -499,14 +498,7 @@ impl Visits {
     /// one.
     fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
-        let sit_s = draw(rng, self.file.sit_s);
-        if seat.back_m > 0.0 {
-            return sit_back(path, self.ground.as_ref(), seat, speed, sit_s);
-        }
-        let heading = seat.heading_deg.to_radians();
-        let front = ahead(seat.position_m, heading, 0.35);
-        let path = self.go(path, front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
-        path.walk_to(front, 0.6)
+        sit_on(path, self.ground.as_ref(), seat, speed, draw(rng, self.file.sit_s))
     }
 
     fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {

@@ -416,6 +416,24 @@ mod hard_cases {
         }
     }
 
+    /// A script's seat without `back_m` was a height and a heading, and not a place.
+    #[test]
+    fn who_is_to_sit_on_a_seat_goes_there() {
+        for back in ["", "back_m = 0.38\n"] {
+            let text = hall(&format!(
+                "[[seat]]\nposition_m = [6.0, 10.0]\nheading_deg = 0.0\n{back}[people]\n[[people.actor]]\n\
+                 step = [{{ walk_to_m = [3.0, 10.0] }}, {{ sit_s = 9.0, seat = 0, speed_m_per_s = 1.0 }}]\n"
+            ));
+            let all = Scenario::new(&parse(&text), 1, None).between(0.0, 20.0);
+            let body = all[0].1.body(8.0);
+            let (hips, foot) = (body[PELVIS].centre, body[11].centre);
+            assert!((hips.x - 6.0).hypot(hips.y - 10.0) < 0.15 && hips.z < 0.7, "{back}: hips at {hips}");
+            assert!(foot.x > hips.x + 0.2, "{back}: the foot is at {foot}, the hips are at {hips}");
+            let stands = all[0].1.body(18.0)[PELVIS].centre;
+            assert!(stands.z > 0.8 && (6.2..6.6).contains(&stands.x), "{back}: stands before the seat, at {stands}");
+        }
+    }
+
     /// Steps of zero length or duration, beds against the wall, and turns by zero and by a full circle.
     #[test]
     fn odd_scripts_still_make_bodies() {
