@@ -100,6 +100,29 @@ fn an_obj_s_parts_have_names_materials_and_triangles() {
     assert!((whole.volume_m3() - 1.0).abs() < 1e-12);
 }
 
+/// A fan over a wall with a doorway covers the doorway or the wall beside it twice, unless the face begins at the right
+/// corner.
+#[test]
+fn a_doorway_in_a_wall_of_one_face_stays_open() {
+    let outline = [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [2.0, 2.0], [2.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]];
+    let vertices: String = outline.iter().map(|[x, z]| format!("v {x} 0.5 {z}\n")).collect();
+    for first in 0..8 {
+        for (is_reversed, area_m2) in [(false, -10.0), (true, 10.0)] {
+            let mut corners: Vec<String> = (0..8).map(|i| ((first + i) % 8 + 1).to_string()).collect();
+            if is_reversed {
+                corners.reverse();
+            }
+            let text = format!("{vertices}f {}\n", corners.join(" "));
+            let mesh = &parse_obj(text.as_bytes()).expect("a good file")[0].mesh;
+            let areas: Vec<DVec3> = (0..mesh.triangles.len()).map(|t| mesh.area_vector(t) / 2.0).collect();
+            let whole_m2: f64 = areas.iter().map(|area| area.length()).sum();
+            let along_m2: f64 = areas.iter().map(|area| area.y).sum();
+            assert!((whole_m2 - 10.0).abs() < 1e-12, "{text}: {whole_m2} m^2");
+            assert!((along_m2 - area_m2).abs() < 1e-12, "{text}: {along_m2} m^2 along y");
+        }
+    }
+}
+
 #[test]
 fn errors_name_the_line_or_the_byte() {
     let error = |text: String| parse_stl(text.as_bytes()).expect_err("damaged").to_string();
