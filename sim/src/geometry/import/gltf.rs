@@ -9,6 +9,7 @@ use base64::Engine;
 use glam::{DMat4, DVec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::json::validation::Validate;
+use gltf::mesh::Mode;
 use radome_files::{MESH_LIMIT_BYTES, beside, read};
 
 use super::{Mesh, ParseError, Part};
@@ -194,7 +195,8 @@ impl GltfFile {
     /// # Errors
     /// [`GltfFault`] if its positions or indices cannot be read.
     pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
-        if primitive.mode() != gltf::mesh::Mode::Triangles {
+        let mode = primitive.mode();
+        if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
             return Ok(Mesh::default());
         }
         let Some(positions) = primitive.get(&gltf::Semantic::Positions) else {
@@ -208,7 +210,16 @@ impl GltfFile {
             }
             None => (0..vertices.len() as u32).collect(),
         };
-        Ok(Mesh { vertices, triangles: indices.as_chunks::<3>().0.to_vec() })
+        let triangles = match mode {
+            // Every second triangle of a strip is wound the other way.
+            Mode::TriangleStrip => {
+                let all = indices.windows(3).enumerate();
+                all.map(|(i, t)| if i.is_multiple_of(2) { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] }).collect()
+            }
+            Mode::TriangleFan => indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]).collect(),
+            _ => indices.as_chunks::<3>().0.to_vec(),
+        };
+        Ok(Mesh { vertices, triangles })
     }
 }
 

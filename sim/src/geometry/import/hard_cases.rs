@@ -1,5 +1,6 @@
 //! Test cases of unusual and damaged mesh files.
 
+use base64::Engine;
 use rand::Rng;
 
 use super::*;
@@ -120,6 +121,50 @@ fn a_doorway_in_a_wall_of_one_face_stays_open() {
             assert!((whole_m2 - 10.0).abs() < 1e-12, "{text}: {whole_m2} m^2");
             assert!((along_m2 - area_m2).abs() < 1e-12, "{text}: {along_m2} m^2 along y");
         }
+    }
+}
+
+/// glTF document of three nodes in two scenes: a strip with a fan as its child in the default scene, and another strip in
+/// the first one. Strip and fan are a square of 1 m^2 across z. Points beside the strip are no surface.
+fn strip_and_fan() -> serde_json::Value {
+    let places: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+    let mut bytes: Vec<u8> = places.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+    bytes.extend([0u16, 1, 3, 2].iter().flat_map(|i| i.to_le_bytes()));
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    serde_json::json!({
+        "asset": { "version": "2.0" }, "scene": 1, "scenes": [{ "nodes": [2] }, { "nodes": [0] }],
+        "nodes": [
+            { "name": "strip", "mesh": 0, "children": [1] }, { "name": "fan", "mesh": 1 }, { "name": "other", "mesh": 0 }
+        ],
+        "meshes": [
+            { "primitives": [
+                { "attributes": { "POSITION": 0 }, "mode": 5 }, { "attributes": { "POSITION": 0 }, "mode": 0 }
+            ] },
+            { "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1, "mode": 6 }] },
+        ],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0] },
+            { "bufferView": 1, "componentType": 5123, "count": 4, "type": "SCALAR" },
+        ],
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": 48 }, { "buffer": 0, "byteOffset": 48, "byteLength": 8 }
+        ],
+        "buffers": [{ "byteLength": bytes.len(), "uri": format!("data:application/octet-stream;base64,{data}") }],
+    })
+}
+
+fn gltf_parts(document: &serde_json::Value) -> Vec<Part> {
+    super::gltf::parse_gltf(document.to_string().as_bytes(), Path::new("")).expect("a good file")
+}
+
+/// Strips and fans were no surface, without a word.
+#[test]
+fn strips_and_fans_of_gltf_are_surfaces() {
+    let parts = gltf_parts(&strip_and_fan());
+    assert_eq!(parts.len(), 2, "{parts:?}");
+    for Part { name, mesh, .. } in parts {
+        let areas: Vec<DVec3> = (0..mesh.triangles.len()).map(|t| mesh.area_vector(t) / 2.0).collect();
+        assert_eq!(areas, [DVec3::Z / 2.0; 2], "{name}");
     }
 }
 
