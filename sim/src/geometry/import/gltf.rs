@@ -289,17 +289,24 @@ fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
 }
 
 /// Parses the static content of a glTF file: a part for each primitive of each node that has a mesh, placed by its
-/// node.
+/// node. Only nodes of the default scene count, or of the first one; all nodes if the file has no scene.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
     let content = |f: GltfFault| ParseError::Place { place: f.place, problem: f.problem };
     let file = GltfFile::parse(bytes, folder).map_err(content)?;
     let mut world: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
+    let scene = file.document.default_scene().or_else(|| file.document.scenes().next());
+    let mut is_in_scene = vec![scene.is_none(); world.len()];
+    scene.iter().flat_map(|scene| scene.nodes()).for_each(|root| is_in_scene[root.index()] = true);
     let mut parts = Vec::new();
     for (node, parent) in file.tree().map_err(content)? {
         let Some(node) = file.document.nodes().nth(node) else { continue };
+        is_in_scene[node.index()] |= parent.is_some_and(|parent| is_in_scene[parent]);
         let local = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
         let matrix = parent.map_or(DMat4::IDENTITY, |p| world[p]) * local;
         world[node.index()] = matrix;
+        if !is_in_scene[node.index()] {
+            continue;
+        }
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let name = node.name().unwrap_or_default().to_owned();
             let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}")).map_err(content)?;

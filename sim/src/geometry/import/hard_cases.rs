@@ -168,6 +168,19 @@ fn strips_and_fans_of_gltf_are_surfaces() {
     }
 }
 
+/// Nodes that no scene shows were walls, such as a second state of a room beside the first one.
+#[test]
+fn nodes_of_other_scenes_are_no_surfaces() {
+    let names =
+        |document: &serde_json::Value| gltf_parts(document).into_iter().map(|part| part.name).collect::<Vec<_>>();
+    let mut document = strip_and_fan();
+    assert_eq!(names(&document), ["strip", "fan"]);
+    document.as_object_mut().expect("an object").remove("scene");
+    assert_eq!(names(&document), ["other"], "the first scene");
+    document.as_object_mut().expect("an object").remove("scenes");
+    assert_eq!(names(&document), ["strip", "other", "fan"], "no scene");
+}
+
 #[test]
 fn errors_name_the_line_or_the_byte() {
     let error = |text: String| parse_stl(text.as_bytes()).expect_err("damaged").to_string();
