@@ -94,7 +94,7 @@ pub struct RoomFile {
     pub max_body_reflections: u32,
     /// Whether people behind walls are seen through them: the upright ones of a box, on the straight way; all faces that rays are
     /// sent through. Plasterboard takes some 11 dB of their echoes, both ways, concrete all of them. Default false: who is behind
-    /// a wall is not seen.
+    /// a wall is not seen, unless it is open.
     #[serde(default)]
     pub transmission: bool,
     /// Share of the power that falls on the surfaces that they throw in all directions, by their roughness and by what hangs and
