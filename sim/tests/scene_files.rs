@@ -87,6 +87,28 @@ mod hard_cases {
         }
     }
 
+    /// Surplus values of lists were ignored.
+    #[test]
+    fn lists_with_too_many_values_are_refused() {
+        let door = "[[door]]\nposition_m = [0.0, 3.0]\n[people.visits]\nabsence_s = [1.0, 2.0]\n";
+        for (from, to, key) in [
+            ("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, 20.0, 3.0, 99.0]", "room.size_m"),
+            ("[1.0, 10.0, 1.2]", "[1.0, 10.0, 1.2, \"junk\"]", "radar.position_m"),
+            ("absence_s = [1.0, 2.0]", "absence_s = [1.0, 2.0, 3.0]", "people.visits.absence_s"),
+            ("[0.0, 3.0]", "[0.0, 3.0, 1.0]", "door.position_m"),
+        ] {
+            let message = refusal(&hall(door).replacen(from, to, 1));
+            assert!(message.contains(&format!("`{key}`")), "{to}: {message}");
+        }
+        let text = hall(door).replacen("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, 20.0, 3.0, 99.0]", 1);
+        let line = line_of(&text, "size_m");
+        assert!(refusal(&text).starts_with(&format!("a/b.toml:{line}: ")), "{}", refusal(&text));
+        let steps = "[people]\nactor = [{ step = [{ walk_to_m = [1.0, 1.0, 9.0] }] }]\n";
+        assert!(refusal(&hall(steps)).contains("walk_to_m`"), "{}", refusal(&hall(steps)));
+        let random = format!("{door}[random]\n\"radar.tilt_down_deg\" = {{ between = [0, 1, 2] }}\n");
+        assert!(refusal(&hall(&random)).contains("between`"), "{}", refusal(&hall(&random)));
+    }
+
     #[test]
     fn programs_must_be_one_and_complete() {
         for (people, expected) in [

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use thiserror::Error;
 
 use crate::em::image::{BoxRoom, Element, Wall};
@@ -263,22 +263,17 @@ impl Scene {
     }
 
     fn parse_fixed(text: &str, path: &Path) -> Result<Self, SceneError> {
-        let mut file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        let mut file: SceneFile = parse_toml(text).map_err(|e| parse_error(path, text, &e))?;
         let receiver = match &file.receiver {
             None => Receiver::typical(),
-            Some(value) => {
-                let line = line_of(text, value.span().start);
-                match value.get_ref() {
-                    toml::Value::String(relative) => load_receiver(&named(path, relative)?)?,
-                    inline => {
-                        let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
-                            let message = format!("receiver: {}", e.message());
-                            SceneError::Parse { path: path.to_owned(), line, message }
-                        })?;
-                        check_receiver(&receiver, path, text)?;
-                        receiver
-                    }
-                }
+            Some(toml::Value::String(relative)) => load_receiver(&named(path, relative)?)?,
+            Some(inline) => {
+                let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
+                    let message = format!("receiver: {}", e.message());
+                    SceneError::Parse { path: path.to_owned(), line: line_of_key(text, "receiver"), message }
+                })?;
+                check_receiver(&receiver, path, text)?;
+                receiver
             }
         };
         let waveform = Waveform::realise(file.waveform.clone()).map_err(|source| {
@@ -437,7 +432,7 @@ impl Scene {
 /// [`SceneError`] if the file cannot be read, is malformed, or has a value that is out of range.
 pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
     let text = read(path)?;
-    let receiver: Receiver = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;
+    let receiver: Receiver = parse_toml(&text).map_err(|e| parse_error(path, &text, &e))?;
     check_receiver(&receiver, path, &text)?;
     Ok(receiver)
 }
@@ -472,8 +467,11 @@ fn named(scene: &Path, name: &str) -> Result<PathBuf, SceneError> {
 }
 
 fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {
-    let line = error.span().map_or(1, |span| line_of(text, span.start));
-    SceneError::Parse { path: path.to_owned(), line, message: error.message().to_owned() }
+    let message = error.message().to_owned();
+    // The error of a surplus value has no place, and its message ends with the path of a key.
+    let key = message.trim_end_matches('`').rsplit(['.', '`']).next().unwrap_or_default();
+    let line = error.span().map_or_else(|| line_of_key(text, key), |span| line_of(text, span.start));
+    SceneError::Parse { path: path.to_owned(), line, message }
 }
 
 fn line_of(text: &str, offset: usize) -> usize {

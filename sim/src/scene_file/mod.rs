@@ -12,7 +12,6 @@ use std::collections::BTreeMap;
 use radome_dsp::WaveformRequest;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
-use toml::Spanned;
 
 use crate::geometry::import::{LengthUnit, UpAxis};
 use crate::material::OwnMaterial;
@@ -38,7 +37,7 @@ pub struct SceneFile {
     /// Path of a receiver file, relative to the scene file, or the receiver's own table. Datasheet typicals if absent.
     #[serde(default)]
     #[schemars(schema_with = "path_or_receiver")]
-    pub receiver: Option<Spanned<toml::Value>>,
+    pub receiver: Option<toml::Value>,
     /// The room.
     pub room: RoomFile,
     /// Materials beside those of the table, by name.

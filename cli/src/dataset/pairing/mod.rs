@@ -384,7 +384,7 @@ fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
 fn read_waypoints(path: &Path) -> anyhow::Result<WayPoints> {
     let text = radome_files::read_text(path, radome_files::TEXT_LIMIT_BYTES)
         .with_context(|| format!("{} cannot be read", path.display()))?;
-    let points: WayPoints = toml::from_str(&text).with_context(|| {
+    let points: WayPoints = radome_files::parse_toml(&text).with_context(|| {
         format!(
             "{} holds no way-points\n\nhint: for each person [[person]] with point = [{{ time_s = 1.5, position_m = [2.0, 1.0] }}, ...]",
             path.display()
