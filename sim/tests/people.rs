@@ -392,6 +392,12 @@ mod hard_cases {
             (format!("{place}, {{ stand_s = 3.0, bed = 0 }}"), "lie_s"),
             (format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"), "one of walk_to_m"),
             (format!("{place}, {{ face_deg = nan }}"), "face_deg"),
+            (format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"), "step is stand_s and face_deg, expected"),
+            (format!("{place}, {{ speed_m_per_s = 1.0 }}"), "step is without any of them, expected"),
+            (format!("{place}, {{ walk_to_m = [1.0, 1.0], seat = 0 }}"), "none without sit_s"),
+            (format!("{place}, {{ stand_s = 1.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{place}, {{ face_deg = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{place}, {{ sit_s = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
             ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
         ] {
             let message = refusal(&hall(&script(&steps)));
