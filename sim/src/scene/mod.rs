@@ -199,11 +199,15 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
+        /// Largest number of values of a list that are tried: each takes as long as reading the scene.
+        const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
             scene.text = Some(text.into());
-            for end in [Draw::Least, Draw::Greatest] {
-                scene.drawn_at(end)?;
+            let most = scene.file.random.values().flat_map(|key| &key.of).map(Vec::len).max().unwrap_or(0);
+            let listed = (1..most.min(MOST_TRIED)).map(Draw::Listed);
+            for draw in [Draw::Least, Draw::Greatest].into_iter().chain(listed) {
+                scene.drawn_at(draw)?;
             }
         }
         Ok(scene)
@@ -238,10 +242,11 @@ impl Scene {
         })?;
         let text_of_draw = table.to_string();
         let parse = || Self::parse_fixed(&text_of_draw, path);
-        // Warnings were given when the file was read, for the ends of all ranges. They are not repeated for each seed.
+        // Warnings were given when the file was read, for the ends of all ranges and for listed values. They are not
+        // repeated for each seed.
         let parsed = match draw {
             Draw::Seed(_) => tracing::subscriber::with_default(tracing::subscriber::NoSubscriber::default(), parse),
-            Draw::Least | Draw::Greatest => parse(),
+            Draw::Least | Draw::Greatest | Draw::Listed(_) => parse(),
         };
         let scene = parsed.map_err(|reason| SceneError::Drawn {
             path: path.clone(),
@@ -249,6 +254,7 @@ impl Scene {
                 Draw::Seed(seed) => format!("seed {seed}"),
                 Draw::Least => "all the least".to_owned(),
                 Draw::Greatest => "all the greatest".to_owned(),
+                Draw::Listed(index) => format!("number {} of each list", index + 1),
             },
             reason: reason.to_string(),
         })?;
