@@ -54,6 +54,22 @@ mod hard_cases {
         assert!(!folder.path().join("x.mcap").exists());
     }
 
+    /// A recording of MCAP bytes got a name by which it was taken for text.
+    #[test]
+    fn a_text_name_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for options in ["--frames 2", "--frames 2 --shard 0/2"] {
+            let mut command = subcommand("scene simulate");
+            command
+                .arg(fixture("scenes/corridor.toml"))
+                .args(options.split(' '))
+                .arg("-o")
+                .arg(folder.path().join("z.txt"));
+            fails_with(&mut command, &["z", "MCAP only", "hint: "]);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
+    }
+
     #[test]
     fn a_shard_of_other_arguments_is_refused_and_its_own_is_found() {
         let folder = tempfile::tempdir().expect("a folder");
