@@ -21,6 +21,7 @@ mod output_file;
 mod panics;
 mod picture;
 mod shard;
+mod shell;
 mod slurm;
 mod source;
 mod viewers;

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
+use crate::shell;
+
 /// Options of commands that print the script of an array.
 #[derive(clap::Args)]
 pub struct Array {
@@ -78,9 +80,8 @@ pub fn word_with(text: &str, path: &Path) -> anyhow::Result<String> {
         .to_str()
         .with_context(|| format!("{}: a path that is not UTF-8 cannot go into a script", path.display()))?;
     let text = format!("{text}{full}");
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/-_.+,@%=".contains(c);
     if text.contains('\n') {
         bail!("{text:?}: a path with a line's end cannot go into a script");
     }
-    Ok(if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) })
+    Ok(shell::word(&text))
 }

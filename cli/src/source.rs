@@ -22,7 +22,7 @@ use radome_driver::{
     Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
-use radome_files::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::judge::{self, BUILT_IN};
@@ -445,6 +445,6 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
              {BUILT_IN} or a recording"
         )
     })?;
-    let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;
+    let request = parse_toml(&text).with_context(|| format!("{spec} is no waveform"))?;
     Waveform::realise(request).with_context(|| format!("{spec} is no waveform of this chip"))
 }

@@ -1,9 +1,10 @@
-//! Reading of files of bounded length, and resolution of paths that files name.
+//! Reading of files of bounded length, parsing of TOML documents, and resolution of paths that files name.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::{Component, Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 /// Length limit of TOML files, headers and other single documents, bytes. The longest of this project has 6 kB, and
@@ -91,6 +92,24 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, limit_bytes)?).map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
 }
 
+/// Parses a TOML document. Unlike [`toml::from_str`] it refuses surplus values in an array of a fixed length.
+///
+/// # Errors
+/// The text is no TOML, or its values are not those of the type. The error of a surplus value has no span; its message ends
+/// with the path of the key in backticks.
+pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, toml::de::Error> {
+    let parsed = toml::from_str(text)?;
+    // The deserialiser of a table in memory notices which values an array left over, that of a text does not. Such a table
+    // has no integers beyond 64 bits with sign; a document with one goes without this check.
+    if let Ok(table) = toml::from_str::<toml::Table>(text) {
+        table.try_into::<T>().map_err(|error| {
+            let message = error.to_string().trim_end().replace('\n', " ");
+            <toml::de::Error as serde::de::Error>::custom(message)
+        })?;
+    }
+    Ok(parsed)
+}
+
 /// Resolves a path that a file in `folder` names, where both were written by other programs. The path must be relative
 /// and, with links followed, lie within that folder.
 ///
@@ -153,7 +172,24 @@ fn folder_of(folder: &Path) -> &Path {
 
 #[cfg(test)]
 mod hard_cases {
+    use std::collections::BTreeMap;
+
     use super::*;
+
+    /// Arrays of a fixed length took their values from the beginning of a list, whatever followed.
+    #[test]
+    fn surplus_values_are_refused_with_their_key() {
+        type Rooms = BTreeMap<String, BTreeMap<String, [f64; 2]>>;
+        let rooms: Rooms = parse_toml("[room]\nsize_m = [1, 2.5]\n").expect("two values");
+        assert_eq!(rooms["room"]["size_m"], [1.0, 2.5]);
+        for list in ["[1, 2, 3]", "[1, 2, \"junk\"]"] {
+            let error = parse_toml::<Rooms>(&format!("[room]\nsize_m = {list}\n")).expect_err(list);
+            assert!(error.message().ends_with("`room.size_m`"), "{list}: {error}");
+        }
+        assert!(parse_toml::<Rooms>("[room]\nsize_m = [1]\n").is_err());
+        let seeds: BTreeMap<String, u64> = parse_toml("seed = 18446744073709551615\n").expect("a number");
+        assert_eq!(seeds["seed"], u64::MAX);
+    }
 
     fn refused(result: io::Result<impl std::fmt::Debug>) -> Refused {
         let error = result.expect_err("refused");

@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use radome_files::named_by_spec;
+use radome_files::{named_by_spec, parse_toml};
 use radome_models::{EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
@@ -21,7 +21,7 @@ struct Stopped(PyErr);
 fn read_spec(path: &Path) -> Outcome<TrainSpec> {
     let text = text_of(path)?;
     let refused = |error: toml::de::Error| format!("{} is no training spec: {}", path.display(), error.message());
-    let mut spec: TrainSpec = toml::from_str(&text).map_err(refused)?;
+    let mut spec: TrainSpec = parse_toml(&text).map_err(refused)?;
     if let Some(weights) = &spec.weights {
         spec.weights = Some(named_by_spec(path.parent().unwrap_or(Path::new("")), weights)?);
     }

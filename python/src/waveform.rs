@@ -44,7 +44,8 @@ fn load(path: &Path) -> Outcome<radome_dsp::Waveform> {
     }
     if path.extension().is_some_and(|e| e == "toml") {
         let text = text_of(path)?;
-        let request = toml::from_str(&text).map_err(|error| format!("{shown} is no waveform: {}", error.message()))?;
+        let request =
+            radome_files::parse_toml(&text).map_err(|error| format!("{shown} is no waveform: {}", error.message()))?;
         return Ok(radome_dsp::Waveform::realise(request)?);
     }
     match Recording::open(path) {

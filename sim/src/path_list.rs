@@ -228,11 +228,20 @@ impl Lister<'_> {
                 out.push(ListedPath {
                     kind: PathKind::Furniture,
                     surfaces: self.names(&path.polyline, Some("object")),
-                    points_m: path.polyline.iter().map(DVec3::to_array).collect(),
+                    points_m: self.points_m(&path.polyline, i),
                     ..self.listed(i, field * shade, beat_hz / self.prepared.chirp.slope_hz_per_s, 0.0)
                 });
             }
         }
+    }
+
+    /// Corners of a path by way of a point, m. Its polyline ends at the transmitter, millimetres beside the receivers.
+    fn points_m(&self, polyline: &[DVec3], rx: usize) -> Vec<[f64; 3]> {
+        let mut points_m: Vec<[f64; 3]> = polyline.iter().map(DVec3::to_array).collect();
+        if let (Some(end), Some(receiver)) = (points_m.last_mut(), self.prepared.rx.get(rx)) {
+            *end = receiver.position.to_array();
+        }
+        points_m
     }
 
     /// Names of the surfaces that a path meets between its ends. On a path by way of furniture a corner may also lie on
@@ -298,7 +307,7 @@ impl Lister<'_> {
                     kind: PathKind::Person,
                     surfaces: self.names_by_body(&polyline, pair, &body),
                     person: Some(slot),
-                    points_m: polyline.iter().map(DVec3::to_array).collect(),
+                    points_m: self.points_m(&polyline, i),
                     ..self.listed(i, field, key.delay_s, key.delay_rate)
                 });
             }
@@ -359,6 +368,26 @@ mod tests {
             checked += 1;
         }
         assert!(checked > 3, "{checked} paths");
+    }
+
+    /// Paths by way of furniture and people ended at the transmitter.
+    #[test]
+    fn paths_begin_at_the_transmitter_and_end_at_their_receiver() {
+        let (tx, rx) = corridor().elements();
+        let at = |time_s: f64| {
+            let options = PathListOptions { seed: 5, people: Some(1), time_s, margin_db: 20.0, ..Default::default() };
+            PathList::new(&corridor(), &options).expect("a list").paths
+        };
+        let all: Vec<ListedPath> = [2.0, 4.0, 6.0, 8.0].into_iter().flat_map(at).collect();
+        for kind in [PathKind::Walls, PathKind::Furniture, PathKind::Person] {
+            let some: Vec<&ListedPath> = all.iter().filter(|p| p.kind == kind && !p.points_m.is_empty()).collect();
+            assert!(!some.is_empty(), "{kind:?}");
+            for path in some {
+                let ends = [0, path.points_m.len() - 1].map(|corner| DVec3::from_array(path.points_m[corner]));
+                let receiver = rx[usize::from(path.rx) - 1].position;
+                assert!(ends[0].distance(tx.position) < 1e-9 && ends[1].distance(receiver) < 1e-9, "{path:?}");
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Presence of people over time: written scripts, endless visits, wandering people, or people at a desk. All random
 //! values depend on (seed, slot, visit).
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, EulerRot};
@@ -107,13 +108,9 @@ fn ground(scene: &Scene) -> Option<Ground> {
     ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
 }
 
-/// Walks to a place, around obstacles.
-fn go(mut path: MotionBuilder, ground: Option<&Ground>, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
-    let way = ground.map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
-    for corner in way {
-        path = path.walk_to(corner, speed_m_per_s);
-    }
-    path
+/// Walks along the corners of a route.
+fn along(path: MotionBuilder, way: Vec<[f64; 2]>, speed_m_per_s: f64) -> MotionBuilder {
+    way.into_iter().fold(path, |path, corner| path.walk_to(corner, speed_m_per_s))
 }
 
 /// Point at a distance ahead of another one, m.
@@ -132,6 +129,8 @@ struct Script<'a> {
     size_m: [f64; 2],
     /// Direction in which the person looks at first, rad.
     facing_rad: f64,
+    /// Index of the person.
+    index: u64,
 }
 
 /// Makes the motion of a person with a script.
@@ -165,7 +164,7 @@ fn scripted(
     };
     let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
-    let script = Script { file, ground, size_m, facing_rad };
+    let script = Script { file, ground, size_m, facing_rad, index };
     let steps = actor.step.iter().enumerate();
     let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
     let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
@@ -183,15 +182,14 @@ impl Script<'_> {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         let door = |number: usize| self.file.door.get(number);
         if let (Some(to), false) = (step.walk_to_m, is_first) {
-            path = go(path, self.ground, to, speed);
+            path = self.go(path, to, speed);
         }
         if let Some(duration_s) = step.stand_s {
             path = path.stand(duration_s);
         }
         if let Some(duration_s) = step.sit_s {
             path = match step.seat.and_then(|number| self.file.seat.get(number)) {
-                Some(seat) if seat.back_m > 0.0 => sit_back(path, self.ground, seat, speed, duration_s),
-                Some(seat) => path.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
+                Some(seat) => sit_on(path, seat, duration_s, |path, to| self.go(path, to, speed)),
                 None => path.sit(self.facing_rad, 0.45, duration_s),
             };
         }
@@ -203,7 +201,7 @@ impl Script<'_> {
                 path.lying(&bed, duration_s)
             } else {
                 let before = bed.stand_m(&path.person().build);
-                go(path, self.ground, before, speed).lie(&bed, duration_s)
+                self.go(path, before, speed).lie(&bed, duration_s)
             };
         }
         if let Some(degrees) = step.face_deg {
@@ -213,10 +211,32 @@ impl Script<'_> {
             path = path.walk_to(at_door(self.size_m, door, INSIDE_M, 0.0), speed);
         }
         if let Some(door) = step.leave_door.and_then(door) {
-            path = go(path, self.ground, at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+            path = self.go(path, at_door(self.size_m, door, INSIDE_M, 0.0), speed);
             path = path.walk_to(at_door(self.size_m, door, OUTSIDE_M, 0.0), speed);
         }
         path
+    }
+
+    /// Walks to a place, around obstacles, or straight through them if there is no way around.
+    fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
+        let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
+        if !(0..2).all(|axis| (0.0..=self.size_m[axis]).contains(&to[axis])) {
+            self.tell(to, "lies outside the room");
+        } else if way.is_none() {
+            self.tell(to, "cannot be reached around walls and furniture");
+        }
+        along(path, way.unwrap_or_else(|| vec![to]), speed_m_per_s)
+    }
+
+    /// Says why the person goes straight to a place, once for each person of a scene: a scene is simulated for many
+    /// seeds.
+    fn tell(&self, [x, y]: [f64; 2], why: &str) {
+        static TOLD: Mutex<BTreeSet<(String, u64)>> = Mutex::new(BTreeSet::new());
+        let person = (self.file.name.clone(), self.index);
+        if TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(person) {
+            let (scene, index) = (&self.file.name, self.index);
+            tracing::warn!("{scene}: person {index} goes straight to [{x:.2}, {y:.2}] m, which {why}");
+        }
     }
 }
 
@@ -230,17 +250,22 @@ fn bed(file: &BedFile) -> Bed {
     }
 }
 
-/// Walks to the place before a seat, turns the back to it, and sits there for a duration.
-fn sit_back(
+/// Walks to a seat and sits there for a duration. Afterwards the person stands before the seat.
+fn sit_on(
     path: MotionBuilder,
-    ground: Option<&Ground>,
     seat: &SeatFile,
-    speed: f64,
     duration_s: f64,
+    go: impl Fn(MotionBuilder, [f64; 2]) -> MotionBuilder,
 ) -> MotionBuilder {
     let heading = seat.heading_deg.to_radians();
-    let before = ahead(seat.position_m, heading, seat.back_m);
-    go(path, ground, before, speed).sit_back(heading, seat.height_m, seat.back_m, duration_s)
+    if seat.back_m > 0.0 {
+        let before = ahead(seat.position_m, heading, seat.back_m);
+        return go(path, before).sit_back(heading, seat.height_m, seat.back_m, duration_s);
+    }
+    // The feet stand where the hips come to rest.
+    let before = ahead(seat.position_m, heading, 0.35);
+    let path = go(path, before).walk_to(seat.position_m, 0.5);
+    path.sit(heading, seat.height_m, duration_s).walk_to(before, 0.6)
 }
 
 /// Unit vector from a door into the room.
@@ -436,7 +461,8 @@ impl Visits {
 
     /// Walks to a place, around obstacles.
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
-        go(path, self.ground.as_ref(), to, speed)
+        let way = self.ground.as_ref().map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
+        along(path, way, speed)
     }
 
     /// Whether a place is free of obstacles.
@@ -499,14 +525,7 @@ impl Visits {
     /// one.
     fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
-        let sit_s = draw(rng, self.file.sit_s);
-        if seat.back_m > 0.0 {
-            return sit_back(path, self.ground.as_ref(), seat, speed, sit_s);
-        }
-        let heading = seat.heading_deg.to_radians();
-        let front = ahead(seat.position_m, heading, 0.35);
-        let path = self.go(path, front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
-        path.walk_to(front, 0.6)
+        sit_on(path, seat, draw(rng, self.file.sit_s), |path, to| self.go(path, to, speed))
     }
 
     fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {

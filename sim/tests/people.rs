@@ -392,6 +392,12 @@ mod hard_cases {
             (format!("{place}, {{ stand_s = 3.0, bed = 0 }}"), "lie_s"),
             (format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"), "one of walk_to_m"),
             (format!("{place}, {{ face_deg = nan }}"), "face_deg"),
+            (format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"), "step is stand_s and face_deg, expected"),
+            (format!("{place}, {{ speed_m_per_s = 1.0 }}"), "step is without any of them, expected"),
+            (format!("{place}, {{ walk_to_m = [1.0, 1.0], seat = 0 }}"), "none without sit_s"),
+            (format!("{place}, {{ stand_s = 1.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{place}, {{ face_deg = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{place}, {{ sit_s = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
             ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
         ] {
             let message = refusal(&hall(&script(&steps)));
@@ -413,6 +419,24 @@ mod hard_cases {
         ] {
             let message = refusal(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n")));
             assert!(message.contains(expected), "{keys}: {message}");
+        }
+    }
+
+    /// A script's seat without `back_m` was a height and a heading, and not a place.
+    #[test]
+    fn who_is_to_sit_on_a_seat_goes_there() {
+        for back in ["", "back_m = 0.38\n"] {
+            let text = hall(&format!(
+                "[[seat]]\nposition_m = [6.0, 10.0]\nheading_deg = 0.0\n{back}[people]\n[[people.actor]]\n\
+                 step = [{{ walk_to_m = [3.0, 10.0] }}, {{ sit_s = 9.0, seat = 0, speed_m_per_s = 1.0 }}]\n"
+            ));
+            let all = Scenario::new(&parse(&text), 1, None).between(0.0, 20.0);
+            let body = all[0].1.body(8.0);
+            let (hips, foot) = (body[PELVIS].centre, body[11].centre);
+            assert!((hips.x - 6.0).hypot(hips.y - 10.0) < 0.15 && hips.z < 0.7, "{back}: hips at {hips}");
+            assert!(foot.x > hips.x + 0.2, "{back}: the foot is at {foot}, the hips are at {hips}");
+            let stands = all[0].1.body(18.0)[PELVIS].centre;
+            assert!(stands.z > 0.8 && (6.2..6.6).contains(&stands.x), "{back}: stands before the seat, at {stands}");
         }
     }
 

@@ -72,7 +72,7 @@ mod hard_cases {
                 "0 to 10 m",
             ),
             ("sample_rate_hz = 1e6", "sample_rate_hz = 9e6", "[waveform]", "sample_rate_hz"),
-            ("sample_rate_hz = 1e6", "sample_rate_hz = \"fast\"", "sample_rate_hz", "f64"),
+            ("sample_rate_hz = 1e6", "sample_rate_hz = \"fast\"", "sample_rate_hz", "expected a number"),
             ("max_people = 0", "max_people = 3", "max_people", "two"),
             ("adc_white_lsb = 2.0", "adc_white_lsb = -2.0", "adc_white_lsb", "physical"),
             ("format = 1\nname = \"hall\"", "format = 2\nname = \"hall\"", "format", "expected 1"),
@@ -85,6 +85,59 @@ mod hard_cases {
             assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{to}: {message} (line {line})");
             assert!(message.contains(expected), "{to}: {message}");
         }
+    }
+
+    /// A wrong value was looked for on the first line with its key, which may be that of another table.
+    #[test]
+    fn lines_are_those_of_the_wrong_value_or_left_out() {
+        let bed = "[[bed]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.5\n";
+        let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("height_m = 0.5", "height_m = 3")));
+        let (line, message) = (line_of(&text, "height_m = 3"), refusal(&text));
+        assert!(message.starts_with(&format!("a/b.toml:{line}: height_m is 3, expected 0.2 to 1 m")), "{message}");
+        let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("[3.0, 3.0]", "[99.0, 3.0]")));
+        assert!(refusal(&text).starts_with("a/b.toml: bed is [99.0, 3.0], expected"), "{}", refusal(&text));
+    }
+
+    #[test]
+    fn messages_have_no_types_of_the_program() {
+        for (from, to, expected) in [
+            ("name = \"flat\"", "name = \"flat\"\nantenna = 5", "expected a table"),
+            ("chirps_per_frame = 128", "chirps_per_frame = \"many\"", "expected a whole number"),
+            ("max_people = 0", "max_people = 9", "max_people is 9, expected 0 to 2 people"),
+        ] {
+            let text = hall(NOBODY).replacen(from, to, 1);
+            assert!(refusal(&text).contains(expected), "{to}: {}", refusal(&text));
+        }
+    }
+
+    #[test]
+    fn doors_are_no_wider_than_their_walls() {
+        let door = |keys: &str| format!("[[door]]\n{keys}\n[people.visits]\n");
+        let message = refusal(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.5")));
+        assert!(message.contains("width_m is 2.5, expected at most 2.00 m"), "{message}");
+        assert!(Scene::parse(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.0")), Path::new("a")).is_ok());
+    }
+
+    /// Surplus values of lists were ignored.
+    #[test]
+    fn lists_with_too_many_values_are_refused() {
+        let door = "[[door]]\nposition_m = [0.0, 3.0]\n[people.visits]\nabsence_s = [1.0, 2.0]\n";
+        for (from, to, key) in [
+            ("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, 20.0, 3.0, 99.0]", "room.size_m"),
+            ("[1.0, 10.0, 1.2]", "[1.0, 10.0, 1.2, \"junk\"]", "radar.position_m"),
+            ("absence_s = [1.0, 2.0]", "absence_s = [1.0, 2.0, 3.0]", "people.visits.absence_s"),
+            ("[0.0, 3.0]", "[0.0, 3.0, 1.0]", "door.position_m"),
+        ] {
+            let message = refusal(&hall(door).replacen(from, to, 1));
+            assert!(message.contains(&format!("`{key}`")), "{to}: {message}");
+        }
+        let text = hall(door).replacen("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, 20.0, 3.0, 99.0]", 1);
+        let line = line_of(&text, "size_m");
+        assert!(refusal(&text).starts_with(&format!("a/b.toml:{line}: ")), "{}", refusal(&text));
+        let steps = "[people]\nactor = [{ step = [{ walk_to_m = [1.0, 1.0, 9.0] }] }]\n";
+        assert!(refusal(&hall(steps)).contains("walk_to_m`"), "{}", refusal(&hall(steps)));
+        let random = format!("{door}[random]\n\"radar.tilt_down_deg\" = {{ between = [0, 1, 2] }}\n");
+        assert!(refusal(&hall(&random)).contains("between`"), "{}", refusal(&hall(&random)));
     }
 
     #[test]

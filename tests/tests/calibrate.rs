@@ -163,6 +163,26 @@ fn recordings_are_judged_by_their_labels() {
     assert!(said.contains("256 samples") && said.contains("64 samples"), "{said}");
 }
 
+/// A name with a line's end broke the comment at the head of the file.
+#[test]
+fn a_receiver_of_any_name_can_be_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = corridor(folder.path(), 3, 40);
+    let file = folder.path().join("my receiver.toml");
+    let mut command = subcommand("scene calibrate --copies 1 --json");
+    json_lines(command.arg(&recording).args(["--name", "a\"b\nc"]).arg("-o").arg(&file));
+    let text = std::fs::read_to_string(&file).expect("written");
+    let made = "#     radome scene calibrate corridor-3.mcap --name 'a\"b?c' --part 0.5 -o 'my receiver.toml'\n";
+    assert!(text.contains(made), "{text}");
+    assert_eq!(radome_sim::load_receiver(&file).expect("a receiver").name, "a\"b\nc");
+    fails_with(subcommand("scene calibrate").arg(&recording).args(["--people", "2"]), &["--people needs --scene"]);
+    let part = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "0.99"]));
+    assert!(part.contains("hint: choose a --part nearer to 0.5"), "{part}");
+    let hall = fixture("scenes/desk.toml");
+    let other = failure(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(hall));
+    assert!(other.contains("desk.toml") && other.contains("hint: ") && !other.contains("model"), "{other}");
+}
+
 #[test]
 fn what_cannot_be_calibrated_is_refused() {
     fails_with(subcommand("scene calibrate").arg("nowhere.mcap"), &["nowhere.mcap"]);

@@ -33,6 +33,18 @@ fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
     (said.last().expect("a line").clone(), values)
 }
 
+/// Messages had radians for the degrees that were given, and words of the parser of another format.
+#[test]
+fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
+    let rcs = |option: &str, value: &str, expected: &str| {
+        let said = failure(subcommand("bench rcs sphere").args([option, value]));
+        assert!(said.contains(expected) && !said.contains(" rad") && !said.contains("variant"), "{said}");
+    };
+    rcs("--azimuth-deg", "1e9", "the azimuth is 1000000000 degrees");
+    rcs("--elevation-deg", "91", "the elevation is 91 degrees");
+    rcs("--material", "foo", "--material is \"foo\", expected one of pec, skin, concrete, ");
+}
+
 #[test]
 fn frames_of_the_middle_code_read_the_floor_everywhere() {
     let folder = tempfile::tempdir().expect("a folder");

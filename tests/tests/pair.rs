@@ -319,6 +319,20 @@ mod hard_cases {
         assert_eq!(said["people"], Value::Array(Vec::new()));
     }
 
+    /// Labels beyond the frames that were asked for made an error.
+    #[test]
+    fn labels_may_go_on_where_frames_end() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path: &Path2 = &[([5.0, 1.0], 0.0), ([3.0, 1.0], 1.0)];
+        let scene_file = scene(folder.path(), "scenes/corridor.toml", &[path]);
+        let recording = record(&scene_file, 12, 1);
+        let labels = folder.path().join("labels.txt");
+        std::fs::write(&labels, "0.0\t0.8\tone\n0.8\t1.2\tempty\n").expect("writable");
+        let mut command = pair(&recording, &scene_file, &folder.path().join("set"));
+        let said = json_lines(command.arg("--labels").arg(&labels).args(["--frames", "6"])).remove(0);
+        assert_eq!(said["maps"], 12, "{said}");
+    }
+
     #[test]
     fn what_cannot_be_mirrored_is_named() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, frames, json_lines, radome, simulate, subcommand};
+use radome_tests::{
+    fails_with, failure, fixture, fixture_text, frames, json_lines, radome, simulate, subcommand, success,
+};
 
 fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
     let path = folder.join(name);
@@ -93,6 +95,41 @@ mod hard_cases {
         let said = failure(subcommand("scene simulate").arg(&scene).arg("-o").arg(folder.path().join("x.mcap")));
         assert!(said.contains("bad.toml") && said.contains("position"), "{said}");
         assert!(!folder.path().join("x.mcap").exists());
+    }
+
+    /// A person went through walls and furniture without a word.
+    #[test]
+    fn a_goal_without_a_way_is_told_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = fixture_text("scenes/corridor.toml");
+        let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
+        let wardrobe = "[[furniture]]\nname = \"wardrobe\"\nposition_m = [6.0, 0.0, 0.0]\nsize_m = [1.0, 2.0, 2.0]\n";
+        let scene = folder.path().join("scene.toml");
+        for (goals, expected) in [
+            ("{ walk_to_m = [5.0, 9.0] }, { walk_to_m = [5.0, 12.0] }", "[5.00, 9.00] m, which lies outside the room"),
+            ("{ walk_to_m = [9.0, 1.0] }", "[9.00, 1.00] m, which cannot be reached around"),
+        ] {
+            let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = [4.0, 1.0] }}, {goals}]\n");
+            std::fs::write(&scene, format!("{room}{wardrobe}[people]\nkeep_off_m = 0.3\n{actor}")).expect("written");
+            let (_, said) = success(subcommand("scene simulate --frames 1").arg(&scene));
+            assert!(said.contains(expected) && said.matches("person 0").count() == 1, "{said}");
+        }
+    }
+
+    /// A recording of MCAP bytes got a name by which it was taken for text.
+    #[test]
+    fn a_text_name_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for options in ["--frames 2", "--frames 2 --shard 0/2"] {
+            let mut command = subcommand("scene simulate");
+            command
+                .arg(fixture("scenes/corridor.toml"))
+                .args(options.split(' '))
+                .arg("-o")
+                .arg(folder.path().join("z.txt"));
+            fails_with(&mut command, &["z", "MCAP only", "hint: "]);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{Frame, FrameSource, Occupancy, Window};
-use radome_files::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_models::dataset::{Dataset, Features, Spread, features};
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
@@ -83,7 +83,7 @@ pub fn compare(
         None => (WALKING.to_owned(), PathBuf::from("fixtures/features/walking.toml")),
     };
     let measured: MeasuredFile =
-        toml::from_str(&text).with_context(|| format!("{} is no file of measured features", path.display()))?;
+        parse_toml(&text).with_context(|| format!("{} is no file of measured features", path.display()))?;
     let mut found = of_maps(&features(dataset, indices)?);
     found.extend(of_clutter(sources)?);
     let row = |measured: Measured| {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::RdmSpec;
-use radome_files::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::scene_file::BodyFile;
 use serde::Deserialize;
 
@@ -53,8 +53,7 @@ impl RungFile {
     /// The file cannot be read, or a value is not valid.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-        let file: RungFile =
-            toml::from_str(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
+        let file: RungFile = parse_toml(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
         file.check().with_context(|| path.display().to_string())?;
         Ok(file)
     }

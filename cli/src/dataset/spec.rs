@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
-use radome_files::{TEXT_LIMIT_BYTES, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_models::dataset::{Split, SplitSpec};
 use radome_sim::scene_file::BodyFile;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -186,7 +186,7 @@ impl BuildSpec {
     /// # Errors
     /// The text is no spec, or a value is not valid.
     pub fn parse(text: &str) -> anyhow::Result<Self> {
-        let spec: BuildSpec = toml::from_str(text)?;
+        let spec: BuildSpec = parse_toml(text)?;
         spec.check()?;
         Ok(spec)
     }

@@ -527,7 +527,12 @@ fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
 
 /// Writes when somebody is where: at bodies, and from above also at other places.
 fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels) {
-    let at = |t: f64| way.places.iter().min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p);
+    // Places are in order of time: the nearest one is the last before a time or the next one.
+    let at = |t: f64| {
+        let before = way.places.partition_point(|(time_s, _)| *time_s < t).saturating_sub(1);
+        let around = way.places.iter().skip(before).take(2);
+        around.min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p)
+    };
     let (begin, end) = (way.places.first().map_or(0.0, |p| p.0), way.places.last().map_or(0.0, |p| p.0));
     let seconds = begin.ceil() as i64..=end.floor() as i64;
     let seconds = seconds.filter(|_| view.is_plan()).map(|t| (t as f64, false));

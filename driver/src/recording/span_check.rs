@@ -15,16 +15,18 @@ pub enum SpanError {
     #[error("the label '{label}' from {start_s} to {end_s} s: times must be finite")]
     NotFinite { label: String, start_s: f64, end_s: f64 },
     /// The end comes before the start.
-    #[error("the label '{label}' is reversed: it starts at {start_s} s and ends at {end_s} s")]
+    #[error("the label '{label}' is reversed: it starts at {} s and ends at {} s", rounded(*.start_s), rounded(*.end_s))]
     Reversed { label: String, start_s: f64, end_s: f64 },
     /// Part of the span lies outside the recording.
     #[error(
-        "the label '{label}' from {start_s} to {end_s} s is out of range: the recording's frames are from {first_s} to {last_s} s"
+        "the label '{label}' from {} to {} s is out of range: the recording's frames are from {} to {} s",
+        rounded(*.start_s), rounded(*.end_s), rounded(*.first_s), rounded(*.last_s)
     )]
     OutOfRange { label: String, start_s: f64, end_s: f64, first_s: f64, last_s: f64 },
     /// Two spans of different classes overlap.
     #[error(
-        "the labels '{first}' ({first_start_s} to {first_end_s} s) and '{second}' ({second_start_s} to {second_end_s} s) overlap"
+        "the labels '{first}' ({} to {} s) and '{second}' ({} to {} s) overlap",
+        rounded(*.first_start_s), rounded(*.first_end_s), rounded(*.second_start_s), rounded(*.second_end_s)
     )]
     Overlap {
         first: String,
@@ -34,6 +36,11 @@ pub enum SpanError {
         second_start_s: f64,
         second_end_s: f64,
     },
+}
+
+/// Time to the microsecond, as files have it: sums of times have more digits.
+fn rounded(time_s: f64) -> f64 {
+    (time_s * 1e6).round() / 1e6
 }
 
 /// Checks that spans run forwards, lie within `extent_s` if it is given, and that spans of two classes do not overlap.
@@ -135,6 +142,7 @@ mod tests {
             assert!(said(&[(3.0, 2.0, "one")]).contains("'one' is reversed"));
             assert!(said(&[(9.0, 10.5, "two")]).contains("'two' from 9 to 10.5 s is out of range"));
             assert!(said(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
+            assert!(said(&[(1.9000000000000001, 10.6, "one")]).contains("'one' from 1.9 to 10.6 s is out"));
             assert!(said(&[(f64::NAN, 1.0, "one")]).contains("finite"));
             // A long span covers several others; the one in between does not hide it.
             let text = said(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);

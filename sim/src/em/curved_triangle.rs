@@ -8,7 +8,7 @@
 //! radians takes a few nodes, whatever the curvature.
 //!
 //! All lengths are differences from the path by the triangle's middle, in a form without cancellation, so single
-//! precision suffices. A test compares [`moments`] with an integral in double precision.
+//! precision suffices. A test compares `moments` with an integral in double precision.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -217,7 +217,7 @@ impl ViewRows {
 compiled_for_levels! {
     /// Computes the offset of the surface from the middles of the edges, m, from corners and unit normals there. It is
     /// the cubic over an edge that is tangential to the surface at both ends.
-    pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
+    pub(crate) fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
 }
 
 #[inline(always)]
@@ -239,17 +239,26 @@ fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
 
 compiled_for_levels! {
     /// Builds triangles from their corners.
-    pub fn triangle_rows(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> TriangleRows = TriangleRows::new;
+    pub(crate) fn triangle_rows(
+        corners: &[Row3; 3],
+        normals: &[Row3; 3],
+        bulges: &[Row3; 3],
+    ) -> TriangleRows = TriangleRows::new;
 }
 
 compiled_for_levels! {
     /// Computes the view of triangles from an antenna.
-    pub fn view_rows(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> ViewRows = ViewRows::new;
+    pub(crate) fn view_rows(
+        antenna: DVec3,
+        origin: DVec3,
+        triangles: &TriangleRows,
+        wavelength_m: f64,
+    ) -> ViewRows = ViewRows::new;
 }
 
 compiled_for_levels! {
     /// Places the nodes of a rule on the triangles of one half of the lanes.
-    pub fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
+    pub(crate) fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
 }
 
 #[inline(always)]
@@ -284,7 +293,7 @@ fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Node
 
 compiled_for_levels! {
     /// Computes the phase span across each triangle between two antennas, rad.
-    pub fn spans_rad(views: [&ViewRows; 2]) -> Row = spans_body;
+    pub(crate) fn spans_rad(views: [&ViewRows; 2]) -> Row = spans_body;
 }
 
 #[inline(always)]
@@ -303,7 +312,7 @@ fn spans_body(views: [&ViewRows; 2]) -> Row {
 
 compiled_for_levels! {
     /// Computes moments of triangles between two antennas, with the nodes of both halves of the lanes.
-    pub fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
+    pub(crate) fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
 }
 
 #[inline(always)]

@@ -50,7 +50,7 @@ pub struct BoxRoom {
     /// Wave number at which materials are evaluated, 1/m.
     pub wavenumber_per_m: f64,
     /// Whether fields reach points behind the upright walls through them. If not, the field outside is computed as if
-    /// there were no wall.
+    /// there were no wall. Open walls pass it in any case.
     pub transmission: bool,
     /// Tabulated coefficients of the walls; equal walls share them.
     tables: [Arc<WallTable>; 6],
@@ -237,20 +237,32 @@ impl BoxRoom {
         field: Phasor3,
     ) -> Phasor3 {
         let field = self.past_planes(index, source, direction, point, field);
-        if self.transmission
-            && let Some((axis, wall, weight)) = self.behind(antenna, point)
-        {
-            let rest = field.scaled(1.0 - weight);
-            if order(index) > 0 {
-                return rest;
-            }
-            let normal = DVec3::AXES[axis];
-            let through = self.tables[wall].transmission(direction.dot(normal).abs());
-            let (te, tm) = incidence_frame(direction, normal);
-            let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
-            return Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight };
+        let behind = self.behind(antenna, point).filter(|&(_, wall, _)| self.is_passable(wall));
+        let Some((axis, wall, weight)) = behind else { return field };
+        if order(index) > 0 {
+            return field.scaled(1.0 - weight);
         }
-        field
+        if self.walls[wall] == Wall::Open {
+            return field;
+        }
+        let rest = field.scaled(1.0 - weight);
+        let normal = DVec3::AXES[axis];
+        let through = self.tables[wall].transmission(direction.dot(normal).abs());
+        let (te, tm) = incidence_frame(direction, normal);
+        let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
+        Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }
+    }
+
+    /// Returns whether fields reach points behind a wall.
+    fn is_passable(&self, wall: usize) -> bool {
+        self.transmission || self.walls[wall] == Wall::Open
+    }
+
+    /// Returns the distance of a point in the room from the nearest upright wall that hides what is behind it, m. It is
+    /// negative behind such a wall, and infinite if there is none.
+    pub(crate) fn depth_within_m(&self, point: DVec3) -> f64 {
+        let depths_m = [point.x, self.size_m.x - point.x, point.y, self.size_m.y - point.y];
+        (0..4).filter(|&wall| !self.is_passable(wall)).map(|wall| depths_m[wall]).fold(f64::INFINITY, f64::min)
     }
 
     /// Propagates a field past all mirror planes between an image and a point of the room.
@@ -324,7 +336,7 @@ impl BoxRoom {
     }
 
     /// Returns whether no image but the antenna itself contributes to the field anywhere in a ball, because it lies
-    /// behind upright walls that transmit.
+    /// behind upright walls that transmit or are open.
     pub(crate) fn is_behind_walls(&self, centre: DVec3, radius_m: f64) -> bool {
         let beyond_m = |wall: usize| {
             let axis = wall / 2;
@@ -332,9 +344,8 @@ impl BoxRoom {
         };
         let is_wholly_behind = |wall: usize| beyond_m(wall) - radius_m >= self.walls[wall].depth_m();
         let is_wholly_before = |wall: usize| beyond_m(wall) + radius_m <= 0.0;
-        self.transmission
-            && (0..4).any(is_wholly_behind)
-            && (0..4).all(|wall| is_wholly_behind(wall) || is_wholly_before(wall))
+        (0..4).any(is_wholly_behind)
+            && (0..4).all(|wall| is_wholly_before(wall) || is_wholly_behind(wall) && self.is_passable(wall))
     }
 
     /// Returns the upright wall that the straight path from a point of the room to an outside point crosses. The result
@@ -415,7 +426,10 @@ mod tests {
     /// In balls that lie behind walls, images leave no field; there are such balls behind every upright wall.
     #[test]
     fn images_leave_nothing_behind_walls() {
-        let room = BoxRoom { transmission: true, ..room() };
+        let passable = BoxRoom { transmission: true, ..room() };
+        let mut walls = [Wall::Open; 6];
+        walls[4] = passable.walls[4];
+        let open = BoxRoom::new(passable.size_m, walls, K, false);
         let position = DVec3::new(0.4, 1.9, 1.2);
         let element = Element {
             position,
@@ -423,25 +437,27 @@ mod tests {
             radar_from_world: DMat3::IDENTITY,
             pattern: Pattern::isotropic(),
         };
-        let (radius_m, mut behind) = (0.25, [0; 4]);
-        for i in 0..40 {
-            for j in 0..40 {
-                let centre = DVec3::new(-2.0 + 0.23 * f64::from(i), -2.0 + 0.2 * f64::from(j), 1.1);
-                if !room.is_behind_walls(centre, radius_m) {
-                    continue;
-                }
-                let beyond = [centre.x < 0.0, centre.x > 5.0, centre.y < 0.0, centre.y > 4.0];
-                behind.iter_mut().zip(beyond).for_each(|(count, is_beyond)| *count += i32::from(is_beyond));
-                for side in [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y, DVec3::new(0.7, -0.7, 0.1)] {
-                    for index in images(2).into_iter().filter(|&index| order(index) > 0) {
-                        let field = room.illuminate(&element, index, centre + side * radius_m).field;
-                        assert_eq!(field.magnitude(), 0.0, "{centre} {side} {index:?}");
+        for room in [passable, open] {
+            let (radius_m, mut behind) = (0.25, [0; 4]);
+            for i in 0..40 {
+                for j in 0..40 {
+                    let centre = DVec3::new(-2.0 + 0.23 * f64::from(i), -2.0 + 0.2 * f64::from(j), 1.1);
+                    if !room.is_behind_walls(centre, radius_m) {
+                        continue;
+                    }
+                    let beyond = [centre.x < 0.0, centre.x > 5.0, centre.y < 0.0, centre.y > 4.0];
+                    behind.iter_mut().zip(beyond).for_each(|(count, is_beyond)| *count += i32::from(is_beyond));
+                    for side in [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y, DVec3::new(0.7, -0.7, 0.1)] {
+                        for index in images(2).into_iter().filter(|&index| order(index) > 0) {
+                            let field = room.illuminate(&element, index, centre + side * radius_m).field;
+                            assert_eq!(field.magnitude(), 0.0, "{centre} {side} {index:?}");
+                        }
                     }
                 }
             }
+            assert!(behind.iter().all(|&count| count > 50), "{behind:?}");
+            assert!(!room.is_behind_walls(position, radius_m));
         }
-        assert!(behind.iter().all(|&count| count > 50), "{behind:?}");
-        assert!(!room.is_behind_walls(position, radius_m));
     }
 
     /// Returns all planes, sorted by their fractions.

@@ -40,9 +40,13 @@ impl Ground {
     /// Returns the corners of a route between two positions, the last one included. The distance to a block is reduced
     /// if the route begins or ends close to it. The route is straight if there is no way around.
     pub fn route(&self, from: [f64; 2], to: [f64; 2]) -> Vec<[f64; 2]> {
+        self.way_around(from, to).unwrap_or_else(|| vec![to])
+    }
+
+    /// Returns the corners of a route as [`Ground::route`]; `None` if there is no way around.
+    pub fn way_around(&self, from: [f64; 2], to: [f64; 2]) -> Option<Vec<[f64; 2]>> {
         let tries = if self.has_walls { NEARER.len() } else { 1 };
-        let way = NEARER.iter().take(tries).find_map(|part| self.way(from, to, part * self.keep_off_m));
-        way.unwrap_or_else(|| vec![to])
+        NEARER.iter().take(tries).find_map(|part| self.way(from, to, part * self.keep_off_m))
     }
 
     /// Returns a route with a given distance to the blocks; `None` if there is none.
@@ -207,6 +211,7 @@ mod tests {
             assert_eq!(ground.route([1.95, 1.0], [3.05, 1.0]).last(), Some(&[3.05, 1.0]));
             let wall = Ground::new([6.0, 4.0], vec![[[2.0, 0.0], [2.2, 4.0]]], 0.3);
             assert_eq!(wall.route([1.0, 1.0], [5.0, 1.0]), [[5.0, 1.0]]);
+            assert_eq!(wall.way_around([1.0, 1.0], [5.0, 1.0]), None);
             assert_eq!(Ground::default().route([1.0, 1.0], [1.0, 1.0]), [[1.0, 1.0]]);
         }
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{SceneError, line_of_key};
+use super::{SceneError, line_of_value};
 use crate::material::{Material, OPEN, OwnMaterial};
 use crate::people::postures::DEEPEST_SQUAT;
 use crate::scene_file::{
@@ -31,7 +31,7 @@ impl Fault {
     pub(super) fn at(self, path: &Path, text: &str) -> SceneError {
         SceneError::Value {
             path: path.to_owned(),
-            line: line_of_key(text, self.key),
+            line: line_of_value(text, self.key, &self.value),
             key: self.key.to_owned(),
             value: self.value,
             expected: self.expected,
@@ -51,7 +51,9 @@ pub(super) fn within(key: &'static str, value: f64, min: f64, max: f64, unit: &s
     if value >= min && value <= max {
         return Ok(());
     }
-    fault(key, value, format!("{min} to {max} {unit}"))
+    // Numbers of tables and of people are whole.
+    let text = format!("{value:?}");
+    fault(key, format_args!("{}", text.strip_suffix(".0").unwrap_or(&text)), format!("{min} to {max} {unit}"))
 }
 
 fn interval(key: &'static str, [low, high]: [f64; 2], min: f64, max: f64, unit: &str) -> Result<(), Fault> {
@@ -278,7 +280,13 @@ fn check_door(door: &DoorFile, [width_m, depth_m, _]: [f64; 3]) -> Result<(), Fa
         let expected = format!("a place on one upright wall: x is 0 or {width_m}, or y is 0 or {depth_m}");
         return fault("door", door.position_m, expected);
     }
-    within("width_m", door.width_m, 0.4, 10.0, "m")
+    within("width_m", door.width_m, 0.4, 10.0, "m")?;
+    let (middle_m, length_m) = if on_x { (y, depth_m) } else { (x, width_m) };
+    let most_m = 2.0 * middle_m.min(length_m - middle_m);
+    if door.width_m > most_m + 1e-9 {
+        return fault("width_m", door.width_m, format!("at most {most_m:.2} m: there its wall ends"));
+    }
+    Ok(())
 }
 
 /// Checks options that exclude an actor's file, and options that need one.
@@ -369,21 +377,22 @@ fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
 
 /// Checks one step of a script for a person of the given height, except the tables that the step names.
 fn check_step(step: &StepFile, height_m: f64) -> Result<(), Fault> {
-    let given = [
-        step.walk_to_m.is_some(),
-        step.stand_s.is_some(),
-        step.sit_s.is_some(),
-        step.squat_s.is_some(),
-        step.lie_s.is_some(),
-        step.face_deg.is_some(),
-        step.enter_door.is_some(),
-        step.leave_door.is_some(),
+    let actions = [
+        ("walk_to_m", step.walk_to_m.is_some()),
+        ("stand_s", step.stand_s.is_some()),
+        ("sit_s", step.sit_s.is_some()),
+        ("squat_s", step.squat_s.is_some()),
+        ("lie_s", step.lie_s.is_some()),
+        ("face_deg", step.face_deg.is_some()),
+        ("enter_door", step.enter_door.is_some()),
+        ("leave_door", step.leave_door.is_some()),
     ];
-    if given.iter().filter(|&&g| g).count() != 1 {
-        let expected =
-            "one of walk_to_m, stand_s, sit_s, squat_s, lie_s, face_deg, enter_door, leave_door in each step";
-        return fault("step", given, expected);
-    }
+    let given: Vec<&str> = actions.iter().filter(|(_, is_given)| *is_given).map(|(key, _)| *key).collect();
+    let &[action] = given.as_slice() else {
+        let found = if given.is_empty() { "without any of them".to_owned() } else { given.join(" and ") };
+        let expected = format!("one of {} in each step", actions.map(|(key, _)| key).join(", "));
+        return fault("step", format_args!("{found}"), expected);
+    };
     for xy in step.walk_to_m.iter().flatten() {
         within("walk_to_m", *xy, -1000.0, 1000.0, "m")?;
     }
@@ -396,10 +405,16 @@ fn check_step(step: &StepFile, height_m: f64) -> Result<(), Fault> {
     within("face_deg", step.face_deg.unwrap_or(0.0), -360.0, 360.0, "degrees")?;
     let deepest_m = DEEPEST_SQUAT * height_m;
     within("depth_m", step.depth_m.unwrap_or(0.1), 0.0, deepest_m, "m (0.36 of the body's height)")?;
-    match (step.depth_m, step.squat_s, step.bed, step.lie_s) {
-        (Some(_), None, ..) => fault("depth_m", "given", "none without squat_s"),
-        (.., Some(_), None) => fault("bed", "given", "none without lie_s"),
-        _ => Ok(()),
+    let walks = matches!(action, "walk_to_m" | "lie_s" | "enter_door" | "leave_door") || step.seat.is_some();
+    let others = [
+        ("depth_m", step.depth_m.is_some(), action == "squat_s", "squat_s"),
+        ("bed", step.bed.is_some(), action == "lie_s", "lie_s"),
+        ("seat", step.seat.is_some(), action == "sit_s", "sit_s"),
+        ("speed_m_per_s", step.speed_m_per_s.is_some(), walks, "a walk, as of walk_to_m"),
+    ];
+    match others.into_iter().find(|&(_, is_given, has_use, _)| is_given && !has_use) {
+        Some((key, _, _, with)) => fault(key, "given", format!("none without {with}")),
+        None => Ok(()),
     }
 }
 

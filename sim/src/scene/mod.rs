@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use thiserror::Error;
 
 use crate::em::image::{BoxRoom, Element, Wall};
@@ -42,22 +42,23 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// A file is not valid TOML, or has a wrong key or type.
-    #[error("{path}:{line}: {message}")]
+    #[error("{}: {message}", place(.path, *.line))]
     Parse {
         /// Path of the file.
         path: PathBuf,
-        /// Line number, from 1.
-        line: usize,
+        /// Line number, from 1; none if it is not known which of several lines it is.
+        line: Option<usize>,
         /// Message of the parser: the text found and the text expected.
         message: String,
     },
     /// A value is not allowed.
-    #[error("{path}:{line}: {key} is {value}, expected {expected}")]
+    #[error("{}: {key} is {value}, expected {expected}", place(.path, *.line))]
     Value {
         /// Path of the file.
         path: PathBuf,
-        /// Line number, from 1; the file's first line if the key is not written there.
-        line: usize,
+        /// Line number, from 1; the file's first line if the key is not written there. None if several lines have the key,
+        /// and it is not known which of them it is.
+        line: Option<usize>,
         /// Key of the value.
         key: String,
         /// Value that was given.
@@ -198,11 +199,15 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
+        /// Largest number of values of a list that are tried: each takes as long as reading the scene.
+        const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
             scene.text = Some(text.into());
-            for end in [Draw::Least, Draw::Greatest] {
-                scene.drawn_at(end)?;
+            let most = scene.file.random.values().flat_map(|key| &key.of).map(Vec::len).max().unwrap_or(0);
+            let listed = (1..most.min(MOST_TRIED)).map(Draw::Listed);
+            for draw in [Draw::Least, Draw::Greatest].into_iter().chain(listed) {
+                scene.drawn_at(draw)?;
             }
         }
         Ok(scene)
@@ -237,10 +242,11 @@ impl Scene {
         })?;
         let text_of_draw = table.to_string();
         let parse = || Self::parse_fixed(&text_of_draw, path);
-        // Warnings were given when the file was read, for the ends of all ranges. They are not repeated for each seed.
+        // Warnings were given when the file was read, for the ends of all ranges and for listed values. They are not
+        // repeated for each seed.
         let parsed = match draw {
             Draw::Seed(_) => tracing::subscriber::with_default(tracing::subscriber::NoSubscriber::default(), parse),
-            Draw::Least | Draw::Greatest => parse(),
+            Draw::Least | Draw::Greatest | Draw::Listed(_) => parse(),
         };
         let scene = parsed.map_err(|reason| SceneError::Drawn {
             path: path.clone(),
@@ -248,6 +254,7 @@ impl Scene {
                 Draw::Seed(seed) => format!("seed {seed}"),
                 Draw::Least => "all the least".to_owned(),
                 Draw::Greatest => "all the greatest".to_owned(),
+                Draw::Listed(index) => format!("number {} of each list", index + 1),
             },
             reason: reason.to_string(),
         })?;
@@ -263,22 +270,17 @@ impl Scene {
     }
 
     fn parse_fixed(text: &str, path: &Path) -> Result<Self, SceneError> {
-        let mut file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        let mut file: SceneFile = parse_toml(text).map_err(|e| parse_error(path, text, &e))?;
         let receiver = match &file.receiver {
             None => Receiver::typical(),
-            Some(value) => {
-                let line = line_of(text, value.span().start);
-                match value.get_ref() {
-                    toml::Value::String(relative) => load_receiver(&named(path, relative)?)?,
-                    inline => {
-                        let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
-                            let message = format!("receiver: {}", e.message());
-                            SceneError::Parse { path: path.to_owned(), line, message }
-                        })?;
-                        check_receiver(&receiver, path, text)?;
-                        receiver
-                    }
-                }
+            Some(toml::Value::String(relative)) => load_receiver(&named(path, relative)?)?,
+            Some(inline) => {
+                let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
+                    let message = format!("receiver: {}", in_words(e.message()));
+                    SceneError::Parse { path: path.to_owned(), line: Some(line_of_key(text, "receiver")), message }
+                })?;
+                check_receiver(&receiver, path, text)?;
+                receiver
             }
         };
         let waveform = Waveform::realise(file.waveform.clone()).map_err(|source| {
@@ -437,7 +439,7 @@ impl Scene {
 /// [`SceneError`] if the file cannot be read, is malformed, or has a value that is out of range.
 pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
     let text = read(path)?;
-    let receiver: Receiver = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;
+    let receiver: Receiver = parse_toml(&text).map_err(|e| parse_error(path, &text, &e))?;
     check_receiver(&receiver, path, &text)?;
     Ok(receiver)
 }
@@ -447,7 +449,7 @@ fn check_receiver(receiver: &Receiver, path: &Path, text: &str) -> Result<(), Sc
         None => Ok(()),
         Some((key, value, expected)) => Err(SceneError::Value {
             path: path.to_owned(),
-            line: line_of_key(text, key),
+            line: line_of_value(text, key, &value),
             key: key.to_owned(),
             value,
             expected: expected.to_owned(),
@@ -472,22 +474,75 @@ fn named(scene: &Path, name: &str) -> Result<PathBuf, SceneError> {
 }
 
 fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {
-    let line = error.span().map_or(1, |span| line_of(text, span.start));
-    SceneError::Parse { path: path.to_owned(), line, message: error.message().to_owned() }
+    let message = in_words(error.message());
+    let line = match error.span() {
+        Some(span) => Some(line_of(text, span.start)),
+        // A surplus value has no place, and the message ends with the path of its key.
+        None => {
+            let key = message.trim_end_matches('`').rsplit(['.', '`']).next().unwrap_or_default();
+            match lines_of_key(text, key).collect::<Vec<_>>().as_slice() {
+                [] => Some(1),
+                [(line, _)] => Some(*line),
+                _ => None,
+            }
+        }
+    };
+    SceneError::Parse { path: path.to_owned(), line, message }
 }
 
 fn line_of(text: &str, offset: usize) -> usize {
     1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
 }
 
+/// Message of the parser with words in place of types of the program.
+fn in_words(message: &str) -> String {
+    let Some((found, expected)) = message.rsplit_once("expected ") else { return message.to_owned() };
+    let words = match expected.split(' ').next().unwrap_or_default() {
+        "struct" => "a table",
+        "u8" => "a whole number from 0 to 255",
+        "u32" | "u64" | "usize" => "a whole number of 0 or more",
+        "f64" => "a number",
+        _ => return message.to_owned(),
+    };
+    format!("{found}expected {words}")
+}
+
+/// Path of a file with the number of a line, if that is known.
+fn place(path: &Path, line: Option<usize>) -> String {
+    line.map_or_else(|| path.display().to_string(), |line| format!("{}:{line}", path.display()))
+}
+
 /// First line on which a key (or a table header) is written; 1 if nowhere.
 fn line_of_key(text: &str, key: &str) -> usize {
-    let written = |line: &str| {
-        let line = line.split('#').next().unwrap_or("");
-        line.match_indices(key).any(|(at, _)| {
-            let edge = |c: Option<char>| c.is_none_or(|c| !(c.is_alphanumeric() || c == '_'));
-            edge(line[..at].chars().next_back()) && edge(line[at + key.len()..].chars().next())
-        })
+    lines_of_key(text, key).next().map_or(1, |(line, _)| line)
+}
+
+/// Line on which a key has a value: the only one with the key, or the first of several that has the value, too. `None` if
+/// none of several has it, and 1 if the key is written nowhere.
+fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
+    // Numbers may be written in several ways, as 2 and 2.0.
+    let numbers = |text: &str| -> Vec<f64> {
+        let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || "+-._".contains(c)));
+        words.filter_map(|word| word.replace('_', "").parse().ok()).collect()
     };
-    text.lines().position(written).map_or(1, |i| i + 1)
+    let wanted = numbers(value);
+    let has_value =
+        |rest: &str| if wanted.is_empty() { rest.contains(value) } else { numbers(rest).starts_with(&wanted) };
+    match lines_of_key(text, key).collect::<Vec<_>>().as_slice() {
+        [] => Some(1),
+        [(line, _)] => Some(*line),
+        several => several.iter().find(|(_, rest)| has_value(rest)).map(|(line, _)| *line),
+    }
+}
+
+/// Lines on which a key (or a table header) is written: the number of each, from 1, and what follows the key.
+fn lines_of_key<'a>(text: &'a str, key: &'a str) -> impl Iterator<Item = (usize, &'a str)> {
+    let is_edge = |c: Option<char>| c.is_none_or(|c| !(c.is_alphanumeric() || c == '_'));
+    (1..).zip(text.lines()).filter_map(move |(number, line)| {
+        let line = line.split('#').next().unwrap_or("");
+        let mut parts = line.match_indices(key).map(move |(at, _)| (&line[..at], &line[at + key.len()..]));
+        let is_whole =
+            |(before, after): &(&str, &str)| is_edge(before.chars().next_back()) && is_edge(after.chars().next());
+        parts.find(is_whole).map(|(_, after)| (number, after))
+    })
 }

@@ -195,7 +195,9 @@ fn check_walls(file: &SceneFile, plan: &PlanFile) -> Result<(), Fault> {
     within("opening", plan.opening.len() as f64, 0.0, MOST, "tables")?;
     within("partition", plan.partition.len() as f64, 0.0, MOST, "tables")?;
     if let Some(opening) = plan.opening.iter().find(|opening| opening.wall.is_none_or(|wall| wall >= count)) {
-        return fault("opening", opening.wall, format!("wall = an index below the number of walls, {count}"));
+        let found = opening.wall.map_or_else(|| "without wall".to_owned(), |wall| format!("with wall = {wall}"));
+        let expected = format!("wall = an index below the number of walls, {count}");
+        return fault("opening", format_args!("{found}"), expected);
     }
     for (index, [from, to]) in walls(plan).into_iter().enumerate() {
         let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
@@ -228,8 +230,8 @@ fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile)
     check_material(file, "material", &partition.material)?;
     within("thickness_m", partition.thickness_m, 0.0, 10.0, "m")?;
     within("opening", partition.opening.len() as f64, 0.0, MOST, "tables")?;
-    if let Some(opening) = partition.opening.iter().find(|opening| opening.wall.is_some()) {
-        return fault("opening", opening.wall, "no wall in a partition's own opening");
+    if let Some(wall) = partition.opening.iter().find_map(|opening| opening.wall) {
+        return fault("opening", format_args!("with wall = {wall}"), "no wall in a partition's own opening");
     }
     check_openings(file, &partition.opening.iter().collect::<Vec<_>>(), length_m, height_m)
 }
@@ -268,7 +270,10 @@ fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_
         if opening.material.is_some() && opening.door.is_some() {
             return fault("opening", "a pane and a door", "material or door");
         }
-        within("thickness_m", opening.thickness_m, 0.0, 10.0, "m")?;
+        if opening.thickness_m.is_some() && opening.material.is_none() {
+            return fault("thickness_m", "given", "none without a pane's material: a door has its own");
+        }
+        within("thickness_m", opening.pane_thickness_m(), 0.0, 10.0, "m")?;
         opening.material.iter().try_for_each(|material| check_material(file, "material", material))?;
         if let Some(door) = &opening.door {
             within("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
@@ -390,7 +395,7 @@ impl Builder<'_> {
         for opening in openings {
             if let Some(material) = &opening.material {
                 let pane = upright.part(rectangle(opening)).map(facing);
-                self.add(pane, (material, opening.thickness_m), &format!("pane in {name}"), group);
+                self.add(pane, (material, opening.pane_thickness_m()), &format!("pane in {name}"), group);
             }
             if let Some(door) = &opening.door {
                 let (leaf, is_shut) = upright.leaf(opening, door, if is_left { 1.0 } else { -1.0 });

@@ -58,6 +58,8 @@ pub(crate) enum Draw {
     Least,
     /// At the greatest, or the last.
     Greatest,
+    /// At the least, and of listed values at the one with this index, or the last.
+    Listed(usize),
 }
 
 /// Keys that must be the same for all seeds, since frames of all of them go together.
@@ -70,7 +72,8 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
     for (key, from) in random {
         let fault = |found: String, expected| Err(DrawFault { key: key.clone(), found, expected });
         if FIXED.iter().any(|fixed| key.split('.').next() == Some(fixed)) {
-            return fault(key.clone(), "a key under room, radar, receiver, furniture, seat, door or people");
+            let expected = "a key under room, materials, radar, receiver, furniture, seat, bed, door or people";
+            return fault(key.clone(), expected);
         }
         let mut source = Source { draw, rng: generator(seed_of(draw), Purpose::Scene, [hash(key), 0]) };
         let value = match (&from.between, &from.of) {
@@ -80,8 +83,18 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
                     return fault(format!("[{low}, {high}]"), "two numbers, or two lists of as many, low before high");
                 }
             },
-            (None, Some(values)) if !values.is_empty() => values[source.index(values.len())].clone(),
-            _ => return fault(format!("{from:?}"), "either `between = [low, high]` or `of = [...]`"),
+            (None, Some(values)) if !values.is_empty() => match draw {
+                Draw::Listed(index) => values[index.min(values.len() - 1)].clone(),
+                _ => values[source.index(values.len())].clone(),
+            },
+            (between, of) => {
+                let found = match (between, of) {
+                    (None, None) => "neither",
+                    (None, Some(_)) => "of = []",
+                    (Some(_), _) => "both",
+                };
+                return fault(found.to_owned(), "either `between = [low, high]` or `of = [...]`");
+            }
         };
         if place(&mut scene, key).map(|place| *place = value).is_none() {
             return fault(
@@ -125,7 +138,7 @@ impl Source {
     fn part(&mut self) -> f64 {
         match self.draw {
             Draw::Seed(_) => self.rng.random(),
-            Draw::Least => 0.0,
+            Draw::Least | Draw::Listed(_) => 0.0,
             Draw::Greatest => 1.0,
         }
     }
@@ -162,7 +175,7 @@ fn number(value: &Value) -> Option<f64> {
 fn seed_of(draw: Draw) -> u64 {
     match draw {
         Draw::Seed(seed) => seed,
-        Draw::Least | Draw::Greatest => 0,
+        Draw::Least | Draw::Greatest | Draw::Listed(_) => 0,
     }
 }
 
@@ -250,6 +263,9 @@ step = [{ walk_to_m = [2.0, 2.0] }]
                 (r#""furniture.3.points" = { between = [1, 2] }"#, "furniture.3.points"),
                 (r#""room.floor.material" = { of = ["concrete", "cheese"] }"#, "cheese"),
                 (r#""room.floor.colour" = { of = ["red"] }"#, "colour"),
+                (r#""room.floor.material" = { of = ["concrete", "cheese", "wood"] }"#, "cheese"),
+                (r#""radar.tilt_down_deg" = { of = [] }"#, "found of = []"),
+                (r#""waveform.if_gain_db" = { of = [30.0] }"#, "materials, radar, receiver, furniture, seat, bed"),
                 (r#""radar.position_m" = { between = [[0.1, 1.0, 1.0], [0.1, 9.0, 1.0]] }"#, "all the greatest"),
                 (r#""radar.tilt_down_deg" = { between = [nan, 1.0] }"#, "numbers"),
             ];

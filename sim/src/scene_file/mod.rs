@@ -12,7 +12,6 @@ use std::collections::BTreeMap;
 use radome_dsp::WaveformRequest;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
-use toml::Spanned;
 
 use crate::geometry::import::{LengthUnit, UpAxis};
 use crate::material::OwnMaterial;
@@ -38,7 +37,7 @@ pub struct SceneFile {
     /// Path of a receiver file, relative to the scene file, or the receiver's own table. Datasheet typicals if absent.
     #[serde(default)]
     #[schemars(schema_with = "path_or_receiver")]
-    pub receiver: Option<Spanned<toml::Value>>,
+    pub receiver: Option<toml::Value>,
     /// The room.
     pub room: RoomFile,
     /// Materials beside those of the table, by name.
@@ -94,7 +93,7 @@ pub struct RoomFile {
     pub max_body_reflections: u32,
     /// Whether people behind walls are seen through them: the upright ones of a box, on the straight way; all faces that rays are
     /// sent through. Plasterboard takes some 11 dB of their echoes, both ways, concrete all of them. Default false: who is behind
-    /// a wall is not seen.
+    /// a wall is not seen, unless it is open.
     #[serde(default)]
     pub transmission: bool,
     /// Share of the power that falls on the surfaces that they throw in all directions, by their roughness and by what hangs and

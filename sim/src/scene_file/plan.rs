@@ -103,10 +103,16 @@ pub struct OpeningFile {
     /// Material of a pane that fills it. None if absent.
     pub material: Option<String>,
     /// Thickness of the pane, m. Default 0.006.
-    #[serde(default = "pane_thickness")]
-    pub thickness_m: f64,
+    pub thickness_m: Option<f64>,
     /// A door in it. None if absent.
     pub door: Option<DoorLeafFile>,
+}
+
+impl OpeningFile {
+    /// Thickness of the pane, m.
+    pub(crate) fn pane_thickness_m(&self) -> f64 {
+        self.thickness_m.unwrap_or(0.006)
+    }
 }
 
 /// A door leaf as wide and as high as its opening.
@@ -136,9 +142,6 @@ pub enum HingeFile {
     To,
 }
 
-fn pane_thickness() -> f64 {
-    0.006
-}
 fn leaf_thickness() -> f64 {
     0.04
 }

@@ -93,8 +93,10 @@ impl Problem {
     /// method does not suit the target, waves bounce too often in it, or the mesh would be empty or too fine.
     pub fn new(target: &Target, setup: &Setup, method: Method, mesh_edge_m: Option<f64>) -> Result<Self, RcsError> {
         check("the frequency", setup.frequency_hz, "Hz", 1e8, 1e12)?;
-        check("the azimuth", setup.azimuth_rad, "rad", -10.0, 10.0)?;
-        check("the elevation", setup.elevation_rad, "rad", -0.5 * PI - 1e-12, 0.5 * PI + 1e-12)?;
+        // Rounded, so that angles of radians are within the bounds where those of degrees are.
+        let degrees = |angle_rad: f64| (angle_rad.to_degrees() * 1e6).round() / 1e6;
+        check("the azimuth", degrees(setup.azimuth_rad), "degrees", -720.0, 720.0)?;
+        check("the elevation", degrees(setup.elevation_rad), "degrees", -90.0, 90.0)?;
         let reach_m = check_sizes(target)?;
         if let Some(range_m) = setup.range_m {
             check("the range", range_m, "m", 1e-3, 1e6)?;

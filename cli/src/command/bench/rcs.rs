@@ -1,7 +1,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::ValueEnum;
 use glam::DVec3;
 use radome_sim::em::image::Wall;
@@ -290,9 +290,9 @@ fn boundary(arguments: &Arguments) -> anyhow::Result<Wall> {
         "pec" | "metal" => None,
         "skin" => Some(SKIN_PERMITTIVITY),
         _ => {
-            let value = serde_json::Value::from(name);
-            let material: Material =
-                serde_json::from_value(value).with_context(|| format!("unknown material {name}: pec, skin"))?;
+            let Some(material) = Material::named(name) else {
+                bail!("--material is {name:?}, expected one of pec, skin, {}", Material::NAMES.join(", "));
+            };
             let Some(permittivity) = material.permittivity(arguments.frequency_hz) else {
                 bail!("{name} reflects nothing\n\nhint: choose pec, skin or a building material");
             };

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use schemars::JsonSchema;
@@ -72,7 +72,7 @@ pub struct StudyFile {
 /// The file or one that it names cannot be read, or it is no study.
 pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: StudyFile = toml::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
+    let file: StudyFile = parse_toml(&text).with_context(|| format!("{} is no study", path.display()))?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
     spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;

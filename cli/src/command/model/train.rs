@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::dataset::{Dataset, DatasetError, lock_file};
 use radome_models::{NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
@@ -152,8 +152,7 @@ fn train(arguments: &Arguments, checkpoint: &Path) -> anyhow::Result<()> {
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut spec: TrainSpec =
-        toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))?;
+    let mut spec: TrainSpec = parse_toml(&text).with_context(|| format!("{} is no training spec", path.display()))?;
     spec.check().with_context(|| format!("{} is no training spec", path.display()))?;
     if let Some(weights) = &spec.weights {
         let folder = path.parent().unwrap_or(Path::new(""));

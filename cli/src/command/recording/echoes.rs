@@ -192,7 +192,7 @@ fn calibrate(
 
 fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: AngleFile = toml::from_str(&text).with_context(|| {
+    let file: AngleFile = radome_files::parse_toml(&text).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()

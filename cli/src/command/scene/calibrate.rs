@@ -28,6 +28,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
         arguments.overwrite.check(output, &inputs.map(std::path::PathBuf::as_path).collect::<Vec<_>>())?;
     }
+    if arguments.people.is_some() && arguments.scene.is_none() {
+        bail!(
+            "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
+        );
+    }
     if !(arguments.part > 0.0 && arguments.part < 1.0) {
         bail!("--part is {}, expected a number between 0 and 1", arguments.part);
     }

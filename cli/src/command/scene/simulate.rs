@@ -10,7 +10,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
 use super::preview;
-use crate::output_file::Overwrite;
+use crate::output_file::{Overwrite, check_is_mcap};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
 use crate::{kept, output};
@@ -78,6 +78,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(output) = &file {
         // A shard that is there is kept or made again.
         let overwrite = if arguments.shard.is_some() { Overwrite::yes() } else { arguments.overwrite };
+        check_is_mcap(output)?;
         overwrite.check(output, &[&arguments.scene])?;
     }
     // A shard gets its final name when it is complete, so that an interrupted run can be repeated.

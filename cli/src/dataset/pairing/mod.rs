@@ -269,8 +269,8 @@ impl<'a> Pairing<'a> {
         Ok(Followed { taken, start_s: first_ns as f64 * 1e-9, times_s, detections })
     }
 
-    /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end. Returns the
-    /// time of the first frame, ns.
+    /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end, unless the
+    /// settings end it. Returns the time of the first frame, ns.
     fn check(&self, taken: &[Taken], spans: &[LabelSpan]) -> anyhow::Result<u64> {
         let recording = &self.settings.recording;
         let (Some(first), Some(last)) = (taken.first(), taken.last()) else { bail!("{recording}: no frame") };
@@ -285,7 +285,14 @@ impl<'a> Pairing<'a> {
         }
         if !spans.is_empty() {
             let end_s = last.time_ns as f64 * 1e-9 + self.waveform.frame_interval_s();
-            check_spans(spans, Some((first.time_ns as f64 * 1e-9, end_s)))?;
+            // Labels go on where the settings end the recording.
+            let is_cut = self.settings.frames.is_some();
+            let before_end = spans.iter().filter(|span| !is_cut || span.start_s < end_s);
+            let cut = |span: &LabelSpan| match is_cut {
+                true => LabelSpan { end_s: span.end_s.min(end_s), ..span.clone() },
+                false => span.clone(),
+            };
+            check_spans(&before_end.map(cut).collect::<Vec<_>>(), Some((first.time_ns as f64 * 1e-9, end_s)))?;
         }
         Ok(first.time_ns)
     }
@@ -385,7 +392,7 @@ fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
 fn read_waypoints(path: &Path) -> anyhow::Result<WayPoints> {
     let text = radome_files::read_text(path, radome_files::TEXT_LIMIT_BYTES)
         .with_context(|| format!("{} cannot be read", path.display()))?;
-    let points: WayPoints = toml::from_str(&text).with_context(|| {
+    let points: WayPoints = radome_files::parse_toml(&text).with_context(|| {
         format!(
             "{} holds no way-points\n\nhint: for each person [[person]] with point = [{{ time_s = 1.5, position_m = [2.0, 1.0] }}, ...]",
             path.display()

@@ -129,7 +129,8 @@ fn others(roles: &[Role], person: usize, frame: usize) -> usize {
     roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
 }
 
-/// Computes the knots of all roles.
+/// Computes the knots of all roles. People who were followed into or beyond a wall are moved to where the mirror's echoes
+/// of them are not hidden; ways through a door stay as they are.
 ///
 /// # Errors
 /// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of
@@ -140,6 +141,22 @@ pub fn fill(
     scene: &SceneFile,
     points: &WayPoints,
 ) -> Result<(), ScriptError> {
+    let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
+    let is_off_walls = |s: &Smoothed| off_walls(place(s), size) == place(s);
+    let is_in_doorway = |s: &Smoothed| {
+        scene.door.iter().any(|door| {
+            let (nearest, out) = doorway(door, place(s), size);
+            let off = place(s) - nearest;
+            off.dot(out) > -DOORSTEP_M && off.perp_dot(out).abs() < DOORSTEP_M
+        })
+    };
+    for tracklet in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
+        let runs = tracklet.track.chunk_by_mut(|a, b| is_off_walls(a) == is_off_walls(b));
+        for state in runs.filter(|run| !run.iter().any(is_in_doorway)).flatten() {
+            let at = off_walls(place(state), size);
+            (state.x, state.y) = (at.x, at.y);
+        }
+    }
     let all: Vec<Vec<Knot>> =
         (0..roles.len()).map(|person| knots(roles, person, detections, scene, points)).collect::<Result<_, _>>()?;
     roles.iter_mut().zip(all).for_each(|(role, knots)| role.knots = knots);
@@ -257,8 +274,12 @@ fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
         return Vec::new();
     }
     let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
-    let place = place(state) + velocity(state) * (time_s - state.time_s);
-    vec![Knot { time_s, place: place.clamp(DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5)) }]
+    vec![Knot { time_s, place: off_walls(place(state) + velocity(state) * (time_s - state.time_s), size) }]
+}
+
+/// Nearest place in a room of a size at which a body is not in a wall.
+fn off_walls(place: DVec2, size: DVec2) -> DVec2 {
+    place.clamp(DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5))
 }
 
 /// Path through the door whose distance fits the time best, starting from where the person was seen. `sign` is -1 for
@@ -494,6 +515,37 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Echoes of people in and beyond walls are removed: the mirror lost people whom the recording showed beside a wall.
+        #[test]
+        fn who_was_followed_into_a_wall_is_in_the_room_unless_it_is_a_door() {
+            let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+            let scene = radome_sim::Scene::load(&file).expect("a scene");
+            let tracklet = |places: &[(f64, f64)]| {
+                let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
+                    frame,
+                    time_s: 0.1 * frame as f64,
+                    x,
+                    y,
+                    vx: 1.0,
+                    vy: 0.0,
+                    sigma_m: 0.1,
+                    snr_db: Some(20.0),
+                    is_visible: true,
+                };
+                Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
+            };
+            let through_a_door = [(11.6, 1.0), (11.9, 1.0), (12.4, 1.1), (13.0, 2.5)];
+            for (followed, expected) in [
+                ([(5.0, 1.5), (5.1, 1.95), (5.2, 2.4), (5.3, 1.6)], [(5.0, 1.5), (5.1, 1.8), (5.2, 1.8), (5.3, 1.6)]),
+                (through_a_door, through_a_door),
+            ] {
+                let mut roles = [Role { tracklets: vec![tracklet(&followed)], knots: Vec::new() }];
+                fill(&mut roles, &[], scene.file(), &WayPoints::default()).expect("no way-points");
+                let places: Vec<(f64, f64)> = roles[0].tracklets[0].track.iter().map(|s| (s.x, s.y)).collect();
+                assert_eq!(places, expected);
+            }
+        }
 
         #[test]
         fn nobody_runs_faster_than_scripts_go() {

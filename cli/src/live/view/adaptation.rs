@@ -8,6 +8,7 @@ use radome_dsp::Occupancy;
 use serde::Serialize;
 
 use crate::judge::CFAR;
+use crate::shell;
 
 /// File that the command writes. `radome model adapt` does not replace an existing file.
 const OUTPUT: &str = "room-mine.safetensors";
@@ -78,9 +79,8 @@ impl Offer {
 /// Quotes a path as one word of a POSIX shell.
 fn quoted(path: &Path) -> String {
     let text = path.to_string_lossy();
-    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "_./+-:@%,".contains(letter);
     let text: Cow<str> = if text.starts_with('-') { format!("./{text}").into() } else { text };
-    if text.chars().all(is_plain) { text.into_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    shell::word(&text)
 }
 
 #[cfg(test)]

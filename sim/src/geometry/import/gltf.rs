@@ -9,6 +9,7 @@ use base64::Engine;
 use glam::{DMat4, DVec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::json::validation::Validate;
+use gltf::mesh::Mode;
 use radome_files::{MESH_LIMIT_BYTES, beside, read};
 
 use super::{Mesh, ParseError, Part};
@@ -194,7 +195,8 @@ impl GltfFile {
     /// # Errors
     /// [`GltfFault`] if its positions or indices cannot be read.
     pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
-        if primitive.mode() != gltf::mesh::Mode::Triangles {
+        let mode = primitive.mode();
+        if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
             return Ok(Mesh::default());
         }
         let Some(positions) = primitive.get(&gltf::Semantic::Positions) else {
@@ -208,7 +210,16 @@ impl GltfFile {
             }
             None => (0..vertices.len() as u32).collect(),
         };
-        Ok(Mesh { vertices, triangles: indices.as_chunks::<3>().0.to_vec() })
+        let triangles = match mode {
+            // Every second triangle of a strip is wound the other way.
+            Mode::TriangleStrip => {
+                let all = indices.windows(3).enumerate();
+                all.map(|(i, t)| if i.is_multiple_of(2) { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] }).collect()
+            }
+            Mode::TriangleFan => indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]).collect(),
+            _ => indices.as_chunks::<3>().0.to_vec(),
+        };
+        Ok(Mesh { vertices, triangles })
     }
 }
 
@@ -278,17 +289,24 @@ fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
 }
 
 /// Parses the static content of a glTF file: a part for each primitive of each node that has a mesh, placed by its
-/// node.
+/// node. Only nodes of the default scene count, or of the first one; all nodes if the file has no scene.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
     let content = |f: GltfFault| ParseError::Place { place: f.place, problem: f.problem };
     let file = GltfFile::parse(bytes, folder).map_err(content)?;
     let mut world: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
+    let scene = file.document.default_scene().or_else(|| file.document.scenes().next());
+    let mut is_in_scene = vec![scene.is_none(); world.len()];
+    scene.iter().flat_map(|scene| scene.nodes()).for_each(|root| is_in_scene[root.index()] = true);
     let mut parts = Vec::new();
     for (node, parent) in file.tree().map_err(content)? {
         let Some(node) = file.document.nodes().nth(node) else { continue };
+        is_in_scene[node.index()] |= parent.is_some_and(|parent| is_in_scene[parent]);
         let local = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
         let matrix = parent.map_or(DMat4::IDENTITY, |p| world[p]) * local;
         world[node.index()] = matrix;
+        if !is_in_scene[node.index()] {
+            continue;
+        }
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let name = node.name().unwrap_or_default().to_owned();
             let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}")).map_err(content)?;

@@ -1,5 +1,6 @@
 //! Test cases of unusual and damaged mesh files.
 
+use base64::Engine;
 use rand::Rng;
 
 use super::*;
@@ -98,6 +99,86 @@ fn an_obj_s_parts_have_names_materials_and_triangles() {
     let whole = weld(&parts[0].mesh.joined(&parts[1].mesh), 1e-9).expect("a good mesh").mesh;
     assert!(whole.is_solid());
     assert!((whole.volume_m3() - 1.0).abs() < 1e-12);
+}
+
+/// A fan over a wall with a doorway covers the doorway or the wall beside it twice, unless the face begins at the right
+/// corner.
+#[test]
+fn a_doorway_in_a_wall_of_one_face_stays_open() {
+    let outline = [[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [2.0, 2.0], [2.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]];
+    let vertices: String = outline.iter().map(|[x, z]| format!("v {x} 0.5 {z}\n")).collect();
+    for first in 0..8 {
+        for (is_reversed, area_m2) in [(false, -10.0), (true, 10.0)] {
+            let mut corners: Vec<String> = (0..8).map(|i| ((first + i) % 8 + 1).to_string()).collect();
+            if is_reversed {
+                corners.reverse();
+            }
+            let text = format!("{vertices}f {}\n", corners.join(" "));
+            let mesh = &parse_obj(text.as_bytes()).expect("a good file")[0].mesh;
+            let areas: Vec<DVec3> = (0..mesh.triangles.len()).map(|t| mesh.area_vector(t) / 2.0).collect();
+            let whole_m2: f64 = areas.iter().map(|area| area.length()).sum();
+            let along_m2: f64 = areas.iter().map(|area| area.y).sum();
+            assert!((whole_m2 - 10.0).abs() < 1e-12, "{text}: {whole_m2} m^2");
+            assert!((along_m2 - area_m2).abs() < 1e-12, "{text}: {along_m2} m^2 along y");
+        }
+    }
+}
+
+/// glTF document of three nodes in two scenes: a strip with a fan as its child in the default scene, and another strip in
+/// the first one. Strip and fan are a square of 1 m^2 across z. Points beside the strip are no surface.
+fn strip_and_fan() -> serde_json::Value {
+    let places: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+    let mut bytes: Vec<u8> = places.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+    bytes.extend([0u16, 1, 3, 2].iter().flat_map(|i| i.to_le_bytes()));
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    serde_json::json!({
+        "asset": { "version": "2.0" }, "scene": 1, "scenes": [{ "nodes": [2] }, { "nodes": [0] }],
+        "nodes": [
+            { "name": "strip", "mesh": 0, "children": [1] }, { "name": "fan", "mesh": 1 }, { "name": "other", "mesh": 0 }
+        ],
+        "meshes": [
+            { "primitives": [
+                { "attributes": { "POSITION": 0 }, "mode": 5 }, { "attributes": { "POSITION": 0 }, "mode": 0 }
+            ] },
+            { "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1, "mode": 6 }] },
+        ],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0] },
+            { "bufferView": 1, "componentType": 5123, "count": 4, "type": "SCALAR" },
+        ],
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": 48 }, { "buffer": 0, "byteOffset": 48, "byteLength": 8 }
+        ],
+        "buffers": [{ "byteLength": bytes.len(), "uri": format!("data:application/octet-stream;base64,{data}") }],
+    })
+}
+
+fn gltf_parts(document: &serde_json::Value) -> Vec<Part> {
+    super::gltf::parse_gltf(document.to_string().as_bytes(), Path::new("")).expect("a good file")
+}
+
+/// Strips and fans were no surface, without a word.
+#[test]
+fn strips_and_fans_of_gltf_are_surfaces() {
+    let parts = gltf_parts(&strip_and_fan());
+    assert_eq!(parts.len(), 2, "{parts:?}");
+    for Part { name, mesh, .. } in parts {
+        let areas: Vec<DVec3> = (0..mesh.triangles.len()).map(|t| mesh.area_vector(t) / 2.0).collect();
+        assert_eq!(areas, [DVec3::Z / 2.0; 2], "{name}");
+    }
+}
+
+/// Nodes that no scene shows were walls, such as a second state of a room beside the first one.
+#[test]
+fn nodes_of_other_scenes_are_no_surfaces() {
+    let names =
+        |document: &serde_json::Value| gltf_parts(document).into_iter().map(|part| part.name).collect::<Vec<_>>();
+    let mut document = strip_and_fan();
+    assert_eq!(names(&document), ["strip", "fan"]);
+    document.as_object_mut().expect("an object").remove("scene");
+    assert_eq!(names(&document), ["other"], "the first scene");
+    document.as_object_mut().expect("an object").remove("scenes");
+    assert_eq!(names(&document), ["strip", "other", "fan"], "no scene");
 }
 
 #[test]

@@ -3,16 +3,18 @@
 use std::cell::Cell;
 use std::collections::HashMap;
 
+use earcut::Earcut;
 use glam::DVec3;
 use tobj::{LoadError, LoadOptions, Material};
 
 use super::lines::Lines;
 use super::{Mesh, ParseError, Part};
+use crate::geometry::polygon;
 
 /// Largest accepted file, bytes: a face takes ten times as much memory while it is read.
 const LARGEST_BYTES: usize = 64 << 20;
 
-/// Parses an OBJ file into a part for each object or group and each material in it; polygons become fans of triangles.
+/// Parses an OBJ file into a part for each object or group and each material in it; polygons become triangles.
 ///
 /// # Errors
 /// [`ParseError`] at the first line that is malformed, and for a file that is too long or has no triangle.
@@ -27,7 +29,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     names.dedup();
 
     let count = Cell::new(0);
-    let options = LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..LoadOptions::default() };
+    let options = LoadOptions { ignore_lines: true, ignore_points: true, ..LoadOptions::default() };
     let materials = |_: &std::path::Path| {
         let all = names.iter().map(|name| Material { name: name.clone(), ..Material::default() }).collect();
         let by_name: HashMap<String, usize> = names.iter().cloned().zip(0..).collect();
@@ -48,8 +50,13 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     let mut parts = Vec::new();
     for model in models {
         let vertices = model.mesh.positions.as_chunks::<3>().0.iter().map(|&p| DVec3::from(p)).collect();
-        let mesh = Mesh { vertices, triangles: model.mesh.indices.as_chunks::<3>().0.to_vec() };
+        let mut mesh = Mesh { vertices, triangles: Vec::new() };
         mesh.check()?;
+        mesh.triangles = if model.mesh.face_arities.is_empty() {
+            model.mesh.indices.as_chunks::<3>().0.to_vec()
+        } else {
+            triangles(&mesh.vertices, &model.mesh.indices, &model.mesh.face_arities)
+        };
         if !mesh.triangles.is_empty() {
             let material = model.mesh.material_id.and_then(|id| names.get(id).cloned());
             // Default name in tobj of an object without a name.
@@ -58,6 +65,41 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         }
     }
     if parts.is_empty() { Err(ParseError::Empty) } else { Ok(parts) }
+}
+
+/// Triangles of faces, each of which takes its number of corners from `indices`.
+///
+/// A convex face becomes a fan. Others are divided by ear clipping: a fan would cover what the outline leaves out, such as a
+/// doorway.
+fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> Vec<[u32; 3]> {
+    let mut triangles = Vec::with_capacity(indices.len());
+    let mut clipped: Vec<u32> = Vec::new();
+    for &count in corner_counts {
+        let Some((face, rest)) = indices.split_at_checked(count as usize) else { break };
+        indices = rest;
+        let outline: Vec<DVec3> = face.iter().filter_map(|&i| vertices.get(i as usize).copied()).collect();
+        if outline.len() != face.len() || outline.len() < 3 {
+            continue;
+        }
+        let normal = polygon::normal(&outline);
+        let sides: Vec<DVec3> = polygon::sides(&outline).map(|[a, b]| b - a).collect();
+        // Corners on a straight side turn by rounding errors.
+        let is_convex = polygon::sides(&sides)
+            .all(|[before, after]| before.cross(after).dot(normal) >= -1e-9 * before.length() * after.length());
+        if is_convex {
+            triangles.extend(face.windows(2).skip(1).map(|pair| [face[0], pair[0], pair[1]]));
+            continue;
+        }
+        let across = normal.abs().max_position();
+        let flat = outline.iter().map(|corner| [corner[(across + 1) % 3], corner[(across + 2) % 3]]);
+        Earcut::<f64>::new().earcut(flat, &[], &mut clipped);
+        triangles.extend(clipped.as_chunks::<3>().0.iter().map(|&[a, b, c]| {
+            let [p, q, r] = [a, b, c].map(|corner| outline[corner as usize]);
+            let is_along = (q - p).cross(r - p).dot(normal) >= 0.0;
+            (if is_along { [a, b, c] } else { [a, c, b] }).map(|corner| face[corner as usize])
+        }));
+    }
+    triangles
 }
 
 /// Relevant lines of a text, each at its line number plus one, after an inserted line that requests the materials; and

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::train::{AdaptRecording, Adapter, Scores};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::{Deserialize, Serialize};
@@ -116,7 +116,7 @@ struct Curve {
 pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: RoomsFile = toml::from_str(&text).with_context(|| format!("{} is no list of rooms", path.display()))?;
+    let file: RoomsFile = parse_toml(&text).with_context(|| format!("{} is no list of rooms", path.display()))?;
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");

@@ -1,8 +1,8 @@
 //! Simulated copies of recordings, each with another seed.
 
-use anyhow::Context;
+use anyhow::bail;
 use radome_dsp::statistics::{MotionLine, Regions, SlowTimeStatistics};
-use radome_dsp::{Frame, Waveform};
+use radome_dsp::{Frame, Waveform, WaveformMismatch};
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, ChannelFit, LEAST_FRAMES};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -40,7 +40,13 @@ impl Copies {
         let scene = match &arguments.scene {
             Some(path) => {
                 let scene = Scene::load(path)?;
-                scene.waveform().check_compatible(waveform).context("the scene's waveform is not the recording's")?;
+                if let Err(WaveformMismatch { what, expected, got }) = scene.waveform().check_compatible(waveform) {
+                    bail!(
+                        "{}: the scene's waveform is not the recordings': they differ in {what}: {expected} is needed, {got} was \
+                         given\n\nhint: write the recordings' waveform into [waveform] of the scene; radome recording info shows it",
+                        path.display()
+                    );
+                }
                 scene
             }
             None => Scene::nothing(waveform)?,

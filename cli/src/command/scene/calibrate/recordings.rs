@@ -59,8 +59,10 @@ impl Recordings {
             };
             cut.fitted = (cut.frames as f64 * part).round() as u64;
             if cut.fitted.min(cut.frames - cut.fitted.min(cut.frames)) < LEAST_FRAMES as u64 {
+                let is_long = cut.frames >= 2 * LEAST_FRAMES as u64;
+                let hint = if is_long { "choose a --part nearer to 0.5" } else { "record ten seconds or more" };
                 bail!(
-                    "{}: {} frames to fit and {} to judge by, {LEAST_FRAMES} of each are needed\n\nhint: record ten seconds or more",
+                    "{}: {} frames to fit and {} to judge by, {LEAST_FRAMES} of each are needed\n\nhint: {hint}",
                     path.display(),
                     cut.fitted,
                     cut.frames.saturating_sub(cut.fitted)

@@ -12,7 +12,7 @@ use super::arguments::Arguments;
 use super::gap::{Channel, Figures};
 use super::line::{Lines, Many};
 use super::still::Clutter;
-use crate::{files, output};
+use crate::{files, output, shell};
 
 /// Complete result of a calibration.
 #[derive(Serialize)]
@@ -80,7 +80,7 @@ pub fn round(receiver: &mut Receiver) {
 pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -> anyhow::Result<()> {
     let text = toml::to_string(receiver).context("the receiver as TOML")?;
     // Folders of the input files mean nothing to other users, so only file names are written.
-    let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let file_name = |path: &Path| shell::word(&path.file_name().unwrap_or_default().to_string_lossy());
     let mut command = "radome scene calibrate".to_owned();
     arguments.recordings.iter().for_each(|recording| command += &format!(" {}", file_name(recording)));
     if let Some(base) = &arguments.base {
@@ -90,12 +90,13 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
         command += &format!(" --scene {} --seed {}", file_name(scene), arguments.seed);
     }
     if let Some(name) = &arguments.name {
-        command += &format!(" --name {name}");
+        command += &format!(" --name {}", shell::word(name));
     }
+    command += &format!(" --part {} -o {}", arguments.part, file_name(path));
+    // A line's end would end the comment.
+    let command = command.replace(char::is_control, "?");
     let header = format!(
-        "# A BGT60TR13C as recordings show it. Made by:\n#     {command} --part {} -o {}\n# Schema: sim/src/receiver/file.rs.\n",
-        arguments.part,
-        file_name(path)
+        "# A BGT60TR13C as recordings show it. Made by:\n#     {command}\n# Schema: sim/src/receiver/file.rs.\n"
     );
     files::write_output(path, arguments.overwrite.existing(), |file| {
         file.write_all((header + &text).as_bytes()).context("writing")
