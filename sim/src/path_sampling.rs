@@ -230,8 +230,10 @@ impl Tracer<'_> {
     fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], intervals: &mut [usize]) {
         let interval_s = self.instants.span_s / f64::from(1u32 << halvings);
         let mut rest = Vec::with_capacity(all.len());
+        let middle = ((4 * place + 2) * self.instants.count) >> (halvings + 2);
+        let exposed = self.paths.exposed(self.instants.people(middle), 0.5 * interval_s);
         for open in all {
-            match self.calm(open, interval_s) {
+            match self.calm(open, &exposed, interval_s) {
                 Some((track, missed_lsb, loudest_lsb)) => {
                     self.keep((halvings, place), track, [missed_lsb, loudest_lsb], interval_s);
                     if let Some(count) = intervals.get_mut(open.number) {
@@ -240,6 +242,9 @@ impl Tracer<'_> {
                 }
                 None => rest.push(*open),
             }
+        }
+        if rest.is_empty() {
+            return;
         }
         let all = rest;
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
@@ -269,11 +274,13 @@ impl Tracer<'_> {
         }
     }
 
-    /// Interpolates a path by its samples at both ends and in the middle, if these suffice. Returns also the error
-    /// estimate and the largest amplitude, LSB.
-    fn calm(&self, open: &Open, interval_s: f64) -> Option<(Track, f64, f64)> {
+    /// Interpolates a path by its samples at both ends and in the middle, if these suffice: it has the same error bound
+    /// as others, and nothing can obstruct it between two samples alone. `exposed` tells this by segment. Returns also
+    /// the error estimate and the largest amplitude, LSB.
+    fn calm(&self, open: &Open, exposed: &[bool; SEGMENTS], interval_s: f64) -> Option<(Track, f64, f64)> {
         let is_clear = |met: &TracedPath| met.is_clear && met.place.is_some();
-        if self.demand.halvings.is_some() || !open.met.iter().all(is_clear) {
+        let is_exposed = self.paths.segment(open.path).is_none_or(|segment| exposed[segment]);
+        if self.demand.halvings.is_some() || is_exposed || !open.met.iter().all(is_clear) {
             return None;
         }
         let keys = open.met.each_ref().map(|met| met.keys());

@@ -181,11 +181,12 @@ impl PathSegment {
     }
 
     /// Interpolates samples at the ends and in the middle of a segment: a quintic in delay, a parabola in amplitude.
-    /// Also estimates the error, LSB; infinite if the amplitude changes by more than half within the segment.
+    /// Also estimates the error, LSB.
     ///
-    /// The estimate compares the middle with the prediction of the ends, a cubic in delay and a line in amplitude. In
-    /// smooth amplitudes, the third difference relates to the second one at most as the square root of the latter. The
-    /// quintic's error is a small part of the cubic's, of which a sixteenth counts.
+    /// The estimate compares the middle with the prediction of the ends, a cubic in delay and a line in amplitude. The
+    /// quintic's error is a small part of the cubic's, of which a sixteenth counts. The parabola's error is that of the
+    /// third order: for an amplitude that bends, the second difference to the power of 3/2, and for one that rises
+    /// like a step about the middle, where the second difference is zero, the cube of its change.
     pub fn through_three(keys: &[PathSample; 3], interval_s: f64, frequency_hz: f64) -> (Self, f64) {
         let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * interval_s];
         let [a, m, b] = keys.map(|key| key.amplitude);
@@ -200,14 +201,12 @@ impl PathSegment {
             interval_s,
         };
         let loudest = a.norm().max(m.norm()).max(b.norm());
-        if step.norm() > 0.5 * loudest {
-            return (segment, f64::INFINITY);
-        }
+        let per_loudest = 1.0 / loudest.max(f64::MIN_POSITIVE);
         let [[y0, v0], [middle_s, _], [y1, v1]] = [0, 1, 2].map(delay);
         let missed_s = 0.5 * (y0 + y1) + 0.125 * (v0 - v1) - middle_s;
         let by_phase = std::f64::consts::TAU * frequency_hz * missed_s.abs() / 16.0;
-        let second = bend.norm() / loudest.max(f64::MIN_POSITIVE);
-        (segment, loudest * (second * second.sqrt() + by_phase))
+        let (second, first) = (bend.norm() * per_loudest, step.norm() * per_loudest);
+        (segment, loudest * (second * second.sqrt() + first * first * first + by_phase))
     }
 
     /// Interpolates between two samples `interval_s` apart.
@@ -321,6 +320,43 @@ mod tests {
         // that.
         let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * interval_s).powi(4) / 6.0;
         assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
+    }
+
+    /// Three samples reproduce any quintic in delay and any parabola in amplitude. The error of an amplitude that bends,
+    /// and of one that rises about the middle like a step, is not underestimated.
+    #[test]
+    fn three_keys_hold_a_quintic_and_a_parabola() {
+        let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6];
+        let at = |t: f64| delay_s.iter().rev().fold(0.0, |sum, c| sum * t + c);
+        let rate = |t: f64| (1..6).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
+        let interval_s = 0.4;
+        let through = |amplitude: &dyn Fn(f64) -> Complex64| {
+            let keys = [0.0, 0.5, 1.0].map(|u| {
+                let t = 0.1 + interval_s * u;
+                PathSample { delay_s: at(t), delay_rate: rate(t), amplitude: amplitude(u) }
+            });
+            PathSegment::through_three(&keys, interval_s, 60e6)
+        };
+        let parabola = |u: f64| Complex64::new(1.0 - 0.02 * u + 0.03 * u * u, 0.3 + 0.01 * u);
+        let segment = through(&parabola).0;
+        for u in [0.0, 0.1, 0.3, 0.5, 0.9, 1.0] {
+            let (t, (value, slope)) = (0.1 + interval_s * u, segment.delay(u));
+            assert!((value - at(t)).abs() < 1e-19 && (slope - rate(t)).abs() < 1e-18, "{t}");
+            let a = segment.amplitude(u);
+            assert!((Complex64::new(a.re.into(), a.im.into()) - parabola(u)).norm() < 1e-6, "{t}");
+        }
+        let fades = |u: f64| Complex64::from((-2.0 * u).exp());
+        let steps = |u: f64| Complex64::from(1.0 + 0.2 * (std::f64::consts::PI * (u - 0.5)).sin());
+        for amplitude in [&fades as &dyn Fn(f64) -> Complex64, &steps] {
+            let (segment, missed_lsb) = through(amplitude);
+            let miss = |i: u32| {
+                let u = f64::from(i) / 40.0;
+                let a = segment.amplitude(u);
+                (Complex64::new(a.re.into(), a.im.into()) - amplitude(u)).norm()
+            };
+            let worst = (0..=40).map(miss).fold(0.0, f64::max);
+            assert!(worst > 0.01 && missed_lsb > worst, "{missed_lsb} {worst}");
+        }
     }
 
     /// Third differences detect a step about the middle, although the cubic through the other four samples predicts the

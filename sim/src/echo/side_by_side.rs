@@ -86,7 +86,28 @@ impl Snapshot {
     }
 }
 
+/// Longest time in which no body can pass before a path, s: two people who run past each other take longer.
+const PASSING_S: f64 = 0.05;
+
 impl Paths<'_> {
+    /// Returns the segment on which a path has its specular point; `None` for the extra paths of a person at a desk.
+    pub fn segment(&self, path: usize) -> Option<usize> {
+        self.specular_points.get(path).map(|&(_, segment)| segment)
+    }
+
+    /// Returns for each segment whether a body or the person's other limb may begin and end to obstruct it within a
+    /// time. `people` are those of about this time.
+    pub fn exposed(&self, people: &[Snapshot], within_s: f64) -> [bool; SEGMENTS] {
+        let Some(own) = people.get(self.me).filter(|_| within_s <= PASSING_S) else { return [true; SEGMENTS] };
+        std::array::from_fn(|segment| {
+            let Some((other, limb)) = opposite(segment).and_then(|other| Some((other, own.body.get(other)?))) else {
+                return false;
+            };
+            let speed = (own.centre(segment).1 - own.centre(other).1).truncate().length();
+            speed * within_s > 2.0 * limb_column(limb).radius_m
+        })
+    }
+
     /// Traces paths at one instant, each without obstruction by people ([`Paths::shade`]). Each request gives the
     /// path's index and its specular point at a neighbouring time.
     pub fn trace_all(
