@@ -25,7 +25,7 @@ use crate::em::pattern::Pattern;
 use crate::file_error::FileError;
 use crate::people::motion::Steps;
 use crate::receiver::Receiver;
-use crate::scene_file::draw::{Draw, drawn};
+use crate::scene_file::draw::{Draw, drawn, longest_list};
 use crate::scene_file::{BodyFile, SceneFile};
 use room::RoomMeshes;
 use surfaces::Surfaces;
@@ -199,13 +199,14 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
-        /// Largest number of values of a list that are tried: each takes as long as reading the scene.
+        /// Largest number of values of a list that are tried: each takes as long as reading the scene. The first and the
+        /// last are tried with the ends of the ranges.
         const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
             scene.text = Some(text.into());
-            let most = scene.file.random.values().flat_map(|key| &key.of).map(Vec::len).max().unwrap_or(0);
-            let listed = (1..most.min(MOST_TRIED)).map(Draw::Listed);
+            let between = longest_list(&scene.file.random).saturating_sub(1);
+            let listed = (1..between.min(MOST_TRIED)).map(Draw::Listed);
             for draw in [Draw::Least, Draw::Greatest].into_iter().chain(listed) {
                 scene.drawn_at(draw)?;
             }
