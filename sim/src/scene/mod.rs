@@ -501,7 +501,8 @@ fn in_words(message: &str) -> String {
     let words = match expected.split(' ').next().unwrap_or_default() {
         "struct" => "a table",
         "u8" => "a whole number from 0 to 255",
-        "u32" | "u64" | "usize" => "a whole number of 0 or more",
+        "u32" => "a whole number from 0 to 4294967295",
+        "u64" | "usize" => "a whole number of 0 or more",
         "f64" => "a number",
         _ => return message.to_owned(),
     };
@@ -518,8 +519,8 @@ fn line_of_key(text: &str, key: &str) -> usize {
     lines_of_key(text, key).next().map_or(1, |(line, _)| line)
 }
 
-/// Line on which a key has a value: the only one with the key, or the first of several that has the value, too. `None` if
-/// none of several has it, and 1 if the key is written nowhere.
+/// Line on which a key has a value: the only one with the key, or the only one of several that has the value, too. `None`
+/// if none or more of several have it: another one may be right. 1 if the key is written nowhere.
 fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     // Numbers may be written in several ways, as 2 and 2.0.
     let numbers = |text: &str| -> Vec<f64> {
@@ -532,7 +533,10 @@ fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     match lines_of_key(text, key).collect::<Vec<_>>().as_slice() {
         [] => Some(1),
         [(line, _)] => Some(*line),
-        several => several.iter().find(|(_, rest)| has_value(rest)).map(|(line, _)| *line),
+        several => {
+            let mut same = several.iter().filter(|(_, rest)| has_value(rest)).map(|(line, _)| *line);
+            same.next().filter(|_| same.next().is_none())
+        }
     }
 }
 

@@ -398,6 +398,6 @@ fn half() -> f64 {
 fn seat_height() -> f64 {
     0.45
 }
-fn door_width() -> f64 {
+pub(crate) fn door_width() -> f64 {
     0.9
 }
