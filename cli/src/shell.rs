@@ -8,3 +8,20 @@ pub fn word(text: &str) -> String {
     }
     format!("'{}'", text.replace('\'', "'\\''"))
 }
+
+/// Formats a command as one line of a comment, which a line's end would end.
+pub fn comment(command: &str) -> String {
+    command.replace(char::is_control, "?")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A name with a line's end broke the head of a mirror's scene file.
+    #[test]
+    fn a_command_of_any_names_is_one_line_of_a_comment() {
+        let command = format!("radome scene pair {} {}", word("a b\n[room]"), word("it's.toml"));
+        assert_eq!(comment(&command), r"radome scene pair 'a b?[room]' 'it'\''s.toml'");
+    }
+}

@@ -384,11 +384,12 @@ fn body_point(
 }
 
 /// Returns 1 in a box room and 0 outside, with a smooth transition over the first 10 cm behind the planes of the walls.
-/// A wall thus hides a person behind a door; an open wall hides nobody. The factor is always 1 where the field itself
-/// includes the walls: in rooms of polygons, and in boxes whose walls transmit.
+/// A wall thus hides a person behind a door; an open wall hides nobody whom the straight path from the transmitter
+/// reaches through it. The factor is always 1 where the field itself includes the walls: in rooms of polygons, and in
+/// boxes whose walls transmit.
 pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
     let Surroundings::Box(room) = &prepared.room else { return 1.0 };
-    smooth_step((room.depth_within_m(point) + 0.05) / 0.05)
+    smooth_step((room.depth_within_m(prepared.tx.position, point) + 0.05) / 0.05)
 }
 
 /// Computes the field that skin reflects, with separate TE and TM coefficients at the true angle of incidence.

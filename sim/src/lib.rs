@@ -53,6 +53,7 @@ pub mod geometry;
 pub(crate) mod lanes;
 pub mod material;
 mod math;
+mod news;
 pub mod path_list;
 pub mod path_sampling;
 pub mod path_segment;

@@ -1,13 +1,14 @@
 //! Presence of people over time: written scripts, endless visits, wandering people, or people at a desk. All random
 //! values depend on (seed, slot, visit).
 
-use std::collections::BTreeSet;
+use std::cell::Cell;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use crate::news::is_news;
 use crate::people::motion::{Bed, Motion, MotionBuilder};
 use crate::people::person::{AtDesk, BodyPoint, Person, Steps, with_gait};
 use crate::people::route::Ground;
@@ -70,7 +71,7 @@ impl Scenario {
             let count = people.unwrap_or(usize::MAX);
             let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
             let ground = ground(scene);
-            let one = |(i, a)| Arc::new(scripted(file, ground.as_ref(), a, steps(i), seed, i as u64));
+            let one = |(i, a)| Arc::new(scripted(scene, ground.as_ref(), a, steps(i), seed, i as u64));
             scenario.fixed = all.take(count).map(one).collect();
         }
         scenario
@@ -124,6 +125,7 @@ const INSIDE_M: f64 = 0.6;
 
 /// Context for converting a script to a motion.
 struct Script<'a> {
+    scene: &'a Scene,
     file: &'a SceneFile,
     ground: Option<&'a Ground>,
     size_m: [f64; 2],
@@ -131,17 +133,13 @@ struct Script<'a> {
     facing_rad: f64,
     /// Index of the person.
     index: u64,
+    /// Whether a goal without a way was found: the first of a person is enough to look at.
+    has_told: Cell<bool>,
 }
 
 /// Makes the motion of a person with a script.
-fn scripted(
-    file: &SceneFile,
-    ground: Option<&Ground>,
-    actor: &ActorFile,
-    steps: Steps,
-    seed: u64,
-    index: u64,
-) -> Motion {
+fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
+    let file = scene.file();
     let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
     let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
     person.steps = steps;
@@ -164,7 +162,7 @@ fn scripted(
     };
     let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
-    let script = Script { file, ground, size_m, facing_rad, index };
+    let script = Script { scene, file, ground, size_m, facing_rad, index, has_told: Cell::new(false) };
     let steps = actor.step.iter().enumerate();
     let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
     let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
@@ -221,23 +219,41 @@ impl Script<'_> {
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
         let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
         if !(0..2).all(|axis| (0.0..=self.size_m[axis]).contains(&to[axis])) {
-            self.tell(to, "lies outside the room");
+            if !is_meant_outside(self.file, to) {
+                self.tell(to, "lies outside the room");
+            }
         } else if way.is_none() {
             self.tell(to, "cannot be reached around walls and furniture");
         }
         along(path, way.unwrap_or_else(|| vec![to]), speed_m_per_s)
     }
 
-    /// Says why the person goes straight to a place, once for each person of a scene: a scene is simulated for many
-    /// seeds.
+    /// Says why the person goes straight to a place, once for the first such goal of each person of a scene's file: a
+    /// scene is simulated for many seeds.
     fn tell(&self, [x, y]: [f64; 2], why: &str) {
-        static TOLD: Mutex<BTreeSet<(String, u64)>> = Mutex::new(BTreeSet::new());
-        let person = (self.file.name.clone(), self.index);
-        if TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(person) {
-            let (scene, index) = (&self.file.name, self.index);
-            tracing::warn!("{scene}: person {index} goes straight to [{x:.2}, {y:.2}] m, which {why}");
+        let (path, index) = (self.scene.path().to_string_lossy(), self.index.to_string());
+        let goal = format!("[{x:.2}, {y:.2}]");
+        if !self.has_told.replace(true) && is_news(&["goal", &path, &index, &goal]) {
+            tracing::warn!("{}: person {index} goes straight to {goal} m, which {why}", self.file.name);
         }
     }
+}
+
+/// Returns whether a place outside the room is one to which people go on purpose: at a door, or behind walls that they are
+/// seen through.
+fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
+    /// Largest distance from a doorway, m: mirrors of recordings leave people 0.75 m beyond it.
+    const AT_DOOR_M: f64 = 1.0;
+    let size_m = [file.room.size_m[0], file.room.size_m[1]];
+    let is_at_door = file.door.iter().any(|door| {
+        let [nx, ny] = inward(size_m, door);
+        let off = [place[0] - door.position_m[0], place[1] - door.position_m[1]];
+        let (out_m, along_m) = (off[0] * nx + off[1] * ny, off[0] * ny - off[1] * nx);
+        out_m.hypot((along_m.abs() - 0.5 * door.width_m).max(0.0)) <= AT_DOOR_M
+    });
+    let beyond = [place[0] < 0.0, place[0] > size_m[0], place[1] < 0.0, place[1] > size_m[1]];
+    let mut walls = beyond.into_iter().zip(file.room.passable_walls());
+    is_at_door || walls.all(|(is_beyond, is_passable)| !is_beyond || is_passable)
 }
 
 /// Makes a bed from its table in the scene file.
@@ -550,5 +566,31 @@ impl Visits {
             }
         }
         stop
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every mirror of someone who used a door warned of the goal beyond it.
+    #[test]
+    fn goals_beyond_doors_and_passable_walls_are_meant() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        let mut file = Scene::load(&path).expect("a scene").file().clone();
+        for (place, is_meant) in [
+            ([-0.75, 1.01], true),
+            ([12.75, 1.5], true),
+            ([-1.2, 1.0], false),
+            ([5.0, 2.75], false),
+            ([-0.75, 9.0], false),
+        ] {
+            assert_eq!(is_meant_outside(&file, place), is_meant, "{place:?}");
+        }
+        file.room.y_high.material = "open".to_owned();
+        assert!(is_meant_outside(&file, [5.0, 2.75]));
+        assert!(!is_meant_outside(&file, [-1.2, 2.75]), "one of the two walls is closed");
+        file.room.transmission = true;
+        assert!(is_meant_outside(&file, [-1.2, 2.75]));
     }
 }

@@ -96,6 +96,10 @@ mod hard_cases {
         assert!(message.starts_with(&format!("a/b.toml:{line}: height_m is 3, expected 0.2 to 1 m")), "{message}");
         let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("[3.0, 3.0]", "[99.0, 3.0]")));
         assert!(refusal(&text).starts_with("a/b.toml: bed is [99.0, 3.0], expected"), "{}", refusal(&text));
+        // The height of a seat may be that of a wrong bed.
+        let seat = "[[seat]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.1\n";
+        let text = hall(&format!("{}{seat}{NOBODY}", bed.replace("height_m = 0.5", "height_m = 0.1")));
+        assert!(refusal(&text).starts_with("a/b.toml: height_m is 0.1, expected 0.2 to 1 m"), "{}", refusal(&text));
     }
 
     #[test]
@@ -103,6 +107,7 @@ mod hard_cases {
         for (from, to, expected) in [
             ("name = \"flat\"", "name = \"flat\"\nantenna = 5", "expected a table"),
             ("chirps_per_frame = 128", "chirps_per_frame = \"many\"", "expected a whole number"),
+            ("size_m = [", "max_reflections = 5000000000\nsize_m = [", "expected a whole number from 0 to 4294967295"),
             ("max_people = 0", "max_people = 9", "max_people is 9, expected 0 to 2 people"),
         ] {
             let text = hall(NOBODY).replacen(from, to, 1);
@@ -116,6 +121,11 @@ mod hard_cases {
         let message = refusal(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.5")));
         assert!(message.contains("width_m is 2.5, expected at most 2.00 m"), "{message}");
         assert!(Scene::parse(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.0")), Path::new("a")).is_ok());
+        // A width that is not written has no line.
+        let text = hall(&door("position_m = [0.0, 0.3]"));
+        let (line, message) = (line_of(&text, "position_m = [0.0, 0.3]"), refusal(&text));
+        let expected = "position_m is [0.0, 0.3], expected 0.45 m or more off the wall's ends: width_m is 0.9";
+        assert!(message.starts_with(&format!("a/b.toml:{line}: {expected}")), "{message}");
     }
 
     /// Surplus values of lists were ignored.

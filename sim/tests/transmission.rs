@@ -127,6 +127,19 @@ fn an_open_wall_hides_nobody() {
     let (off, on) = (person(&scene("open", false), [6.0, 10.0]), person(&scene("open", true), [6.0, 10.0]));
     assert!(off.iter().any(|a| a.norm() > 0.0));
     assert_eq!(off, on);
+    // The plane of the neighbouring wall hid those who are seen past its end.
+    let metal = ["x_high", "y_low", "y_high"].map(|wall| format!("{wall} = {{ material = \"metal\" }}"));
+    let mut text = hall(NOBODY)
+        .replace("[20.0, 20.0, 3.0]", "[4.0, 4.0, 3.0]")
+        .replace("[1.0, 10.0, 1.2]", "[1.0, 3.0, 1.2]\nazimuth_deg = -121.0");
+    for wall in &metal {
+        let (key, _) = wall.split_once(" =").expect("a key");
+        text = text.replace(&format!("{key} = {{ material = \"open\" }}"), wall);
+    }
+    let scene = parse(&text);
+    let is_seen = |place: [f64; 2]| person(&scene, place).iter().any(|a| a.norm() > 0.0);
+    assert!(is_seen([-1.0, -0.3]), "the straight path crosses the open wall at y = 1.35 m");
+    assert!(!is_seen([0.2, -2.0]), "the straight path crosses the metal wall");
 }
 
 /// Transmission through walls does not change the echoes of people in the room, to the last bit.

@@ -44,7 +44,10 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     assert!(distance("after") < distance("before"), "{answer}");
     // The file states the command that made it, but no absolute path.
     let text = std::fs::read_to_string(&file).expect("readable");
-    assert!(text.contains("radome scene calibrate breathing-person-20260106 --part 0.5 -o receiver.toml"), "{text}");
+    assert!(
+        text.contains("radome scene calibrate breathing-person-20260106 --copies 16 --part 0.5 -o receiver.toml"),
+        "{text}"
+    );
     assert!(!text.contains("/breathing-person"), "{text}");
     // A scene accepts the written file.
     let scene = std::fs::read_to_string(fixture("scenes/desk.toml")).expect("readable");
@@ -172,7 +175,8 @@ fn a_receiver_of_any_name_can_be_read() {
     let mut command = subcommand("scene calibrate --copies 1 --json");
     json_lines(command.arg(&recording).args(["--name", "a\"b\nc"]).arg("-o").arg(&file));
     let text = std::fs::read_to_string(&file).expect("written");
-    let made = "#     radome scene calibrate corridor-3.mcap --name 'a\"b?c' --part 0.5 -o 'my receiver.toml'\n";
+    let made =
+        "#     radome scene calibrate corridor-3.mcap --name 'a\"b?c' --copies 1 --part 0.5 -o 'my receiver.toml'\n";
     assert!(text.contains(made), "{text}");
     assert_eq!(radome_sim::load_receiver(&file).expect("a receiver").name, "a\"b\nc");
     fails_with(subcommand("scene calibrate").arg(&recording).args(["--people", "2"]), &["--people needs --scene"]);

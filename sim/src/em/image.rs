@@ -258,9 +258,14 @@ impl BoxRoom {
         self.transmission || self.walls[wall] == Wall::Open
     }
 
-    /// Returns the distance of a point in the room from the nearest upright wall that hides what is behind it, m. It is
-    /// negative behind such a wall, and infinite if there is none.
-    pub(crate) fn depth_within_m(&self, point: DVec3) -> f64 {
+    /// Returns the depth of a point behind upright walls that hide it from an antenna in the room, m. It is negative
+    /// behind such a wall. It is infinite in the room, and where the straight path leads out through an open wall or
+    /// one that transmits: a person beside the box is seen through it, even beyond the plane of a neighbouring wall.
+    pub(crate) fn depth_within_m(&self, antenna: DVec3, point: DVec3) -> f64 {
+        let is_hidden = self.behind(antenna, point).is_some_and(|(_, wall, _)| !self.is_passable(wall));
+        if !is_hidden {
+            return f64::INFINITY;
+        }
         let depths_m = [point.x, self.size_m.x - point.x, point.y, self.size_m.y - point.y];
         (0..4).filter(|&wall| !self.is_passable(wall)).map(|wall| depths_m[wall]).fold(f64::INFINITY, f64::min)
     }

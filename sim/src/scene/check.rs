@@ -7,7 +7,7 @@ use crate::material::{Material, OPEN, OwnMaterial};
 use crate::people::postures::DEEPEST_SQUAT;
 use crate::scene_file::{
     ActorFile, BodyFile, DeskFile, DoorFile, FurnitureFile, RadarFile, RoomFile, SCENE_FORMAT, SceneFile, SolverFile,
-    StepFile, SurfaceFile, SwayFile, VibrationFile, VisitsFile, WanderFile,
+    StepFile, SurfaceFile, SwayFile, VibrationFile, VisitsFile, WanderFile, door_width,
 };
 
 /// Upper limit of tables of one kind (furniture, seats, beds, doors). Each takes memory for every image of the
@@ -284,6 +284,12 @@ fn check_door(door: &DoorFile, [width_m, depth_m, _]: [f64; 3]) -> Result<(), Fa
     let (middle_m, length_m) = if on_x { (y, depth_m) } else { (x, width_m) };
     let most_m = 2.0 * middle_m.min(length_m - middle_m);
     if door.width_m > most_m + 1e-9 {
+        // The width may not be written at all.
+        if door.width_m == door_width() {
+            let expected =
+                format!("{:.2} m or more off the wall's ends: width_m is {}", 0.5 * door.width_m, door.width_m);
+            return fault("position_m", door.position_m, expected);
+        }
         return fault("width_m", door.width_m, format!("at most {most_m:.2} m: there its wall ends"));
     }
     Ok(())

@@ -25,7 +25,7 @@ use crate::em::pattern::Pattern;
 use crate::file_error::FileError;
 use crate::people::motion::Steps;
 use crate::receiver::Receiver;
-use crate::scene_file::draw::{Draw, drawn};
+use crate::scene_file::draw::{Draw, drawn, longest_list};
 use crate::scene_file::{BodyFile, SceneFile};
 use room::RoomMeshes;
 use surfaces::Surfaces;
@@ -199,13 +199,14 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
-        /// Largest number of values of a list that are tried: each takes as long as reading the scene.
+        /// Largest number of values of a list that are tried: each takes as long as reading the scene. The first and the
+        /// last are tried with the ends of the ranges.
         const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
             scene.text = Some(text.into());
-            let most = scene.file.random.values().flat_map(|key| &key.of).map(Vec::len).max().unwrap_or(0);
-            let listed = (1..most.min(MOST_TRIED)).map(Draw::Listed);
+            let between = longest_list(&scene.file.random).saturating_sub(1);
+            let listed = (1..between.min(MOST_TRIED)).map(Draw::Listed);
             for draw in [Draw::Least, Draw::Greatest].into_iter().chain(listed) {
                 scene.drawn_at(draw)?;
             }
@@ -500,7 +501,8 @@ fn in_words(message: &str) -> String {
     let words = match expected.split(' ').next().unwrap_or_default() {
         "struct" => "a table",
         "u8" => "a whole number from 0 to 255",
-        "u32" | "u64" | "usize" => "a whole number of 0 or more",
+        "u32" => "a whole number from 0 to 4294967295",
+        "u64" | "usize" => "a whole number of 0 or more",
         "f64" => "a number",
         _ => return message.to_owned(),
     };
@@ -517,8 +519,8 @@ fn line_of_key(text: &str, key: &str) -> usize {
     lines_of_key(text, key).next().map_or(1, |(line, _)| line)
 }
 
-/// Line on which a key has a value: the only one with the key, or the first of several that has the value, too. `None` if
-/// none of several has it, and 1 if the key is written nowhere.
+/// Line on which a key has a value: the only one with the key, or the only one of several that has the value, too. `None`
+/// if none or more of several have it: another one may be right. 1 if the key is written nowhere.
 fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     // Numbers may be written in several ways, as 2 and 2.0.
     let numbers = |text: &str| -> Vec<f64> {
@@ -531,7 +533,10 @@ fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     match lines_of_key(text, key).collect::<Vec<_>>().as_slice() {
         [] => Some(1),
         [(line, _)] => Some(*line),
-        several => several.iter().find(|(_, rest)| has_value(rest)).map(|(line, _)| *line),
+        several => {
+            let mut same = several.iter().filter(|(_, rest)| has_value(rest)).map(|(line, _)| *line);
+            same.next().filter(|_| same.next().is_none())
+        }
     }
 }
 

@@ -9,9 +9,8 @@
 //! pieces scatter from points on their bounding boxes. The cross-section is the mean of a convex body in random
 //! orientation, a quarter of its area, times the reflectivity of its material.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
@@ -26,6 +25,7 @@ use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
 use crate::math::Sets;
+use crate::news::is_news;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
 /// Distance within which vertices are merged, and within which triangles belong to a plane, m. Modelling programs store
@@ -58,12 +58,6 @@ pub(super) const WALLS: [(&str, usize, bool); 6] = [
     ("ceiling", 2, true),
 ];
 
-/// Whether a warning about a material in a wall is new. A dataset draws the same walls thousands of times.
-fn is_news(material: &str, wall: &str) -> bool {
-    static SAID: Mutex<BTreeSet<[String; 2]>> = Mutex::new(BTreeSet::new());
-    SAID.lock().unwrap_or_else(PoisonError::into_inner).insert([material.to_owned(), wall.to_owned()])
-}
-
 /// Reflection and transmission of the six surfaces. Warns of materials whose constants are for another band.
 pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], Fault> {
     let mut walls = [Wall::Open; 6];
@@ -82,7 +76,7 @@ fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Wavefo
         (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
     };
     let ghz = waveform.centre_frequency_hz() * 1e-9;
-    if !(low..=high).contains(&ghz) && is_news(material, place) {
+    if !(low..=high).contains(&ghz) && is_news(&["band", material, place]) {
         tracing::warn!(
             material,
             wall = place,

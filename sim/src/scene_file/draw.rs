@@ -58,8 +58,19 @@ pub(crate) enum Draw {
     Least,
     /// At the greatest, or the last.
     Greatest,
-    /// At the least, and of listed values at the one with this index, or the last.
+    /// At the least, and of listed values at the one with this index, or the last; of names of files at the first.
     Listed(usize),
+}
+
+/// Whether the values of a key are names of files, each of which takes long to read.
+fn names_files(key: &str) -> bool {
+    key == "receiver" || key.rsplit('.').next() == Some("file")
+}
+
+/// Number of values of the longest list of which each can be tried.
+pub(crate) fn longest_list(random: &BTreeMap<String, RandomFile>) -> usize {
+    let lists = random.iter().filter(|(key, _)| !names_files(key)).filter_map(|(_, from)| from.of.as_ref());
+    lists.map(Vec::len).max().unwrap_or(0)
 }
 
 /// Keys that must be the same for all seeds, since frames of all of them go together.
@@ -84,7 +95,7 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
                 }
             },
             (None, Some(values)) if !values.is_empty() => match draw {
-                Draw::Listed(index) => values[index.min(values.len() - 1)].clone(),
+                Draw::Listed(index) if !names_files(key) => values[index.min(values.len() - 1)].clone(),
                 _ => values[source.index(values.len())].clone(),
             },
             (between, of) => {
@@ -188,6 +199,7 @@ fn hash(key: &str) -> u64 {
 mod tests {
     use std::path::Path;
 
+    use super::{BTreeMap, Draw, RandomFile, drawn, longest_list};
     use crate::scene::{Scene, SceneError};
 
     const SCENE: &str = concat!(
@@ -248,6 +260,21 @@ step = [{ walk_to_m = [2.0, 2.0] }]
         assert_eq!(one.drawn(7).expect("one").file().room.size_m, all.drawn(7).expect("all").file().room.size_m);
     }
 
+    /// Every file of a list was read each time that the scene was.
+    #[test]
+    fn files_in_the_middle_of_a_list_are_not_read_in_advance() {
+        let random = r#""receiver" = { of = ["none.toml", "absent.toml", "lost.toml"] }
+"radar.tilt_down_deg" = { of = [0.0, 1.0, 2.0, 3.0] }"#;
+        let random: BTreeMap<String, RandomFile> = toml::from_str(random).expect("a table");
+        assert_eq!(longest_list(&random), 4);
+        let mut table = toml::Table::new();
+        table.insert("receiver".to_owned(), toml::Value::String("none.toml".to_owned()));
+        table.insert("radar".to_owned(), toml::Value::Table(toml::Table::new()));
+        let drawn = drawn(&table, &random, Draw::Listed(1)).expect("a draw");
+        assert_eq!(drawn["receiver"].as_str(), Some("none.toml"));
+        assert_eq!(drawn["radar"]["tilt_down_deg"].as_float(), Some(1.0));
+    }
+
     mod hard_cases {
         use super::*;
 
@@ -264,6 +291,10 @@ step = [{ walk_to_m = [2.0, 2.0] }]
                 (r#""room.floor.material" = { of = ["concrete", "cheese"] }"#, "cheese"),
                 (r#""room.floor.colour" = { of = ["red"] }"#, "colour"),
                 (r#""room.floor.material" = { of = ["concrete", "cheese", "wood"] }"#, "cheese"),
+                (
+                    r#""room.floor.material" = { of = ["wood", "wood", "wood", "cheese", "wood"] }"#,
+                    "number 4 of each list",
+                ),
                 (r#""radar.tilt_down_deg" = { of = [] }"#, "found of = []"),
                 (r#""waveform.if_gain_db" = { of = [30.0] }"#, "materials, radar, receiver, furniture, seat, bed"),
                 (r#""radar.position_m" = { between = [[0.1, 1.0, 1.0], [0.1, 9.0, 1.0]] }"#, "all the greatest"),

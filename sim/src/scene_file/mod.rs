@@ -14,7 +14,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Deserialize;
 
 use crate::geometry::import::{LengthUnit, UpAxis};
-use crate::material::OwnMaterial;
+use crate::material::{OPEN, OwnMaterial};
 use crate::receiver::Receiver;
 pub use draw::RandomFile;
 pub use people::{ActorFile, BodyFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile};
@@ -130,6 +130,24 @@ pub struct RoomFile {
     /// Ceiling.
     #[serde(default)]
     pub ceiling: SurfaceFile,
+}
+
+impl RoomFile {
+    /// Returns whether waves pass each upright wall of the box, at low and high x, low and high y: open walls, and all if
+    /// walls transmit.
+    pub fn passable_walls(&self) -> [bool; 4] {
+        [&self.x_low, &self.x_high, &self.y_low, &self.y_high].map(|wall| self.transmission || wall.material == OPEN)
+    }
+
+    /// Returns whether each upright wall hides people behind it, at low and high x, low and high y. In rooms of polygons, rays
+    /// decide that instead.
+    pub fn hiding_walls(&self) -> [bool; 4] {
+        let is_box = match self.solver {
+            Some(solver) => solver == SolverFile::Images,
+            None => self.plan.is_none() && self.mesh.is_empty(),
+        };
+        self.passable_walls().map(|is_passable| is_box && !is_passable)
+    }
 }
 
 /// Ways to find paths.
@@ -380,6 +398,6 @@ fn half() -> f64 {
 fn seat_height() -> f64 {
     0.45
 }
-fn door_width() -> f64 {
+pub(crate) fn door_width() -> f64 {
     0.9
 }

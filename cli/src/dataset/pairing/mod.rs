@@ -37,7 +37,7 @@ use self::watcher::{Taken, Watcher};
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
 use crate::source::{self, DEFAULT_SEED, Source, SourceOptions};
-use crate::{files, labels, output};
+use crate::{files, labels, output, shell};
 
 /// Number of frames that are simulated before maps are made of them.
 const CHUNK: usize = 32;
@@ -318,12 +318,13 @@ impl<'a> Pairing<'a> {
         for (person, role) in roles.iter().enumerate() {
             scripts.extend(script::steps(person, &role.knots, radar, self.settings.seated)?);
         }
+        let recording = shell::word(&self.settings.recording);
+        let scene = shell::word(&self.settings.scene.to_string_lossy());
+        let output = shell::word(&self.settings.output.to_string_lossy());
+        let command = shell::comment(&format!("radome scene pair {recording} {scene} -o {output}"));
         Ok(format!(
-            "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome scene pair {} {} -o {}\n# Schema: \
+            "# The scene that mirrors a recording, from its first frame on. Made by:\n#     {command}\n# Schema: \
              sim/src/scene_file/mod.rs.\n{}",
-            self.settings.recording,
-            self.settings.scene.display(),
-            self.settings.output.display(),
             Stage::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)
         ))
     }

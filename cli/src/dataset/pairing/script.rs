@@ -5,7 +5,7 @@
 //! names it.
 
 use glam::DVec2;
-use radome_sim::scene_file::{DoorFile, SceneFile, StepFile};
+use radome_sim::scene_file::{DoorFile, RoomFile, SceneFile, StepFile};
 use serde::Deserialize;
 use thiserror::Error;
 
@@ -129,8 +129,8 @@ fn others(roles: &[Role], person: usize, frame: usize) -> usize {
     roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
 }
 
-/// Computes the knots of all roles. People who were followed into or beyond a wall are moved to where the mirror's echoes
-/// of them are not hidden; ways through a door stay as they are.
+/// Computes the knots of all roles. People who were followed into or beyond a wall that hides are moved to where the
+/// mirror's echoes of them are not hidden; ways through a door stay as they are.
 ///
 /// # Errors
 /// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of
@@ -142,7 +142,8 @@ pub fn fill(
     points: &WayPoints,
 ) -> Result<(), ScriptError> {
     let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
-    let is_off_walls = |s: &Smoothed| off_walls(place(s), size) == place(s);
+    let [low, high] = unhidden(&scene.room);
+    let is_unhidden = |s: &Smoothed| place(s).clamp(low, high) == place(s);
     let is_in_doorway = |s: &Smoothed| {
         scene.door.iter().any(|door| {
             let (nearest, out) = doorway(door, place(s), size);
@@ -151,9 +152,9 @@ pub fn fill(
         })
     };
     for tracklet in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
-        let runs = tracklet.track.chunk_by_mut(|a, b| is_off_walls(a) == is_off_walls(b));
+        let runs = tracklet.track.chunk_by_mut(|a, b| is_unhidden(a) == is_unhidden(b));
         for state in runs.filter(|run| !run.iter().any(is_in_doorway)).flatten() {
-            let at = off_walls(place(state), size);
+            let at = place(state).clamp(low, high);
             (state.x, state.y) = (at.x, at.y);
         }
     }
@@ -268,18 +269,30 @@ fn leave(end: &Smoothed, until: Option<f64>, end_s: f64, scene: &SceneFile) -> O
     by_door(end, until_s - end.time_s, 1.0, scene)
 }
 
-/// Extrapolates on a straight line to a time, but not through walls.
+/// Extrapolates on a straight line to a time, but not through walls. Who is beyond a wall that does not hide stays there.
 fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
     if (time_s - state.time_s).abs() < 1e-6 {
         return Vec::new();
     }
-    let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
-    vec![Knot { time_s, place: off_walls(place(state) + velocity(state) * (time_s - state.time_s), size) }]
+    let (at, [low, high], [least, most]) = (place(state), off_walls(&scene.room), unhidden(&scene.room));
+    let (low, high) = (low.min(at.max(least)), high.max(at.min(most)));
+    vec![Knot { time_s, place: (at + velocity(state) * (time_s - state.time_s)).clamp(low, high) }]
 }
 
-/// Nearest place in a room of a size at which a body is not in a wall.
-fn off_walls(place: DVec2, size: DVec2) -> DVec2 {
-    place.clamp(DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5))
+/// Low and high corner of the part of a room in which a body is in no upright wall.
+fn off_walls(room: &RoomFile) -> [DVec2; 2] {
+    let size = DVec2::new(room.size_m[0], room.size_m[1]);
+    [DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5)]
+}
+
+/// Low and high corner of the region in which no upright wall hides a body; infinite where none hides.
+fn unhidden(room: &RoomFile) -> [DVec2; 2] {
+    let ([low, high], [x_low, x_high, y_low, y_high]) = (off_walls(room), room.hiding_walls());
+    let bound = |hides: bool, at_m: f64, else_m: f64| if hides { at_m } else { else_m };
+    [
+        DVec2::new(bound(x_low, low.x, f64::NEG_INFINITY), bound(y_low, low.y, f64::NEG_INFINITY)),
+        DVec2::new(bound(x_high, high.x, f64::INFINITY), bound(y_high, high.y, f64::INFINITY)),
+    ]
 }
 
 /// Path through the door whose distance fits the time best, starting from where the person was seen. `sign` is -1 for
@@ -521,30 +534,54 @@ mod tests {
         fn who_was_followed_into_a_wall_is_in_the_room_unless_it_is_a_door() {
             let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
             let scene = radome_sim::Scene::load(&file).expect("a scene");
-            let tracklet = |places: &[(f64, f64)]| {
-                let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
-                    frame,
-                    time_s: 0.1 * frame as f64,
-                    x,
-                    y,
-                    vx: 1.0,
-                    vy: 0.0,
-                    sigma_m: 0.1,
-                    snr_db: Some(20.0),
-                    is_visible: true,
-                };
-                Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
-            };
             let through_a_door = [(11.6, 1.0), (11.9, 1.0), (12.4, 1.1), (13.0, 2.5)];
             for (followed, expected) in [
                 ([(5.0, 1.5), (5.1, 1.95), (5.2, 2.4), (5.3, 1.6)], [(5.0, 1.5), (5.1, 1.8), (5.2, 1.8), (5.3, 1.6)]),
                 (through_a_door, through_a_door),
             ] {
-                let mut roles = [Role { tracklets: vec![tracklet(&followed)], knots: Vec::new() }];
-                fill(&mut roles, &[], scene.file(), &WayPoints::default()).expect("no way-points");
-                let places: Vec<(f64, f64)> = roles[0].tracklets[0].track.iter().map(|s| (s.x, s.y)).collect();
-                assert_eq!(places, expected);
+                assert_eq!(filled(&followed, scene.file()), expected);
             }
+        }
+
+        /// Who walked beyond an open wall was moved into the room.
+        #[test]
+        fn who_is_beyond_a_wall_that_does_not_hide_stays_there() {
+            let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+            let scene = radome_sim::Scene::load(&file).expect("a scene");
+            let (mut open, mut thin, mut rays) = (scene.file().clone(), scene.file().clone(), scene.file().clone());
+            open.room.y_high.material = "open".to_owned();
+            thin.room.transmission = true;
+            rays.room.solver = Some(radome_sim::scene_file::SolverFile::Rays);
+            let followed = [(5.0, 1.5), (5.1, 2.4), (5.2, -0.4)];
+            assert_eq!(filled(&followed, &open), [(5.0, 1.5), (5.1, 2.4), (5.2, 0.2)]);
+            assert_eq!(filled(&followed, &thin), followed);
+            assert_eq!(filled(&followed, &rays), followed);
+            let state = tracklet(&[(5.1, 2.4)]).track[0];
+            assert_eq!(straight(&state, 1.0, &open)[0].place, DVec2::new(6.1, 2.4));
+            assert_eq!(straight(&state, 1.0, scene.file())[0].place, DVec2::new(6.1, 1.8));
+        }
+
+        /// Track of a person at these places, one each 0.1 s.
+        fn tracklet(places: &[(f64, f64)]) -> Tracklet {
+            let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
+                frame,
+                time_s: 0.1 * frame as f64,
+                x,
+                y,
+                vx: 1.0,
+                vy: 0.0,
+                sigma_m: 0.1,
+                snr_db: Some(20.0),
+                is_visible: true,
+            };
+            Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
+        }
+
+        /// Places of a person in the mirror who was followed at these.
+        fn filled(followed: &[(f64, f64)], scene: &SceneFile) -> Vec<(f64, f64)> {
+            let mut roles = [Role { tracklets: vec![tracklet(followed)], knots: Vec::new() }];
+            fill(&mut roles, &[], scene, &WayPoints::default()).expect("no way-points");
+            roles[0].tracklets[0].track.iter().map(|s| (s.x, s.y)).collect()
         }
 
         #[test]

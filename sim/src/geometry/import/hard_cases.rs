@@ -208,6 +208,25 @@ fn errors_name_the_line_or_the_byte() {
     assert_eq!(parse_obj(b"# nothing\n"), Err(ParseError::Empty));
 }
 
+/// A file of one concave face took the square of its corners to read.
+#[test]
+fn concave_faces_have_a_thousand_corners_at_most() {
+    let face = |inner: f64, count: usize| {
+        let corner = |i: usize| {
+            let (y, x) = (std::f64::consts::TAU * i as f64 / count as f64).sin_cos();
+            let radius = if i.is_multiple_of(2) { 1.0 } else { inner };
+            format!("v {} {} 0\n", radius * x, radius * y)
+        };
+        let corners: Vec<String> = (1..=count).map(|i| i.to_string()).collect();
+        format!("o star\n{}f {}\n", (0..count).map(corner).collect::<String>(), corners.join(" "))
+    };
+    let triangles = |text: String| parse_obj(text.as_bytes()).map(|parts| parts[0].mesh.triangles.len());
+    assert_eq!(triangles(face(1.0, 1002)), Ok(1000));
+    assert!(triangles(face(0.5, 1000)).is_ok_and(|count| count > 900));
+    let error = triangles(face(0.5, 1002)).expect_err("too many").to_string();
+    assert_eq!(error, "object \"star\": a concave face has 1002 corners, expected 1000 at most");
+}
+
 #[test]
 fn units_and_axes_are_applied_and_the_path_is_named() {
     let folder = std::env::temp_dir().join(format!("radome-import-{}", std::process::id()));

@@ -13,6 +13,8 @@ use crate::geometry::polygon;
 
 /// Largest accepted file, bytes: a face takes ten times as much memory while it is read.
 const LARGEST_BYTES: usize = 64 << 20;
+/// Largest number of corners of a concave face: the time to divide it grows with their square.
+const MOST_CORNERS: usize = 1000;
 
 /// Parses an OBJ file into a part for each object or group and each material in it; polygons become triangles.
 ///
@@ -56,6 +58,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
             model.mesh.indices.as_chunks::<3>().0.to_vec()
         } else {
             triangles(&mesh.vertices, &model.mesh.indices, &model.mesh.face_arities)
+                .map_err(|problem| ParseError::Place { place: format!("object {:?}", model.name), problem })?
         };
         if !mesh.triangles.is_empty() {
             let material = model.mesh.material_id.and_then(|id| names.get(id).cloned());
@@ -71,9 +74,13 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
 ///
 /// A convex face becomes a fan. Others are divided by ear clipping: a fan would cover what the outline leaves out, such as a
 /// doorway.
-fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> Vec<[u32; 3]> {
+///
+/// # Errors
+/// A concave face has more than [`MOST_CORNERS`] corners.
+fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> Result<Vec<[u32; 3]>, String> {
     let mut triangles = Vec::with_capacity(indices.len());
     let mut clipped: Vec<u32> = Vec::new();
+    let mut earcut = Earcut::<f64>::new();
     for &count in corner_counts {
         let Some((face, rest)) = indices.split_at_checked(count as usize) else { break };
         indices = rest;
@@ -90,16 +97,19 @@ fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> 
             triangles.extend(face.windows(2).skip(1).map(|pair| [face[0], pair[0], pair[1]]));
             continue;
         }
+        if face.len() > MOST_CORNERS {
+            return Err(format!("a concave face has {} corners, expected {MOST_CORNERS} at most", face.len()));
+        }
         let across = normal.abs().max_position();
         let flat = outline.iter().map(|corner| [corner[(across + 1) % 3], corner[(across + 2) % 3]]);
-        Earcut::<f64>::new().earcut(flat, &[], &mut clipped);
+        earcut.earcut(flat, &[], &mut clipped);
         triangles.extend(clipped.as_chunks::<3>().0.iter().map(|&[a, b, c]| {
             let [p, q, r] = [a, b, c].map(|corner| outline[corner as usize]);
             let is_along = (q - p).cross(r - p).dot(normal) >= 0.0;
             (if is_along { [a, b, c] } else { [a, c, b] }).map(|corner| face[corner as usize])
         }));
     }
-    triangles
+    Ok(triangles)
 }
 
 /// Relevant lines of a text, each at its line number plus one, after an inserted line that requests the materials; and

@@ -89,12 +89,14 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
     if let Some(scene) = &arguments.scene {
         command += &format!(" --scene {} --seed {}", file_name(scene), arguments.seed);
     }
+    if let Some(people) = arguments.people {
+        command += &format!(" --people {people}");
+    }
     if let Some(name) = &arguments.name {
         command += &format!(" --name {}", shell::word(name));
     }
-    command += &format!(" --part {} -o {}", arguments.part, file_name(path));
-    // A line's end would end the comment.
-    let command = command.replace(char::is_control, "?");
+    command += &format!(" --copies {} --part {} -o {}", arguments.copies, arguments.part, file_name(path));
+    let command = shell::comment(&command);
     let header = format!(
         "# A BGT60TR13C as recordings show it. Made by:\n#     {command}\n# Schema: sim/src/receiver/file.rs.\n"
     );
