@@ -14,6 +14,7 @@ use radome_dsp::Gap;
 use super::answer::{Probabilities, Summary};
 use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
+use super::screen::lost_besides;
 use super::sink::{Moment, Sink};
 use crate::output;
 use crate::output_file::NewRecording;
@@ -198,15 +199,20 @@ impl Sink for RecorderSink {
             return Ok(());
         }
         match self.join()? {
-            Recorded::Finished(RecordingSummary { frames, results, frames_lost, bytes, .. }) => {
-                message!("{}: {frames} frames, {results} judged, {frames_lost} lost, {} MiB", self.file, bytes >> 20)
-            }
+            Recorded::Finished(summary) => message!("{}: {}", self.file, said(&summary)),
             Recorded::Unfinished(frames) => {
                 message!("{}: {frames} frames, marked unfinished because the source failed", self.file);
             }
         }
         Ok(())
     }
+}
+
+/// Content of a recording, in words.
+fn said(summary: &RecordingSummary) -> String {
+    let RecordingSummary { frames, results, frames_lost, unknown_gaps, bytes, .. } = summary;
+    let more = lost_besides(*unknown_gaps);
+    format!("{frames} frames, {results} judged, {frames_lost} lost{more}, {} MiB", bytes >> 20)
 }
 
 struct Writer {
@@ -407,7 +413,9 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
         let (recorded, has_gaps) = record(Failing::after(3, || BoardError::Stopped.into()), &path);
-        assert!(matches!(recorded.expect("no error of its own"), Recorded::Finished(summary) if summary.frames == 3));
+        let Ok(Recorded::Finished(summary)) = &recorded else { panic!("no summary") };
+        let lost = "3 frames, 0 judged, 0 lost, and an unknown number (gaps of unknown length: 1), ";
+        assert!(said(summary).starts_with(lost), "{}", said(summary));
         let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
         assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
     }
