@@ -100,6 +100,7 @@ impl RecorderSink {
             recorder,
             ahead: VecDeque::new(),
             newest: None,
+            next_sequence: 0,
             taken: taken.clone(),
             has_gaps: has_gaps.clone(),
             outage,
@@ -220,6 +221,8 @@ struct Writer {
     /// Answers to frames that are still in the queue.
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
+    /// Number of the frame that should come next: behind the last frame or gap.
+    next_sequence: u64,
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
     outage: Outage,
@@ -270,7 +273,7 @@ impl Writer {
         for delivery in frames.try_iter() {
             self.take(delivery)?;
         }
-        let first_sequence = self.newest.map_or(0, |newest| newest.saturating_add(1));
+        let first_sequence = self.next_sequence;
         let missing = match inlet.end.get() {
             Some(end) => end.as_ref().err().and_then(|failure| failure.gap(first_sequence)),
             None => self.outage.gap(first_sequence),
@@ -289,6 +292,7 @@ impl Writer {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
                 self.newest = Some(frame.sequence);
+                self.next_sequence = frame.sequence.saturating_add(1);
             }
             Item::Gap(gap) => self.gap(&gap)?,
             // The classifier receives the same item and ends the run.
@@ -299,6 +303,7 @@ impl Writer {
 
     fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
         self.has_gaps.store(true, Ordering::Relaxed);
+        self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
         Ok(self.recorder.gap(gap)?)
     }
 
@@ -321,7 +326,7 @@ mod tests {
 
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
@@ -377,7 +382,8 @@ mod tests {
         let recorder = Recorder::create(&path, &header).expect("creates");
         let (taken, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), taken, has_gaps, outage };
+        let (ahead, newest, next_sequence) = (VecDeque::new(), Some(0), 1);
+        let mut writer = Writer { recorder, ahead, newest, next_sequence, taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,
@@ -418,6 +424,34 @@ mod tests {
         assert!(said(summary).starts_with(lost), "{}", said(summary));
         let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
         assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
+    }
+
+    /// Source of three frames and a gap, whose board is then lost.
+    struct LostAfterGap(Box<dyn FrameSource>, bool);
+
+    impl FrameSource for LostAfterGap {
+        fn waveform(&self) -> &Waveform {
+            self.0.waveform()
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            self.0.next_frame(frame).or_else(|error| match std::mem::replace(&mut self.1, true) {
+                false => Ok(SourceEvent::Gap(Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc })),
+                true => Err(error),
+            })
+        }
+    }
+
+    /// The gap at the end began behind the last frame, within the gap before it.
+    #[test]
+    fn a_gap_at_the_end_begins_behind_the_gap_before_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let source = LostAfterGap(Failing::after(3, || BoardError::Stopped.into()), false);
+        record(Box::new(source), &path).0.expect("no error of its own");
+        let lost = Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc };
+        let hole = Gap { first_sequence: 8, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!(read(&path), (true, vec![0, 1, 2], vec![lost, hole]));
     }
 
     #[test]
