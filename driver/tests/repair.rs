@@ -116,7 +116,8 @@ fn the_last_chunk_is_told_by_its_index() {
 fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
     let bytes = whole();
     let (start, end) = chunks(&bytes)[2];
-    for (at, byte) in [(start, 0x81), (start, 0x00), (start + 1, 0x03), (start + 3, 0x70), (start + 8, 0x70)] {
+    let opcodes = [0x81, 0x00, 0x07, 0x0a].map(|opcode| (start, opcode));
+    for (at, byte) in opcodes.into_iter().chain([(start + 1, 0x03), (start + 3, 0x70), (start + 8, 0x70)]) {
         let mut bytes = bytes.clone();
         bytes[at] = byte;
         let (report, numbers, _) = repaired(&bytes).expect("repairs");

@@ -290,6 +290,10 @@ fn frames_by_index(
 /// another record follows.
 fn is_whole(records: &mut Records, opcode: u8, body: &[u8]) -> Result<bool, RecordingError> {
     let end = records.offset;
+    // A chunk whose opcode has become another one's.
+    if body.get(CHUNK_MARK_AT.start - RECORD_HEADER as usize..).is_some_and(|rest| rest.starts_with(CHUNK_MARK)) {
+        return Ok(false);
+    }
     let is_exact = content_length(opcode, body).is_none_or(|length| length == body.len());
     Ok(is_filled(opcode, body) && (is_exact || starts_record(records, end)?))
 }
