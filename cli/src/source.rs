@@ -76,7 +76,8 @@ impl SourceArgs {
         let input = self.input();
         let schemes = ["serial:", "usb:", "deepcraft:"];
         let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
-        let is_recording = !is_board && !is_scene(input) && input.exists();
+        // A device is no recording: opening it says how a board is named.
+        let is_recording = !is_board && !is_scene(input) && (input.is_file() || input.is_dir());
         let of_simulations = "it is for simulated scenes";
         for (option, is_given, is_unused, why) in [
             ("--waveform", self.waveform.is_some(), is_recording, "a recording has its own"),
@@ -260,6 +261,10 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
              emulated:SOURCE; radome board list lists the boards"
         );
     }
+    // Reading from a terminal would wait for somebody to type.
+    if is_device(path) {
+        bail!("{spec} is a device, and no recording or scene\n\nhint: name the board on it serial:{spec}");
+    }
     if options.as_playback && !is_scene(path) {
         return playback(path, options.speed.unwrap_or(1.0));
     }
@@ -278,6 +283,18 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         source.frames = Box::new(RealTime::new(source.frames, speed));
     }
     Ok(source)
+}
+
+/// Returns whether a path leads to a character device, such as a serial port.
+#[cfg(unix)]
+fn is_device(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
+}
+
+#[cfg(not(unix))]
+fn is_device(_: &Path) -> bool {
+    false
 }
 
 fn is_scene(path: &Path) -> bool {

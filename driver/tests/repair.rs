@@ -4,9 +4,9 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::Existing;
-use radome_driver::recording::mcap::{RepairReport, repair, set_labels};
-use radome_driver::{LabelSpan, McapReader, RecordingError};
-use radome_dsp::{Frame, Gap, GapReason};
+use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, set_labels};
+use radome_driver::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
 use crate::common::{Pattern, cases, read, waveform};
 
@@ -116,7 +116,8 @@ fn the_last_chunk_is_told_by_its_index() {
 fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
     let bytes = whole();
     let (start, end) = chunks(&bytes)[2];
-    for (at, byte) in [(start, 0x81), (start, 0x00), (start + 1, 0x03), (start + 3, 0x70), (start + 8, 0x70)] {
+    let opcodes = [0x81, 0x00, 0x07, 0x0a].map(|opcode| (start, opcode));
+    for (at, byte) in opcodes.into_iter().chain([(start + 1, 0x03), (start + 3, 0x70), (start + 8, 0x70)]) {
         let mut bytes = bytes.clone();
         bytes[at] = byte;
         let (report, numbers, _) = repaired(&bytes).expect("repairs");
@@ -139,6 +140,80 @@ fn the_channels_are_known_without_their_chunk() {
 
 mod hard_cases {
     use super::*;
+
+    const MESSAGE_INDEX: u8 = 0x07;
+
+    /// Bytes of a recording of 20 frames at 10 Hz with an answer to each, as a live run makes it: chunks of answers follow those of
+    /// frames.
+    fn with_answers() -> Vec<u8> {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        let mut source = Pattern::new(waveform(&[1], 4, 32, 0.1), 20);
+        let (model, model_hash) = ("a".to_owned(), "b".to_owned());
+        let judge = Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: 0.5, off_delay_s: 3.0 };
+        let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(source.waveform.clone()) };
+        let mut recorder = Recorder::create(&path, &header).expect("creates");
+        let mut frame = Frame::zeroed(source.waveform.shape());
+        while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
+            recorder.frame(&frame).expect("records");
+            let result = FrameResult {
+                sequence: frame.sequence,
+                time_ns: frame.time_ns,
+                host_time_ns: 0,
+                label: None,
+                probabilities: None,
+                frame_probabilities: None,
+                occupied: false,
+                people: 0,
+                latency_ns: 0,
+            };
+            recorder.result(&result).expect("records");
+        }
+        recorder.flush().expect("records");
+        recorder.finish().expect("finishes");
+        std::fs::read(&path).expect("reads")
+    }
+
+    /// Damage between the last frames and their answers was reported as lost frames of unknown number.
+    #[test]
+    fn a_length_between_frames_and_answers_is_no_gap() {
+        let whole = with_answers();
+        let chunks = chunks(&whole);
+        let at = chunks[chunks.len() - 2].1;
+        assert_eq!(whole[at], MESSAGE_INDEX);
+        let own = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
+        // One more and one less than right, and beyond the end of the file.
+        for length in [own + 1, own - 1, 1 << 40] {
+            let mut bytes = whole.clone();
+            bytes[at + 1..at + 9].copy_from_slice(&length.to_le_bytes());
+            let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
+            assert!(numbers.into_iter().eq(0..20), "{report:?}");
+            assert!(gaps.is_empty() && report.lost.is_empty(), "{report:?}");
+            assert_eq!((report.results, report.damage.len(), report.damage[0].offset), (20, 1, at as u64));
+            assert!(report.was_finished);
+        }
+    }
+
+    /// MCAP lets a later version add to a record; two bytes more were taken for a damaged length.
+    #[test]
+    fn longer_records_are_whole() {
+        const DATA_END: u8 = 0x0f;
+        for whole in [with_answers(), whole()] {
+            let (mut longer, mut rest) = (whole[..8].to_vec(), &whole[8..]);
+            while rest[0] != DATA_END {
+                let length = u64::from_le_bytes(*rest[1..].first_chunk().expect("a length"));
+                let (record, next) = rest.split_at(9 + length as usize);
+                let added: &[u8] = if record[0] == MESSAGE_INDEX { &[0x06, 0x01] } else { &[] };
+                longer.push(record[0]);
+                longer.extend((length + added.len() as u64).to_le_bytes());
+                longer.extend([&record[9..], added].concat());
+                rest = next;
+            }
+            longer.extend(rest);
+            let (expected, numbers, gaps) = repaired(&whole).expect("repairs");
+            assert_eq!(repaired(&longer).expect("repairs"), (expected, numbers, gaps));
+        }
+    }
 
     /// Asserts that an unfinished recording refuses labels until it is repaired, and that a recording with a damaged
     /// chunk accepts them without further loss.
@@ -239,7 +314,6 @@ mod hard_cases {
     /// A damaged length of a message index hid the chunks that it reached over, and the report did not say so.
     #[test]
     fn a_length_of_a_record_between_chunks_costs_no_chunk() {
-        const MESSAGE_INDEX: u8 = 0x07;
         let whole = whole();
         let chunks = chunks(&whole);
         let at = chunks[1].1;

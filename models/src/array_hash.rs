@@ -1,5 +1,5 @@
-//! Hash of the arrays of a model file or a checkpoint. It stands in the file's metadata, beside the other content, so that a flipped
-//! bit in a number is noticed.
+//! Hash of the arrays of a model file (`.safetensors`) or a checkpoint. It stands in the file's metadata, beside the other content, so
+//! that a flipped bit in a number of an array is noticed. The metadata themselves are not in the hash.
 
 use std::collections::BTreeMap;
 

@@ -191,6 +191,31 @@ mod hard_cases {
         assert!(said.contains("not held by this format: 2 labels"), "{said}");
     }
 
+    /// Labels that cannot be read were found after all frames had been converted, and labels behind the end were not told of.
+    #[test]
+    fn labels_beside_a_recording_are_checked() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulated(&at("x.mcap"), "6");
+        convert(&at("x.mcap"), &at("y.txt"));
+        let converted = || {
+            let mut command = subcommand("recording convert");
+            command.args([at("y.txt"), at("z.mcap")]);
+            command
+        };
+        std::fs::write(at("y.label"), "no labels").expect("writes");
+        fails_with(&mut converted(), &["the labels of", "hint: ", "y.label", "move it away"]);
+        assert!(!at("z.mcap").exists());
+        std::fs::write(
+            at("y.label"),
+            "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)\n0,1000,one,,\n",
+        )
+        .expect("writes");
+        let (_, said) = success(&mut converted());
+        assert!(said.contains("the label 'one' from 0 to 1000 s is out of range"), "{said}");
+        assert_eq!(labels_of(&at("z.mcap")).len(), 1);
+    }
+
     /// A text recording or a folder that is cut was said to be finished.
     #[test]
     fn recordings_of_other_formats_that_are_cut_are_not_finished() {

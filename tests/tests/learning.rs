@@ -6,19 +6,21 @@ use std::time::Duration;
 use radome_tests::running::Running;
 use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success};
 
-/// Small dataset of halls, made once for all tests.
+/// Small dataset of halls, made once for all tests. Its rows have the splits of its spec, which no training changes.
 pub fn maps() -> &'static Path {
     static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
-    let (_, path) = MAPS.get_or_init(|| {
-        let folder = tempfile::tempdir().expect("a folder");
-        let spec = folder.path().join("maps.toml");
-        let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
-        std::fs::write(&spec, few).expect("writable");
-        let path = folder.path().join("maps");
-        json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(&path));
-        (folder, path)
-    });
+    let (_, path) =
+        MAPS.get_or_init(|| built(&fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]")));
     path
+}
+
+/// Builds a dataset in a folder of its own.
+fn built(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = write(folder.path(), "maps.toml", spec_text);
+    let path = folder.path().join("maps");
+    json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(&path));
+    (folder, path)
 }
 
 fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
@@ -243,6 +245,18 @@ fn shipped_settings_train_a_model() {
 mod hard_cases {
     use super::*;
 
+    /// Twelve short sequences whose rows have no split, so that each training divides them by its own rule.
+    fn undivided() -> &'static Path {
+        static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
+        let (_, path) = MAPS.get_or_init(|| {
+            let whole = fixture_text("datasets/quick.toml");
+            let few = whole.replace("seeds = [1, 24]", "seeds = [1, 4]").replace("frames = 110", "frames = 30");
+            let kept: Vec<&str> = few.lines().filter(|line| !line.starts_with("split")).collect();
+            built(&kept.join("\n"))
+        });
+        path
+    }
+
     /// The test split was that of the default rule, so that maps that were trained on counted.
     #[test]
     fn a_model_is_evaluated_on_the_test_split_of_its_own_training() {
@@ -250,11 +264,11 @@ mod hard_cases {
         let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
         let model = folder.path().join("model.safetensors");
         let mut train = subcommand("model train");
-        train.arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model);
+        train.arg(undivided()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model);
         let trained = json_lines(&mut train).pop().expect("an answer")["training"]["test"].take();
         let evaluate = |model: &Path| {
             let mut command = subcommand("model evaluate");
-            command.arg(model).arg(maps()).arg("--json");
+            command.arg(model).arg(undivided()).arg("--json");
             command
         };
         let (told, said) = success(&mut evaluate(&model));
@@ -277,9 +291,11 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
         let model = folder.path().join("model.safetensors");
-        json_lines(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+        json_lines(
+            subcommand("model train").arg(undivided()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model),
+        );
         let mut evaluate = subcommand("model evaluate");
-        fails_with(evaluate.arg(&model).arg(maps()), &["the test split is empty", "24 sequences", "hint: "]);
+        fails_with(evaluate.arg(&model).arg(undivided()), &["the test split is empty", "12 sequences", "hint: "]);
     }
 
     /// A dataset was taken for a model, and a folder of recordings for a dataset.

@@ -86,6 +86,18 @@ mod hard_cases {
         }
     }
 
+    /// A port without `serial:` was taken for a recording, and its options were refused.
+    #[test]
+    fn a_device_is_no_recording() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for source in ["/dev/null", "emulated:/dev/null"] {
+            let mut record = radome();
+            record.args(["record", source, "--waveform", "paper", "-o"]).arg(folder.path().join("x.mcap"));
+            let said = failure(&mut record);
+            assert!(said.contains("/dev/null is a device") && said.contains("serial:/dev/null"), "{said}");
+        }
+    }
+
     #[test]
     fn a_wrong_key_in_a_scene_names_file_line_and_key() {
         let folder = tempfile::tempdir().expect("a folder");

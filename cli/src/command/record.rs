@@ -75,10 +75,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     reader.stop();
     bar.finish_and_clear();
     let Tally { frames, dropped, gaps, unknown } = tally;
-    let more = match unknown {
-        0 => String::new(),
-        _ => format!(", and an unknown number (gaps of unknown length: {unknown})"),
-    };
+    let more = screen::lost_besides(unknown);
     let said = match arguments.json {
         true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
         false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),

@@ -14,6 +14,7 @@ use radome_dsp::Gap;
 use super::answer::{Probabilities, Summary};
 use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
+use super::screen::lost_besides;
 use super::sink::{Moment, Sink};
 use crate::output;
 use crate::output_file::NewRecording;
@@ -99,6 +100,7 @@ impl RecorderSink {
             recorder,
             ahead: VecDeque::new(),
             newest: None,
+            next_sequence: 0,
             taken: taken.clone(),
             has_gaps: has_gaps.clone(),
             outage,
@@ -198,9 +200,7 @@ impl Sink for RecorderSink {
             return Ok(());
         }
         match self.join()? {
-            Recorded::Finished(RecordingSummary { frames, results, frames_lost, bytes, .. }) => {
-                message!("{}: {frames} frames, {results} judged, {frames_lost} lost, {} MiB", self.file, bytes >> 20)
-            }
+            Recorded::Finished(summary) => message!("{}: {}", self.file, said(&summary)),
             Recorded::Unfinished(frames) => {
                 message!("{}: {frames} frames, marked unfinished because the source failed", self.file);
             }
@@ -209,11 +209,20 @@ impl Sink for RecorderSink {
     }
 }
 
+/// Content of a recording, in words.
+fn said(summary: &RecordingSummary) -> String {
+    let RecordingSummary { frames, results, frames_lost, unknown_gaps, bytes, .. } = summary;
+    let more = lost_besides(*unknown_gaps);
+    format!("{frames} frames, {results} judged, {frames_lost} lost{more}, {} MiB", bytes >> 20)
+}
+
 struct Writer {
     recorder: Recorder,
     /// Answers to frames that are still in the queue.
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
+    /// Number of the frame that should come next: behind the last frame or gap.
+    next_sequence: u64,
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
     outage: Outage,
@@ -264,7 +273,7 @@ impl Writer {
         for delivery in frames.try_iter() {
             self.take(delivery)?;
         }
-        let first_sequence = self.newest.map_or(0, |newest| newest.saturating_add(1));
+        let first_sequence = self.next_sequence;
         let missing = match inlet.end.get() {
             Some(end) => end.as_ref().err().and_then(|failure| failure.gap(first_sequence)),
             None => self.outage.gap(first_sequence),
@@ -283,6 +292,7 @@ impl Writer {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
                 self.newest = Some(frame.sequence);
+                self.next_sequence = frame.sequence.saturating_add(1);
             }
             Item::Gap(gap) => self.gap(&gap)?,
             // The classifier receives the same item and ends the run.
@@ -293,6 +303,7 @@ impl Writer {
 
     fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
         self.has_gaps.store(true, Ordering::Relaxed);
+        self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
         Ok(self.recorder.gap(gap)?)
     }
 
@@ -315,7 +326,7 @@ mod tests {
 
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
@@ -371,7 +382,8 @@ mod tests {
         let recorder = Recorder::create(&path, &header).expect("creates");
         let (taken, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), taken, has_gaps, outage };
+        let (ahead, newest, next_sequence) = (VecDeque::new(), Some(0), 1);
+        let mut writer = Writer { recorder, ahead, newest, next_sequence, taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
             writer.ahead.push_back(FrameResult {
                 sequence,
@@ -407,9 +419,39 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
         let (recorded, has_gaps) = record(Failing::after(3, || BoardError::Stopped.into()), &path);
-        assert!(matches!(recorded.expect("no error of its own"), Recorded::Finished(summary) if summary.frames == 3));
+        let Ok(Recorded::Finished(summary)) = &recorded else { panic!("no summary") };
+        let lost = "3 frames, 0 judged, 0 lost, and an unknown number (gaps of unknown length: 1), ";
+        assert!(said(summary).starts_with(lost), "{}", said(summary));
         let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
         assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
+    }
+
+    /// Source of three frames and a gap, whose board is then lost.
+    struct LostAfterGap(Box<dyn FrameSource>, bool);
+
+    impl FrameSource for LostAfterGap {
+        fn waveform(&self) -> &Waveform {
+            self.0.waveform()
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            self.0.next_frame(frame).or_else(|error| match std::mem::replace(&mut self.1, true) {
+                false => Ok(SourceEvent::Gap(Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc })),
+                true => Err(error),
+            })
+        }
+    }
+
+    /// The gap at the end began behind the last frame, within the gap before it.
+    #[test]
+    fn a_gap_at_the_end_begins_behind_the_gap_before_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let source = LostAfterGap(Failing::after(3, || BoardError::Stopped.into()), false);
+        record(Box::new(source), &path).0.expect("no error of its own");
+        let lost = Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc };
+        let hole = Gap { first_sequence: 8, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!(read(&path), (true, vec![0, 1, 2], vec![lost, hole]));
     }
 
     #[test]

@@ -104,6 +104,14 @@ pub fn lost(gap: &Gap) -> String {
     }
 }
 
+/// Continues a number of lost frames where gaps of unknown length are not in it.
+pub fn lost_besides(unknown_gaps: u64) -> String {
+    match unknown_gaps {
+        0 => String::new(),
+        _ => format!(", and an unknown number (gaps of unknown length: {unknown_gaps})"),
+    }
+}
+
 impl Sink for Screen {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let answer = moment.answer;

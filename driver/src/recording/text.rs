@@ -70,7 +70,29 @@ impl TextReader {
                 return Err(RecordingError::Corrupt { path: path.to_owned(), offset: 0, reason });
             }
         };
-        Ok(TextReader { path: path.to_owned(), file, length, line_end, waveform, next: 0, bytes: Vec::new() })
+        let path = path.to_owned();
+        let mut reader = TextReader { path, file, length, line_end, waveform, next: 0, bytes: Vec::new() };
+        reader.leave_out_blank_end()?;
+        Ok(reader)
+    }
+
+    /// Leaves out line ends behind the last whole frame, which editors add. They are no part of a frame: that begins with a value.
+    fn leave_out_blank_end(&mut self) -> Result<(), RecordingError> {
+        let whole = self.whole_frames() * self.frame_bytes() as u64;
+        self.file.seek(SeekFrom::Start(whole)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        let mut is_blank = true;
+        for byte in self.file.by_ref().bytes() {
+            let byte = byte.map_err(RecordingError::io(&self.path, "cannot be read"))?;
+            is_blank = matches!(byte, b'\r' | b'\n');
+            if !is_blank {
+                break;
+            }
+        }
+        if is_blank {
+            self.length = whole;
+        }
+        self.file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        Ok(())
     }
 
     fn frame_bytes(&self) -> usize {
@@ -308,6 +330,32 @@ mod tests {
         }
         for wrong in ["0.000100", "1.000244", "2.000000", "0.00000x", "-0.00000", "0,512345"] {
             assert_eq!(parse_code(wrong.as_bytes()), None, "{wrong}");
+        }
+    }
+
+    mod hard_cases {
+        use radome_dsp::WaveformRequest;
+
+        use super::*;
+
+        /// A line end that an editor had added made a whole recording a cut one.
+        #[test]
+        fn line_ends_behind_the_last_frame_cut_nothing_short() {
+            let folder = tempfile::tempdir().expect("folder");
+            let path = folder.path().join("a.txt");
+            let header = RecordingHeader::new(Waveform::realise(WaveformRequest::paper()).expect("possible"));
+            let mut writer = TextWriter::create(&path, &header, Existing::Refuse).expect("creates");
+            let mut frame = Frame::zeroed(header.waveform.shape());
+            writer.frame(&frame).expect("writes");
+            writer.finish().expect("finishes");
+            let whole = std::fs::read(&path).expect("reads");
+            for (added, is_whole) in [("", true), ("\n", true), ("\r\n\n", true), ("0", false), ("\n0", false)] {
+                std::fs::write(&path, [whole.as_slice(), added.as_bytes()].concat()).expect("writes");
+                let mut reader = TextReader::open(&path).expect("opens");
+                assert_eq!((reader.is_complete(), reader.frame_count()), (is_whole, Some(1)), "{added:?}");
+                assert!(matches!(reader.read_next(&mut frame), Ok(SourceEvent::Frame)), "{added:?}");
+                assert_eq!(reader.read_next(&mut frame).is_ok(), is_whole, "{added:?}");
+            }
         }
     }
 }

@@ -93,6 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let lock = with_ending(&checkpoint, ".lock");
     let _held = lock_file(&lock)?;
     let trained = train(arguments, &checkpoint);
+    // While it is held: another training that has opened it notices that it has no name any more.
     let _ = std::fs::remove_file(&lock);
     trained
 }

@@ -1,6 +1,8 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_driver::recording::span_check::check_spans;
 use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
@@ -142,8 +144,30 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
     Ok(source)
 }
 
+/// Reads the labels of a recording, also those beside it, before the frames, which may take long. Tells of labels that do not fit the
+/// recording; they are carried over as they are.
+fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan>> {
+    let beside = labels::file_beside(input).filter(|_| !matches!(source, Recording::Mcap(_)));
+    let spans = labels::of(input).with_context(|| match beside {
+        Some(file) => format!(
+            "the labels of {} cannot be read\n\nhint: mend {}, or move it away to convert without labels",
+            input.display(),
+            file.display()
+        ),
+        None => format!("the labels of {} cannot be read", input.display()),
+    })?;
+    let extent = Recording::open(input).and_then(|mut recording| recording.extent()).ok().flatten();
+    let interval_s = source.waveform().frame_interval_s();
+    let extent_s = extent.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s));
+    if let Err(error) = check_spans(&spans, extent_s) {
+        message!("warning: {error}");
+    }
+    Ok(spans)
+}
+
 /// Writes a recording of another format.
 fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> anyhow::Result<WriteReport> {
+    let spans = read_labels(&arguments.input, source)?;
     let existing = arguments.overwrite.existing();
     let mut writer = RecordingWriter::create_with(&arguments.output, format, &source.header(), existing)?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "converting");
@@ -166,10 +190,7 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
         }
         bar.inc(1);
     }
-    // Those beside the recording, too.
-    for label in labels::of(&arguments.input)? {
-        writer.label(&label)?;
-    }
+    spans.iter().try_for_each(|label| writer.label(label))?;
     for result in source.results()?.into_iter().flatten() {
         writer.result(&result?)?;
     }
@@ -180,7 +201,7 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
 
 /// Writes the file for viewers.
 fn write_for_viewers(arguments: &Arguments, source: &mut Recording) -> anyhow::Result<WriteReport> {
-    let spans = labels::of(&arguments.input)?;
+    let spans = read_labels(&arguments.input, source)?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "for viewers");
     let after_event = || {
         if output::interrupted() {

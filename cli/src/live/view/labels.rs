@@ -210,18 +210,31 @@ impl Book {
     }
 }
 
-/// Cuts labels to the frames of a recording, from the first one to the end of the last one. A recording that cannot be read
-/// leaves them as they are.
-fn cut(labels: Vec<LabelSpan>, recording: &Path, interval_s: f64) -> Vec<LabelSpan> {
-    let extent = Recording::open(recording).and_then(|mut recording| recording.extent());
-    let Ok(Some(extent)) = extent else { return labels };
+/// Labels that are cut to a recording.
+struct Cut {
+    labels: Vec<LabelSpan>,
+    /// Number of labels that were left out because they lie before the first frame.
+    before: usize,
+    /// Number of those behind the last one.
+    behind: usize,
+}
+
+/// Cuts labels to the frames of a recording, from the first one to the end of the last one. A recording that was not finished or
+/// cannot be read leaves them as they are: a repair may find more frames.
+fn cut(labels: Vec<LabelSpan>, recording: &Path, interval_s: f64) -> Cut {
+    let is_unfinished = |recording: &Recording| matches!(recording, Recording::Mcap(reader) if !reader.is_complete());
+    let extent = Recording::open(recording)
+        .and_then(|mut recording| if is_unfinished(&recording) { Ok(None) } else { recording.extent() });
+    let Ok(Some(extent)) = extent else { return Cut { labels, before: 0, behind: 0 } };
     let (first_s, last_s) = (extent.first.time_s(), extent.last.time_s() + interval_s);
     let cut = labels.into_iter().map(|label| LabelSpan {
         start_s: label.start_s.max(first_s),
         end_s: label.end_s.min(last_s),
         ..label
     });
-    cut.filter(|label| label.end_s - label.start_s >= SHORTEST_S).collect()
+    let (labels, out): (Vec<_>, Vec<_>) = cut.partition(|label| label.end_s - label.start_s >= SHORTEST_S);
+    let behind = out.iter().filter(|label| label.start_s + SHORTEST_S > last_s).count();
+    Cut { labels, before: out.len() - behind, behind }
 }
 
 fn now_ns() -> Option<u64> {
@@ -549,8 +562,15 @@ impl Keeper {
         if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
             if let Place::Made { recording } = place {
                 // Open labels have ended by now. Others may have been made for times to which the recording did not come.
-                let labels = cut(state.book.labels(self.now_s()), recording, self.interval_s);
+                let Cut { labels, before, behind } = cut(state.book.labels(self.now_s()), recording, self.interval_s);
                 mcap::stage_labels(recording, &labels).with_context(|| format!("{count} labels were not saved"))?;
+                for (left_out, place) in
+                    [(before, "before the recording's start"), (behind, "behind the recording's end")]
+                {
+                    if left_out > 0 {
+                        message!("{left_out} labels lie {place} and were left out");
+                    }
+                }
             } else if let Some(fault) = &state.fault {
                 bail!("labels were not saved: {fault}");
             } else if state.saved != state.book.revision {
@@ -626,19 +646,40 @@ mod tests {
 
         use super::*;
 
+        /// Records frames from 0.3 to 0.9 s at 10 Hz.
+        fn recorded(path: &Path) -> Recorder {
+            let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
+            let mut frame = Frame::zeroed(waveform.shape());
+            let mut recorder = Recorder::create(path, &RecordingHeader::new(waveform)).expect("creates");
+            for number in 3..10 {
+                (frame.sequence, frame.time_ns) = (number, number * 100_000_000);
+                recorder.frame(&frame).expect("records");
+            }
+            recorder.flush().expect("records");
+            recorder
+        }
+
+        /// Labels were left out without a word, also of a recording of which a repair finds more.
+        #[test]
+        fn labels_behind_the_end_are_counted_and_kept_for_a_repair() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("night.mcap");
+            let spans = [(0.1, 0.2), (0.5, 0.7), (2.0, 3.0), (4.0, 5.0)];
+            let labels = spans.map(|(start_s, end_s)| LabelSpan::new(start_s, end_s, "one")).to_vec();
+            let recorder = recorded(&path);
+            let unfinished = cut(labels.clone(), &path, 0.1);
+            assert_eq!((unfinished.labels, unfinished.before, unfinished.behind), (labels.clone(), 0, 0));
+            recorder.finish().expect("finishes");
+            let finished = cut(labels.clone(), &path, 0.1);
+            assert_eq!((finished.labels.as_slice(), finished.before, finished.behind), (&labels[1..2], 1, 2));
+        }
+
         /// Regression test: labels of a recording that is being made could lie before its start and behind its end.
         #[test]
         fn labels_outside_a_recording_that_is_made_are_refused_or_cut() {
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("night.mcap");
-            let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
-            let mut frame = Frame::zeroed(waveform.shape());
-            let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("creates");
-            for number in 3..10 {
-                (frame.sequence, frame.time_ns) = (number, number * 100_000_000);
-                recorder.frame(&frame).expect("records");
-            }
-            recorder.finish().expect("finishes");
+            recorded(&path).finish().expect("finishes");
 
             let keeper = Keeper::open(None, Some(&path), Path::new("cfar"), 0.1).expect("opens");
             keeper.at(0.9);

@@ -31,9 +31,20 @@ pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     .map(|_| ())
 }
 
-/// Returns whether a record that the recorder writes between its chunks ends where its content ends. Records of other kinds are not
-/// checked.
+/// Compression of a chunk with its length, as it stands in the chunk's head.
+pub(super) const CHUNK_MARK: &[u8] = b"\x04\0\0\0zstd";
+
+/// Returns whether the content of a record that the recorder writes between its chunks ends within it. What MCAP may add behind the
+/// content in later versions is left over, and no chunk is among it. Records of other kinds are not checked.
 pub(super) fn is_filled(opcode: u8, body: &[u8]) -> bool {
+    let is_checked = matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA | op::MESSAGE_INDEX);
+    let has_no_chunk = |rest: &[u8]| !rest.windows(CHUNK_MARK.len()).any(|bytes| bytes == CHUNK_MARK);
+    !is_checked || content_length(opcode, body).and_then(|length| body.get(length..)).is_some_and(has_no_chunk)
+}
+
+/// Length of the content of a record that the recorder writes between its chunks; `None` if the content does not end, and for
+/// records of other kinds.
+pub(super) fn content_length(opcode: u8, body: &[u8]) -> Option<usize> {
     let mut rest = Rest(body);
     let behind = match opcode {
         op::HEADER => rest.strings(2),
@@ -43,9 +54,9 @@ pub(super) fn is_filled(opcode: u8, body: &[u8]) -> bool {
         op::METADATA => rest.strings(1).and_then(Rest::string_map),
         // Number of the channel; the list of places has a length in bytes like a string.
         op::MESSAGE_INDEX => rest.skip(2).and_then(|rest| rest.strings(1)),
-        _ => return true,
+        _ => return None,
     };
-    behind.is_some_and(|rest| rest.0.is_empty())
+    behind.map(|rest| body.len() - rest.0.len())
 }
 
 struct Rest<'a>(&'a [u8]);

@@ -55,6 +55,8 @@ pub struct RecordingSummary {
     pub gaps: u64,
     /// Frames known to be lost in the gaps.
     pub frames_lost: u64,
+    /// Gaps of unknown length, whose lost frames are not counted.
+    pub unknown_gaps: u64,
     /// Labels written.
     pub labels: u64,
     /// Results written.
@@ -420,6 +422,7 @@ impl Recorder {
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         self.write_json(GAP_CHANNEL, gap)?;
         self.summary.gaps += 1;
+        self.summary.unknown_gaps += u64::from(gap.frames == 0);
         self.summary.frames_lost = self.summary.frames_lost.saturating_add(gap.frames);
         Ok(())
     }

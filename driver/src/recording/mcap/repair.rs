@@ -6,11 +6,18 @@ use std::path::Path;
 use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
-use super::lengths::{is_filled, parse_record};
+use super::lengths::{CHUNK_MARK, content_length, is_filled, parse_record};
 use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
 use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
 use crate::recording::{Existing, RecordingError};
+
+/// Length of the head of a chunk: everything before its compressed records.
+const CHUNK_HEAD: usize = RECORD_HEADER as usize + 44;
+/// Place of the compression in the head of a chunk.
+const CHUNK_MARK_AT: std::ops::Range<usize> = 37..45;
+/// Bytes that are read of a record between chunks, to find the end of its content.
+const RECORD_BLOCK: usize = 1 << 16;
 
 /// Part of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -125,11 +132,11 @@ impl Repair {
                     Err(error) => return Err(error),
                 },
                 // A damaged length may reach over chunks that are intact.
-                Ok(Next::Record(opcode, _)) if !is_filled(opcode, &body) => {
-                    "the length of a record is not that of its content".to_owned()
-                }
-                // Records of other programs are skipped; a damaged length looks like one.
-                Ok(Next::Record(opcode, _)) if opcode < 0x80 => continue,
+                Ok(Next::Record(opcode, _)) if opcode < 0x80 => match is_whole(records, opcode, &body)? {
+                    true => continue,
+                    false => "the length of a record is not that of its content".to_owned(),
+                },
+                // Records of other programs look like damaged ones.
                 Ok(Next::Record(opcode, _)) => format!("{opcode:#04x} is no record of a recording"),
                 Ok(Next::End) => {
                     self.report.was_finished = true;
@@ -140,21 +147,8 @@ impl Repair {
                 Err(RecordingError::Corrupt { reason, .. }) => reason,
                 Err(error) => return Err(error),
             };
-            let mut opcode = [0];
-            records.peek(at, &mut opcode)?;
-            let is_chunk = opcode == [op::CHUNK];
-            let frames = if is_chunk { frames_by_index(records, at, &channels)? } else { None };
-            let next = next_chunk(records, at + 1)?;
-            let bytes = next.unwrap_or(records.length) - at;
-            let damage = Damage { offset: at, bytes, frames, reason };
-            match is_chunk || next.is_some() {
-                true => self.damaged(damage),
-                // Behind the last chunk there are no frames.
-                false => self.report.damage.push(damage),
-            }
-            match next {
-                Some(next) => records.go_to(next)?,
-                None => break,
+            if !self.skip(records, at, reason, &channels)? {
+                break;
             }
         }
         // Frames lost at the end.
@@ -166,6 +160,38 @@ impl Repair {
         self.labels.iter().try_for_each(|label| self.writer.recorder.label(label))
     }
 
+    /// Notes the damaged record that starts here, and goes to where the file can be read again; `false` if there is no such place.
+    fn skip(
+        &mut self,
+        records: &mut Records,
+        at: u64,
+        reason: String,
+        channels: &BTreeMap<u16, Topic>,
+    ) -> Result<bool, RecordingError> {
+        let mut head = [0u8; CHUNK_HEAD];
+        records.peek(at, &mut head)?;
+        let [opcode, ..] = head;
+        // A chunk whose opcode is damaged shows by its compression.
+        let is_chunk = opcode == op::CHUNK || head.get(CHUNK_MARK_AT) == Some(CHUNK_MARK);
+        let frames = if is_chunk { frames_by_index(records, at, channels)? } else { None };
+        let chunk = next_chunk(records, at + 1)?;
+        // Where the content leads to the next record, and over no chunk, only a length is damaged.
+        let behind = if is_chunk { None } else { behind_content(records, at, opcode)? };
+        let behind = behind.filter(|behind| chunk.is_none_or(|chunk| *behind <= chunk));
+        let next = behind.or(chunk);
+        let damage = Damage { offset: at, bytes: next.unwrap_or(records.length) - at, frames, reason };
+        match behind.is_none() && (is_chunk || chunk.is_some()) {
+            true => self.damaged(damage),
+            // No chunk is lost: behind the last one there are no frames.
+            false => self.report.damage.push(damage),
+        }
+        if let Some(next) = next {
+            records.go_to(next)?;
+        }
+        Ok(next.is_some())
+    }
+
+    /// Notes damage that may have cost frames.
     fn damaged(&mut self, damage: Damage) {
         let unread = self.unread.get_or_insert_default();
         unread.frames += damage.frames.unwrap_or(0);
@@ -260,30 +286,76 @@ fn frames_by_index(
     }
 }
 
+/// Returns whether the record that was just read is as long as its content, or longer as later versions of MCAP may make it: then
+/// another record follows.
+fn is_whole(records: &mut Records, opcode: u8, body: &[u8]) -> Result<bool, RecordingError> {
+    let end = records.offset;
+    // A chunk whose opcode has become another one's.
+    if body.get(CHUNK_MARK_AT.start - RECORD_HEADER as usize..).is_some_and(|rest| rest.starts_with(CHUNK_MARK)) {
+        return Ok(false);
+    }
+    let is_exact = content_length(opcode, body).is_none_or(|length| length == body.len());
+    Ok(is_filled(opcode, body) && (is_exact || starts_record(records, end)?))
+}
+
+/// End of the content of the record that starts here, if the next record starts there. The record's own length is not used.
+fn behind_content(records: &mut Records, at: u64, opcode: u8) -> Result<Option<u64>, RecordingError> {
+    let mut block = vec![0; RECORD_BLOCK];
+    let filled = records.peek(at + RECORD_HEADER, &mut block)?;
+    let Some(length) = content_length(opcode, block.get(..filled).unwrap_or(&[])) else { return Ok(None) };
+    let end = at + RECORD_HEADER + length as u64;
+    Ok(starts_record(records, end)?.then_some(end))
+}
+
+/// Returns whether the file ends here, or a record starts here whose length agrees with its content.
+fn starts_record(records: &mut Records, at: u64) -> Result<bool, RecordingError> {
+    if at == records.length {
+        return Ok(true);
+    }
+    let mut block = vec![0; RECORD_BLOCK];
+    let filled = records.peek(at, &mut block)?;
+    let block = block.get(..filled).unwrap_or(&[]);
+    let Some((&[opcode, ref length @ ..], body)) = block.split_first_chunk::<{ RECORD_HEADER as usize }>() else {
+        return Ok(false);
+    };
+    let length = u64::from_le_bytes(*length);
+    let fits = length <= records.length.saturating_sub(at + RECORD_HEADER);
+    Ok(match opcode {
+        // The last chunk of an unfinished file may be cut.
+        op::CHUNK => block.get(..CHUNK_HEAD).is_some_and(is_chunk_head),
+        op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA | op::MESSAGE_INDEX => {
+            fits && content_length(opcode, body).is_some_and(|content| content as u64 <= length)
+        }
+        _ => fits && (1..=op::DATA_END).contains(&opcode),
+    })
+}
+
+/// Returns whether these bytes are the head of a chunk, whose two lengths agree.
+fn is_chunk_head(head: &[u8]) -> bool {
+    if head.first() != Some(&op::CHUNK) || head.get(CHUNK_MARK_AT) != Some(CHUNK_MARK) {
+        return false;
+    }
+    let number = |at: usize| head.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+    let length = number(1);
+    length <= MAX_RECORD && number(CHUNK_MARK_AT.end).checked_add(44) == Some(length)
+}
+
 /// Finds the start of the first chunk from here on. A chunk has an opcode, a length, and 28 bytes later the
 /// compression's name and a length that agrees with the first.
 fn next_chunk(records: &mut Records, from: u64) -> Result<Option<u64>, RecordingError> {
     const BLOCK: usize = 1 << 20;
-    const HEAD: usize = RECORD_HEADER as usize + 44;
     let mut block = vec![0; BLOCK];
     let mut start = from;
     while start < records.length {
         let filled = records.peek(start, &mut block)?;
         let bytes = block.get(..filled).unwrap_or(&[]);
-        for (index, head) in bytes.windows(HEAD).enumerate() {
-            if head.first() != Some(&op::CHUNK) || head.get(37..45) != Some(b"\x04\0\0\0zstd") {
-                continue;
-            }
-            let number = |at: usize| head.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
-            let length = number(1);
-            if length <= MAX_RECORD && number(45).checked_add(44) == Some(length) {
-                return Ok(Some(start + index as u64));
-            }
+        if let Some(index) = bytes.windows(CHUNK_HEAD).position(is_chunk_head) {
+            return Ok(Some(start + index as u64));
         }
         if filled < BLOCK {
             break;
         }
-        start += (BLOCK - HEAD + 1) as u64;
+        start += (BLOCK - CHUNK_HEAD + 1) as u64;
     }
     Ok(None)
 }
