@@ -8,7 +8,7 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use crate::news::is_news;
+use crate::first_warning::is_first_warning;
 use crate::people::motion::{Bed, Motion, MotionBuilder};
 use crate::people::person::{AtDesk, BodyPoint, Person, Steps, with_gait};
 use crate::people::route::Ground;
@@ -233,7 +233,7 @@ impl Script<'_> {
     fn tell(&self, [x, y]: [f64; 2], why: &str) {
         let (path, index) = (self.scene.path().to_string_lossy(), self.index.to_string());
         let goal = format!("[{x:.2}, {y:.2}]");
-        if !self.has_told.replace(true) && is_news(&["goal", &path, &index, &goal]) {
+        if !self.has_told.replace(true) && is_first_warning(&["goal", &path, &index, &goal]) {
             tracing::warn!("{}: person {index} goes straight to {goal} m, which {why}", self.file.name);
         }
     }

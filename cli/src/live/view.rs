@@ -8,6 +8,7 @@
 
 mod adaptation;
 mod control;
+mod cut_labels;
 mod feed;
 mod labels;
 mod partner;

@@ -20,12 +20,12 @@ use super::check::{Fault, fault, surfaces};
 use super::{SceneError, file_error};
 use crate::em::image::Wall;
 use crate::file_error::FileError;
+use crate::first_warning::is_first_warning;
 use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
 use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 use crate::material::{Material, OPEN};
 use crate::math::Sets;
-use crate::news::is_news;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
 /// Distance within which vertices are merged, and within which triangles belong to a plane, m. Modelling programs store
@@ -76,7 +76,7 @@ fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Wavefo
         (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
     };
     let ghz = waveform.centre_frequency_hz() * 1e-9;
-    if !(low..=high).contains(&ghz) && is_news(&["band", material, place]) {
+    if !(low..=high).contains(&ghz) && is_first_warning(&["band", material, place]) {
         tracing::warn!(
             material,
             wall = place,

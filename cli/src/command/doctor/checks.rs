@@ -343,7 +343,7 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
     checks
 }
 
-/// What helps against an error of writing to a folder.
+/// Returns what helps against an error of writing to a folder.
 fn remedy(kind: ErrorKind) -> &'static str {
     match kind {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "make room, or --record-to another disk",

@@ -543,7 +543,7 @@ mod tests {
             }
         }
 
-        /// Who walked beyond an open wall was moved into the room.
+        /// Regression test: a person who walked beyond an open wall was moved into the room.
         #[test]
         fn who_is_beyond_a_wall_that_does_not_hide_stays_there() {
             let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");

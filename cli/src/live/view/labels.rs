@@ -14,6 +14,7 @@ use radome_dsp::Occupancy;
 use serde::Serialize;
 
 use super::adaptation::Offer;
+use super::cut_labels::{Cut, SHORTEST_S, cut};
 use crate::labels;
 use crate::source::Playback;
 
@@ -21,8 +22,6 @@ use crate::source::Playback;
 const MOST_SPANS: usize = 5_000;
 /// Number of changes that can be undone.
 const MOST_UNDO: usize = 100;
-/// Duration below which a span counts as accidental, s.
-const SHORTEST_S: f64 = 1e-3;
 /// Intervals at which a growing label is written to the disk, and to a recording that is being made. They limit the
 /// loss if this program is killed.
 const GROWING_SAVED: Duration = Duration::from_secs(10);
@@ -208,33 +207,6 @@ impl Book {
         ended.end_open(now_s);
         ended.spans.into_iter().map(|span| span.label).collect()
     }
-}
-
-/// Labels that are cut to a recording.
-struct Cut {
-    labels: Vec<LabelSpan>,
-    /// Number of labels that were left out because they lie before the first frame.
-    before: usize,
-    /// Number of those behind the last one.
-    behind: usize,
-}
-
-/// Cuts labels to the frames of a recording, from the first one to the end of the last one. A recording that was not finished or
-/// cannot be read leaves them as they are: a repair may find more frames.
-fn cut(labels: Vec<LabelSpan>, recording: &Path, interval_s: f64) -> Cut {
-    let is_unfinished = |recording: &Recording| matches!(recording, Recording::Mcap(reader) if !reader.is_complete());
-    let extent = Recording::open(recording)
-        .and_then(|mut recording| if is_unfinished(&recording) { Ok(None) } else { recording.extent() });
-    let Ok(Some(extent)) = extent else { return Cut { labels, before: 0, behind: 0 } };
-    let (first_s, last_s) = (extent.first.time_s(), extent.last.time_s() + interval_s);
-    let cut = labels.into_iter().map(|label| LabelSpan {
-        start_s: label.start_s.max(first_s),
-        end_s: label.end_s.min(last_s),
-        ..label
-    });
-    let (labels, out): (Vec<_>, Vec<_>) = cut.partition(|label| label.end_s - label.start_s >= SHORTEST_S);
-    let behind = out.iter().filter(|label| label.start_s + SHORTEST_S > last_s).count();
-    Cut { labels, before: out.len() - behind, behind }
 }
 
 fn now_ns() -> Option<u64> {
@@ -641,38 +613,8 @@ mod tests {
     }
 
     mod hard_cases {
-        use radome_driver::{Recorder, RecordingHeader};
-        use radome_dsp::{Frame, Waveform, WaveformRequest};
-
+        use super::super::super::cut_labels::tests::recorded;
         use super::*;
-
-        /// Records frames from 0.3 to 0.9 s at 10 Hz.
-        fn recorded(path: &Path) -> Recorder {
-            let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
-            let mut frame = Frame::zeroed(waveform.shape());
-            let mut recorder = Recorder::create(path, &RecordingHeader::new(waveform)).expect("creates");
-            for number in 3..10 {
-                (frame.sequence, frame.time_ns) = (number, number * 100_000_000);
-                recorder.frame(&frame).expect("records");
-            }
-            recorder.flush().expect("records");
-            recorder
-        }
-
-        /// Labels were left out without a word, also of a recording of which a repair finds more.
-        #[test]
-        fn labels_behind_the_end_are_counted_and_kept_for_a_repair() {
-            let folder = tempfile::tempdir().expect("a folder");
-            let path = folder.path().join("night.mcap");
-            let spans = [(0.1, 0.2), (0.5, 0.7), (2.0, 3.0), (4.0, 5.0)];
-            let labels = spans.map(|(start_s, end_s)| LabelSpan::new(start_s, end_s, "one")).to_vec();
-            let recorder = recorded(&path);
-            let unfinished = cut(labels.clone(), &path, 0.1);
-            assert_eq!((unfinished.labels, unfinished.before, unfinished.behind), (labels.clone(), 0, 0));
-            recorder.finish().expect("finishes");
-            let finished = cut(labels.clone(), &path, 0.1);
-            assert_eq!((finished.labels.as_slice(), finished.before, finished.behind), (&labels[1..2], 1, 2));
-        }
 
         /// Regression test: labels of a recording that is being made could lie before its start and behind its end.
         #[test]
