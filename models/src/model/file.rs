@@ -9,6 +9,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use super::card::{CARD_KEY, ModelCard, ModelError};
 use crate::array_hash::{self, Damaged};
 use crate::kernel::KernelLevel;
+use crate::layer::{DESCRIPTORS, FIRST_DESCRIPTORS};
 use crate::network::Network;
 use crate::whole_file;
 
@@ -90,10 +91,16 @@ impl Model {
                 found,
             };
             let view = tensors.tensor(&name).map_err(|e| inconsistent(e.to_string()))?;
-            if view.dtype() != Dtype::F32 || view.shape() != shape {
+            let is_older = matches!(*shape, [rows, DESCRIPTORS] if view.shape() == [rows, FIRST_DESCRIPTORS]);
+            if view.dtype() != Dtype::F32 || (view.shape() != shape && !is_older) {
                 return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
             }
-            let numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+            let mut numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+            if is_older {
+                // Descriptors that were added later have no weight.
+                let row = |row: &[f32]| [row, &[0.0; DESCRIPTORS - FIRST_DESCRIPTORS]].concat();
+                numbers = numbers.chunks(FIRST_DESCRIPTORS).flat_map(row).collect();
+            }
             let bad = numbers.iter().filter(|v| !v.is_finite()).count();
             if bad > 0 {
                 return Err(inconsistent(format!("{bad} values that are NaN or infinite")));
