@@ -152,7 +152,8 @@ export class Timeline {
     g.textBaseline = 'alphabetic';
     for (const [value] of ticks(from, to, Math.max(2, Math.min(10, width / 90)))) {
       const px = x(value);
-      if (px > LEFT + 14 && px < width - 18) g.fillText(clock(value, to - from > 20 ? 0 : 1), px, height - 4);
+      // A live window reaches back beyond the first frame; no time is negative.
+      if (value > -1e-9 && px > LEFT + 14 && px < width - 18) g.fillText(clock(value, to - from > 20 ? 0 : 1), px, height - 4);
     }
   }
 
