@@ -371,7 +371,7 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let ear = Ear::new();
     // The board is another process, so that a signal can stop it.
     let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
-    let mut live = live_command(format!("serial:{port}"), "--json");
+    let mut live = live_command(format!("serial:{port}"), "--json --metrics 127.0.0.1:0");
     live.env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
     let mut live = Running::start(&mut live);
     ear.wait_for("READY=1");
@@ -384,6 +384,9 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     ear.hear(Duration::from_secs(2));
     let heard = ear.hear(Duration::from_secs(4));
     assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
+    // Regression test: the frame rate stayed at that of the last frames.
+    let page = scrape(metrics_port(&live), |page| page.contains("\nradome_up 0\n"));
+    assert_eq!(metric(&page, "radome_frame_rate_hertz"), 0.0, "{page}");
     board.signal("CONT");
     ear.wait_for("WATCHDOG=1");
     live.signal("TERM");

@@ -92,6 +92,12 @@ impl Latest {
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
     }
 
+    /// Frame rate over the newest frames, 1/s; 0 if frames no longer arrive.
+    pub fn frames_per_s(&self) -> f64 {
+        let newest = self.lock();
+        if newest.health.is_silent(self.silence) { 0.0 } else { newest.health.frames_per_s() }
+    }
+
     /// Number of frames classified and lost so far.
     pub fn frames(&self) -> (u64, u64) {
         let newest = self.lock();
