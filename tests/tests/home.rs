@@ -113,6 +113,7 @@ fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
     let hub = broker.listen();
     let availability = format!("radome/{ID}/availability");
     let state = format!("radome/{ID}/state");
+    live.stderr.find(0, "the topic", |line| line.ends_with(&format!("connected; answers go to {state}")).then_some(()));
 
     let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
     let found: Value = serde_json::from_str(&found).expect("JSON");
@@ -175,6 +176,9 @@ fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
         broker.process = None;
         wait_for_more();
     }
+    // Whoever reads the log learns that each connection came back, not only that it was lost.
+    let connected = live.stderr.all().iter().filter(|line| line.contains(": connected; ")).count();
+    assert!(connected >= 2, "{connected} connections reported");
     let summary = stop_and_count(live);
     assert!(summary["frames"].as_u64().is_some_and(|frames| frames >= 60), "{summary}");
 }
