@@ -171,7 +171,7 @@ impl Sink for Screen {
         }
         if let Some(settled) = &summary.metrics_without_transitions {
             line += &format!(
-                " ({:.3} without the {} frames of entering and leaving)",
+                " ({:.3} without the {} frames of entering and leaving, marked ~)",
                 settled.balanced_accuracy, summary.transition_frames
             );
         }
