@@ -94,7 +94,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         None => labels::add(&arguments.recording, &spans)?,
     };
-    message!("{} labels written to {}", spans.len(), place.display());
+    let word = if spans.len() == 1 { "label" } else { "labels" };
+    message!("{} {word} written to {}", spans.len(), place.display());
     print(&spans, arguments.json)
 }
 
