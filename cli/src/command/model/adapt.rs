@@ -19,7 +19,7 @@ use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 /// `radome model adapt`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model file
+    /// Model file, or room-hqnn, which is built in
     model: PathBuf,
     /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
     /// RECORDING=two for a recording of one class. Each recording whose classes are all in others, too, is held out in turn to
