@@ -18,6 +18,9 @@ use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
+#[command(after_help = "Examples, with recordings that are labelled, and with recordings of one class each:\n  \
+                  radome model adapt room-hqnn monday.mcap tuesday.mcap -o my-room.safetensors\n  \
+                  radome model adapt room-hqnn a.mcap=empty b.mcap=empty c.mcap=one d.mcap=one -o mine.safetensors")]
 pub struct Arguments {
     /// Model file, or room-hqnn, which is built in
     model: PathBuf,
