@@ -178,7 +178,10 @@ fn tell(
         None => output::text_line("nothing is measured: what a recording shows has to be in another one, too")?,
     }
     match file {
-        Some(file) => output::text_line(&format!("{file} written, pulled with a strength of {} s", adapted.strength)),
+        Some(file) => {
+            let strength_s = adapted.strength;
+            output::text_line(&format!("{file} written; regularised towards the model before, strength {strength_s} s"))
+        }
         None => Ok(()),
     }
 }
