@@ -90,7 +90,10 @@ const link = new Link({
     }
     if (access) health.access(access);
     if (refused) notice(refused);
-    if (over) notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+    if (over) {
+      notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+      list.end();
+    }
   },
   state(state) {
     page.state = state;
