@@ -50,6 +50,9 @@ pub struct Answer {
     pub occupied: bool,
     /// Number of people in the room, after the same delays.
     pub people: usize,
+    /// Whether `people` is due to labels, see [`super::occupancy::PeopleCount::is_settled`].
+    #[serde(skip)]
+    pub is_settled: bool,
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,

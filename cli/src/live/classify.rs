@@ -132,6 +132,7 @@ impl FrameClassifier {
                 answer.label = Some(label);
                 answer.people = self.people.update(answer.time_s, label);
                 answer.occupied = answer.people > 0;
+                answer.is_settled = self.people.is_settled();
                 self.health.labels[label.index()] += 1;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {

@@ -29,7 +29,7 @@ impl Said {
 /// Newest state of a run.
 #[derive(Debug, Clone)]
 pub struct Newest {
-    /// Newest answer; `None` until the first label.
+    /// Newest answer; `None` until the first settled one.
     pub said: Option<Said>,
     /// Time at which the last frame with a signal was classified, labelled or not.
     pub judged: Option<Instant>,
@@ -121,7 +121,8 @@ impl Sink for LatestSink {
         if !answer.no_signal {
             newest.judged = Some(Instant::now());
         }
-        let Some(probabilities) = answer.probabilities else { return Ok(()) };
+        // Other programs act on a room that becomes empty: an unsettled count is unknown to them.
+        let Some(probabilities) = answer.probabilities.filter(|_| answer.is_settled) else { return Ok(()) };
         let said = Said { probabilities: probabilities.values(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
         drop(newest);
