@@ -4,8 +4,12 @@ use std::process::ExitCode;
 
 use crate::output;
 
-/// Exit statuses, as `radome --help` lists them.
-pub const HELP: &str = "Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
+/// Examples and exit statuses at the end of `radome --help`.
+pub const HELP: &str = "Examples:\n  \
+                        radome demo --view\n  \
+                        radome board list\n  \
+                        radome live auto --view\n\n\
+                        Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
                         quietly with 0. Ctrl-C and SIGTERM end in order what streams, records, simulates or builds, and other \
                         commands at once; a second one ends all at once with 130.";
 

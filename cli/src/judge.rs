@@ -259,7 +259,7 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
     }
     if given.velocity_bins.len() < own.velocity_bins.len() {
         losses.push(format!(
-            "speeds above {:.2} m/s are not told from others, with the model's own waveform above {:.2} m/s",
+            "speeds above {:.2} m/s look like lower ones ({:.2} m/s with the model's own waveform)",
             waveform.max_velocity_m_per_s(),
             nominal.max_velocity_m_per_s()
         ));

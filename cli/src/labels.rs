@@ -165,6 +165,13 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
             message!("the label '{label}' is kept as free text; the class is written '{class}'");
         }
     }
+    let is_near = |label: &str| Occupancy::ALL.into_iter().any(|class| class.name().eq_ignore_ascii_case(label));
+    let mut labels = spans.iter().map(|span| span.label.as_str());
+    if let Some(label) = labels.find(|label| !label.is_empty() && !is_near(label)) {
+        message!(
+            "labels that are no class, such as '{label}', are kept as free text: their frames count as not labelled"
+        );
+    }
     Ok(())
 }
 

@@ -41,7 +41,8 @@ static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new()
 #[command(name = "radome", version, about, propagate_version = true, max_term_width = 100, after_help = exit::HELP)]
 struct Arguments {
     /// Print more messages on stderr: -v for events, -vv for every detail
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    // Listed behind a command's own options, before --help.
+    #[arg(short, long, global = true, display_order = 900, action = clap::ArgAction::Count)]
     verbose: u8,
     #[command(subcommand)]
     command: command::Command,

@@ -43,7 +43,7 @@ pub struct SourceArgs {
     /// Stop after this number of frames
     #[arg(long)]
     pub frames: Option<u64>,
-    /// Pace as a multiple of real time; 0, the default, is as fast as possible. With --view, recordings default to 1
+    /// Pace as a multiple of real time; 0, the default, is as fast as possible. `live --view` plays recordings at 1 by default
     #[arg(long, value_parser = not_negative)]
     pub speed: Option<f64>,
     /// Seed of a simulation; 1 if absent, 100001 for `live`

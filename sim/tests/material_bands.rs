@@ -42,20 +42,21 @@ fn a_material_outside_its_band_is_warned_of() {
     let scene = made_of(&hall, "ceiling", "concrete").replace("\"open\"", "\"plasterboard\"");
     assert_eq!(warnings(&scene), 0);
     assert_eq!(warnings(&scene.replace("[50, 70]", "[1, 10]")), 1, "the floor");
-    // The table's brick ends at 40 GHz: there is a warning for each of four walls.
-    assert_eq!(warnings(&scene.replace("plasterboard", "brick")), 4);
-    // Furniture gives a warning, and all objects within a floor plan give a single one.
+    // The table's brick ends at 40 GHz. A material gives one warning, and not one for each of four walls.
+    assert_eq!(warnings(&scene.replace("plasterboard", "brick")), 1, "walls");
+    // Furniture gives a warning too, and so do objects within a floor plan.
     let cupboard = "[[furniture]]\nname = \"cupboard\"\nposition_m = [4.0, 4.0, 0.0]\nsize_m = [1.0, 1.0, 1.0]\n";
     assert_eq!(warnings(&format!("{scene}{cupboard}material = \"plywood\"\n")), 1, "a cupboard");
     let (before, rest) = scene.split_once("size_m").expect("written");
     let (_, after) = rest.split_once("[radar]").expect("written");
     let partition = |from_m: f64| {
-        format!("[[room.plan.partition]]\nfrom_m = [{from_m:?}, 5.0]\nto_m = [{from_m:?}, 7.0]\nmaterial = \"brick\"\n")
+        format!("[[room.plan.partition]]\nfrom_m = [{from_m:?}, 5.0]\nto_m = [{from_m:?}, 7.0]\nmaterial = \"felt\"\n")
     };
     let plan = format!(
         "{before}floor = {{ material = \"concrete\" }}\nceiling = {{ material = \"concrete\" }}\n[room.plan]\n\
          corners_m = [[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]]\nheight_m = 3.0\n\
-         walls = {{ material = \"plasterboard\" }}\n{}{}[radar]{after}",
+         walls = {{ material = \"plasterboard\" }}\n{}{}[radar]{after}\n\
+         [materials.felt]\npermittivity = [1.5, 0.05]\nband_ghz = [1, 10]\n",
         partition(8.0),
         partition(9.0)
     );

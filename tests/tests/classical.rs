@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, subcommand};
+use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, subcommand, success};
 use serde_json::Value;
 
 /// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
@@ -100,4 +100,11 @@ fn a_reflector_tells_what_receivers_are_unlike_in() {
     std::fs::write(&angles, "format = 7\n").expect("writable");
     let said = failure(subcommand("recording echoes").args(["--frames", "5", "--angles"]).arg(&angles).arg(&path));
     assert!(said.contains("hint:") && said.contains("angles.toml"), "{said}");
+}
+
+#[test]
+fn a_source_without_echoes_is_said_to_have_none() {
+    let empty = fixture("scenes/corridor.toml");
+    let (told, said) = success(subcommand("recording echoes --frames 5 --people 0").arg(empty));
+    assert!(told.is_empty() && said.contains("no echo stands out of the noise in 5 frames"), "{told}{said}");
 }

@@ -199,7 +199,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     }
 
     let (checks, _) = failing(radome().args(["doctor", "--json", "--record-to", "/no/such/folder"]));
-    assert_eq!(named(&checks, "room")["verdict"], "fail");
+    assert_eq!(named(&checks, "space")["verdict"], "fail");
 }
 
 /// Regression test: of a recording without frames it said that the board is silent, and a gap of unknown length counted as

@@ -215,26 +215,43 @@ fn paths_in_the_text_exist() {
     assert!(count > 100, "{count} paths found");
 }
 
-/// Asserts that commands and options on pages appear in the help, which excludes former names.
+/// Asserts that a command and its options appear in the help, which excludes former names.
+fn check_command(place: &str, words: &[String], helps: &mut BTreeMap<String, String>) {
+    let is_name = |word: &str| word.chars().all(|c| c.is_ascii_lowercase());
+    let Some(first) = words.first().filter(|word| is_name(word)) else { return };
+    let second = words.get(1).filter(|word| GROUPS.contains(&first.as_str()) && is_name(word));
+    let name = second.map_or_else(|| first.clone(), |second| format!("{first} {second}"));
+    let help = helps.entry(name.clone()).or_insert_with(|| help(&name));
+    assert!(help.contains(&format!("radome {name}")), "{place}: {name} is a former name");
+    let known = long_options(help);
+    for option in words.iter().filter(|word| word.starts_with("--")) {
+        let option = option.split('=').next().unwrap_or_default();
+        assert!(known.contains(&option), "{place}: {name} has no {option}: {known:?}");
+    }
+}
+
 #[test]
 fn commands_and_options_are_those_of_the_program() {
-    let is_name = |word: &str| word.chars().all(|c| c.is_ascii_lowercase());
     let mut helps: BTreeMap<String, String> = BTreeMap::new();
     for page in pages() {
         for words in page.commands() {
-            let Some(first) = words.first().filter(|word| is_name(word)) else { continue };
-            let second = words.get(1).filter(|word| GROUPS.contains(&first.as_str()) && is_name(word));
-            let name = second.map_or_else(|| first.clone(), |second| format!("{first} {second}"));
-            let help = helps.entry(name.clone()).or_insert_with(|| help(&name));
-            assert!(help.contains(&format!("radome {name}")), "{}: {name} is a former name", page.path);
-            let known = long_options(help);
-            for option in words.iter().filter(|word| word.starts_with("--")) {
-                let option = option.split('=').next().unwrap_or_default();
-                assert!(known.contains(&option), "{}: {name} has no {option}: {known:?}", page.path);
-            }
+            check_command(&page.path, &words, &mut helps);
         }
     }
     assert!(helps.len() > 25, "{:?}", helps.keys());
+}
+
+#[test]
+fn examples_in_helps_are_commands_of_the_program() {
+    let mut helps: BTreeMap<String, String> = BTreeMap::new();
+    for name in ["", "live", "record", "recording label", "model adapt"] {
+        let text = help(name);
+        let examples: Vec<_> = text.lines().filter(|line| line.starts_with("  ")).filter_map(command).collect();
+        assert!(examples.len() >= 2, "{name}: {text}");
+        for words in examples {
+            check_command(&format!("help of {name:?}"), &words, &mut helps);
+        }
+    }
 }
 
 #[test]

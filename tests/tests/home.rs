@@ -113,13 +113,14 @@ fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
     let hub = broker.listen();
     let availability = format!("radome/{ID}/availability");
     let state = format!("radome/{ID}/state");
+    live.stderr.find(0, "the topic", |line| line.ends_with(&format!("connected; answers go to {state}")).then_some(()));
 
     let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
     let found: Value = serde_json::from_str(&found).expect("JSON");
     assert_eq!((&found["dev"]["name"], &found["dev"]["mdl"]), (&"Corridor radar".into(), &"BGT60TR13C".into()));
     assert_eq!(found["dev"]["ids"], serde_json::json!([format!("bgt60_{ID}")]));
     assert_eq!((&found["avty_t"], &found["stat_t"]), (&availability.as_str().into(), &state.as_str().into()));
-    assert!(found["o"]["name"] == "radome" && found["dev"]["hw"].is_string(), "{found}");
+    assert!(found["o"]["name"] == "radome" && found["dev"]["sw"] != found["o"]["sw"], "{found}");
     let components = found["cmps"].as_object().expect("components");
     let names: Vec<&str> = components.keys().map(String::as_str).collect();
     assert_eq!(names, ["confidence", "count", "dropped", "occupancy"], "no buttons where nothing is kept");
@@ -175,6 +176,9 @@ fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
         broker.process = None;
         wait_for_more();
     }
+    // Whoever reads the log learns that each connection came back, not only that it was lost.
+    let connected = live.stderr.all().iter().filter(|line| line.contains(": connected; ")).count();
+    assert!(connected >= 2, "{connected} connections reported");
     let summary = stop_and_count(live);
     assert!(summary["frames"].as_u64().is_some_and(|frames| frames >= 60), "{summary}");
 }
@@ -371,7 +375,7 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let ear = Ear::new();
     // The board is another process, so that a signal can stop it.
     let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
-    let mut live = live_command(format!("serial:{port}"), "--json");
+    let mut live = live_command(format!("serial:{port}"), "--json --metrics 127.0.0.1:0");
     live.env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
     let mut live = Running::start(&mut live);
     ear.wait_for("READY=1");
@@ -384,6 +388,9 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     ear.hear(Duration::from_secs(2));
     let heard = ear.hear(Duration::from_secs(4));
     assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
+    // Regression test: the frame rate stayed at that of the last frames.
+    let page = scrape(metrics_port(&live), |page| page.contains("\nradome_up 0\n"));
+    assert_eq!(metric(&page, "radome_frame_rate_hertz"), 0.0, "{page}");
     board.signal("CONT");
     ear.wait_for("WATCHDOG=1");
     live.signal("TERM");

@@ -56,6 +56,9 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     let (_, said) = success(&mut label("run.mcap", &["--span", "0:1=Empty", "--span", "1:2="]));
     assert!(said.contains("'Empty' is kept as free text; the class is written 'empty'"), "{said}");
     assert!(said.contains("the label from 1 to 2 s is empty"), "{said}");
+    assert!(!said.contains("no class"), "a word for each label is enough: {said}");
+    let (_, said) = success(&mut label("run.mcap", &["--span", "2:3=three"]));
+    assert!(said.contains("no class, such as 'three'"), "{said}");
     let said = failure(&mut label("run.mcap", &["--propose", "truth", "--who", "me"]));
     assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
 

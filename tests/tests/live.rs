@@ -1,7 +1,10 @@
 //! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
 use radome_tests::browser::{Served, page};
-use radome_tests::{fails_with, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, walk};
+use radome_tests::running::emulated_board;
+use radome_tests::{
+    fails_with, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, success, walk,
+};
 use serde_json::Value;
 
 #[test]
@@ -54,6 +57,25 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
     assert!(frames[0]["label"].is_null() && frames[0]["warming_up"].is_string(), "{}", frames[0]);
     assert!(frames.iter().all(|f| f.get("truth").is_none()));
     assert_eq!(summary["summary"]["labelled"], labelled as u64);
+}
+
+/// Regression test: after one lost frame a person at a desk counted as gone for the ten seconds that a map takes.
+#[test]
+fn a_window_that_fills_again_after_a_gap_leaves_the_count_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (recording, model) = (folder.path().join("holed.mcap"), fixture("models/desk-hqnn.safetensors"));
+    let (_board, port) = emulated_board(&fixture("scenes/desk-person.toml"), &["--speed", "0", "--faults", "drop 160"]);
+    let mut record = subcommand("record --frames 300 --allow-loss --waveform");
+    success(record.arg(&model).arg(format!("serial:{port}")).arg("-o").arg(&recording));
+    let lines = json_lines(radome().arg("live").arg(&recording).arg("--model").arg(&model).arg("--json"));
+    let gap = lines.iter().position(|line| line["gap"].is_object()).expect("a gap");
+    let before = &lines[gap - 1];
+    assert!(before["people"] == 1 && before["occupied"] == true, "{before}");
+    let filling: Vec<&Value> = lines[gap + 1..].iter().take_while(|line| line["warming_up"].is_string()).collect();
+    assert!(filling.len() > 100, "{} frames", filling.len());
+    for frame in filling {
+        assert!(frame["label"].is_null() && frame["people"] == 1 && frame["occupied"] == true, "{frame}");
+    }
 }
 
 #[test]

@@ -131,7 +131,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let summary = json!({ "summary": { "checks": checked, "warnings": warnings, "failures": failures } });
         output::json_line(&summary)?;
     } else {
-        output::text_line(&format!("{checked} checks, {warnings} warnings, {failures} failures"))?;
+        let plural = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
+        let (warnings, failures) = (plural(warnings, "warning"), plural(failures, "failure"));
+        output::text_line(&format!("{checked} checks, {warnings}, {failures}"))?;
     }
     if failures > 0 {
         bail!("{failures} of {checked} checks failed");

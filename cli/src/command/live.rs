@@ -25,11 +25,13 @@ pub const UNSEEN_SEED: u64 = 100_001;
 
 /// `radome live`
 #[derive(clap::Args)]
-#[command(
-    after_help = "Exit status: 0 if all went well, 3 if frames are missing in the recording of -o (0 with --allow-loss), 1 if the \
+#[command(after_help = "Examples:\n  \
+                        radome live auto --view\n  \
+                        radome live night.mcap --view\n  \
+                        radome live auto --mqtt mqtt://radar@homeassistant.local --mqtt-password-file radar.password\n\n\
+                        Exit status: 0 if all went well, 3 if frames are missing in the recording of -o (0 with --allow-loss), 1 if the \
                         source, the recording or the program failed. A recording that fails, as on a full disk, is said at once and \
-                        marked unfinished; answers go on without it, and the status is 1 at the end."
-)]
+                        marked unfinished; answers go on without it, and the status is 1 at the end.")]
 pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,

@@ -18,10 +18,11 @@ use crate::{labels, output};
 
 /// `radome record`
 #[derive(clap::Args)]
-#[command(
-    after_help = "Exit status: 0 if every frame is there, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
-                        or the program failed. Whatever ended it, the file holds what was captured."
-)]
+#[command(after_help = "Examples:\n  \
+                        radome record auto --waveform room-hqnn -o night.mcap\n  \
+                        radome record serial:/dev/ttyACM0 --waveform room-hqnn --frames 600 -o recordings/\n\n\
+                        Exit status: 0 if every frame is there, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
+                        or the program failed. Whatever ended it, the file holds what was captured.")]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,

@@ -46,15 +46,17 @@ pub struct Answer {
     /// Probabilities from this frame's map alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_probabilities: Option<Probabilities>,
-    /// Whether the room counts as occupied, after delays that suppress flicker.
+    /// Whether the room counts as occupied, after delays that suppress flicker. A frame without a label keeps the value.
     pub occupied: bool,
     /// Number of people in the room, after the same delays.
     pub people: usize,
+    /// Whether `people` is due to labels, see [`super::occupancy::PeopleCount::is_settled`].
+    #[serde(skip)]
+    pub is_settled: bool,
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,
-    /// Whether no receiver gives a signal in the frame. Such a frame has no label, and `occupied` and `people` keep the
-    /// values of the frame before.
+    /// Whether no receiver gives a signal in the frame. Such a frame has no label.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub no_signal: bool,
     /// True class, where it is known.

@@ -114,12 +114,9 @@ impl FrameClassifier {
         match prediction {
             Prediction::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
             Prediction::NoSignal => {
-                // The frame contains no information, so the previous state persists.
                 answer.no_signal = true;
                 answer.saturated_samples = self.map().flags.saturated_samples;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
-                answer.people = self.people.people();
-                answer.occupied = answer.people > 0;
             }
             Prediction::Probabilities(raw) => {
                 let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
@@ -130,8 +127,8 @@ impl FrameClassifier {
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);
-                answer.people = self.people.update(answer.time_s, label);
-                answer.occupied = answer.people > 0;
+                self.people.update(answer.time_s, label);
+                answer.is_settled = self.people.is_settled();
                 self.health.labels[label.index()] += 1;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {
@@ -140,6 +137,9 @@ impl FrameClassifier {
                 self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
             }
         }
+        // Frames without a label contain no information about people, so that the previous state persists.
+        answer.people = self.people.people();
+        answer.occupied = answer.people > 0;
         self.health.temperature_millicelsius = frame.temperature_millicelsius;
         let latency = arrived.elapsed();
         self.health.frame(arrived, latency);

@@ -27,6 +27,11 @@ impl Arrivals {
         let span_s = last.duration_since(*first).as_secs_f64();
         if span_s > 0.0 { (self.0.len() - 1) as f64 / span_s } else { 0.0 }
     }
+
+    /// Arrival of the newest frame; `None` until there is one.
+    fn last(&self) -> Option<Instant> {
+        self.0.back().copied()
+    }
 }
 
 /// Counters of a run.
@@ -100,6 +105,11 @@ impl Health {
     /// Frame rate over the newest frames, 1/s; 0 until there are two.
     pub fn frames_per_s(&self) -> f64 {
         self.arrivals.frames_per_s()
+    }
+
+    /// Returns whether no frame has arrived for `silence`, or none at all.
+    pub fn is_silent(&self, silence: Duration) -> bool {
+        self.arrivals.last().is_none_or(|last| last.elapsed() >= silence)
     }
 }
 

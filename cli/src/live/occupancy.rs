@@ -31,16 +31,29 @@ impl Hysteresis {
     }
 }
 
+/// Longest time from the first label on for which a count of nobody is unsettled if the delays are not longer, s.
+const LONGEST_SETTLING_S: f64 = 5.0;
+
 /// Number of people in a room. The same delays apply to each person, so neither the first nor the second one flickers.
 #[derive(Debug, Clone)]
 pub struct PeopleCount {
     at_least: [Hysteresis; 2],
+    /// Time from the first label on after which a count of nobody is settled, s.
+    settling_s: f64,
+    /// Time of the first label, s.
+    first_s: Option<f64>,
+    is_settled: bool,
 }
 
 impl PeopleCount {
     /// Creates a count that rises after `on_delay_s` of agreement and falls after `off_delay_s`.
     pub fn new(on_delay_s: f64, off_delay_s: f64) -> Self {
-        PeopleCount { at_least: [Hysteresis::new(on_delay_s, off_delay_s), Hysteresis::new(on_delay_s, off_delay_s)] }
+        PeopleCount {
+            at_least: [Hysteresis::new(on_delay_s, off_delay_s), Hysteresis::new(on_delay_s, off_delay_s)],
+            settling_s: off_delay_s.min(LONGEST_SETTLING_S).max(on_delay_s),
+            first_s: None,
+            is_settled: false,
+        }
     }
 
     /// Updates the count with the label of the frame at `time_s`; returns the number of people.
@@ -48,7 +61,15 @@ impl PeopleCount {
         let [one, two] = &mut self.at_least;
         one.update(time_s, label >= Occupancy::One);
         two.update(time_s, label >= Occupancy::Two);
-        self.people()
+        let people = self.people();
+        let first_s = *self.first_s.get_or_insert(time_s);
+        self.is_settled |= people > 0 || time_s - first_s >= self.settling_s;
+        people
+    }
+
+    /// Returns whether the count is due to labels. It begins at nobody, whoever is in the room.
+    pub fn is_settled(&self) -> bool {
+        self.is_settled
     }
 
     /// Number of people as of the last label.
@@ -72,6 +93,26 @@ mod tests {
         assert_eq!(at(1.0, Occupancy::Empty), 1);
         assert_eq!(at(2.9, Occupancy::Empty), 1);
         assert_eq!(at(3.0, Occupancy::Empty), 0);
+    }
+
+    /// Regression test: after each start the room counted as empty until the first person's delay was over, and other
+    /// programs were told so.
+    #[test]
+    fn nobody_counts_as_settled_only_when_somebody_would_have_been_seen() {
+        for (label, settled_s) in [(Occupancy::One, 0.5), (Occupancy::Empty, 2.0)] {
+            let mut state = PeopleCount::new(0.5, 2.0);
+            for tenths in 0..40 {
+                let time_s = 7.0 + 0.1 * f64::from(tenths);
+                state.update(time_s, label);
+                assert_eq!(state.is_settled(), time_s - 7.0 >= settled_s - 1e-9, "{label:?} at {time_s} s");
+            }
+        }
+        // A delay of minutes before a room counts as empty does not hold up the first answer for so long.
+        let mut state = PeopleCount::new(0.5, 600.0);
+        state.update(0.0, Occupancy::Empty);
+        assert!(!state.is_settled());
+        state.update(LONGEST_SETTLING_S, Occupancy::Empty);
+        assert!(state.is_settled());
     }
 
     #[test]

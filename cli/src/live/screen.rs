@@ -100,6 +100,7 @@ pub fn lost(gap: &Gap) -> String {
     let Gap { first_sequence, frames, reason } = gap;
     match frames {
         0 => format!("frames lost from {first_sequence} on: {}", reason.name()),
+        1 => format!("frame {first_sequence} lost: {}", reason.name()),
         _ => format!("{frames} frames lost from {first_sequence}: {}", reason.name()),
     }
 }
@@ -171,7 +172,7 @@ impl Sink for Screen {
         }
         if let Some(settled) = &summary.metrics_without_transitions {
             line += &format!(
-                " ({:.3} without the {} frames of entering and leaving)",
+                " ({:.3} without the {} frames of entering and leaving, marked ~)",
                 settled.balanced_accuracy, summary.transition_frames
             );
         }
@@ -192,6 +193,7 @@ mod tests {
     fn a_gap_of_unknown_length_is_not_said_to_be_none() {
         let gap = Gap { first_sequence: 12, frames: 0, reason: GapReason::Disconnected };
         assert_eq!(lost(&gap), "frames lost from 12 on: disconnected");
+        assert_eq!(lost(&Gap { frames: 1, ..gap }), "frame 12 lost: disconnected");
         assert_eq!(lost(&Gap { frames: 3, ..gap }), "3 frames lost from 12: disconnected");
     }
 }

@@ -15,7 +15,7 @@ fn civil(unix_s: u64) -> [u64; 6] {
 }
 
 /// Formats a time as in JSON files of the vendor: `2026-11-22T21:22:00+0000`.
-pub(super) fn iso_8601(unix_s: u64) -> String {
+pub fn iso_8601(unix_s: u64) -> String {
     let [year, month, day, hour, minute, second] = civil(unix_s);
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}+0000")
 }

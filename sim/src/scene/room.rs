@@ -64,23 +64,21 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
     for ((key, surface), wall) in surfaces(&file.room).into_iter().zip(&mut walls) {
         *wall = slab(file, surface, waveform.centre_frequency_hz())
             .map_or_else(|| fault(key, &surface.material, "a material"), Ok)?;
-        warn_of_band(file, &surface.material, key, waveform);
+        warn_of_band(file, &surface.material, waveform);
     }
     Ok(walls)
 }
 
 /// Warns of a material whose constants are for another band than the waveform's.
-fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Waveform) {
+fn warn_of_band(file: &SceneFile, material: &str, waveform: &Waveform) {
     let [low, high] = match (Material::named(material), file.materials.get(material)) {
         (Some(material), _) => material.band_ghz(),
         (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
     };
     let ghz = waveform.centre_frequency_hz() * 1e-9;
-    if !(low..=high).contains(&ghz) && is_first_warning(&["band", material, place]) {
+    if !(low..=high).contains(&ghz) && is_first_warning(&["band", material]) {
         tracing::warn!(
-            material,
-            wall = place,
-            "its constants hold from {low} to {high} GHz; the waveform is at {ghz:.2} GHz, where they are extrapolated"
+            "the constants of {material} hold from {low} to {high} GHz and are extrapolated to the waveform's {ghz:.2} GHz"
         );
     }
 }
@@ -89,12 +87,12 @@ fn warn_of_band(file: &SceneFile, material: &str, place: &str, waveform: &Wavefo
 /// room.
 pub(super) fn warn_of_bands_within(file: &SceneFile, meshes: &RoomMeshes, waveform: &Waveform) {
     let own = file.furniture.iter().take(meshes.own_furniture);
-    let furniture = own.filter_map(|f| Some(("furniture", f.material.as_deref()?)));
-    let plan = file.room.plan.iter().flat_map(|plan| plan.materials()).map(|material| ("room.plan", material));
-    let parts = meshes.pieces.iter().map(|piece| ("room.mesh", piece.surface.material.as_str()));
+    let furniture = own.filter_map(|f| f.material.as_deref());
+    let plan = file.room.plan.iter().flat_map(|plan| plan.materials());
+    let parts = meshes.pieces.iter().map(|piece| piece.surface.material.as_str());
     let is_wall = |material: &str| surfaces(&file.room).iter().any(|(_, surface)| surface.material == material);
-    for (place, material) in furniture.chain(plan).chain(parts).filter(|(_, material)| !is_wall(material)) {
-        warn_of_band(file, material, place, waveform);
+    for material in furniture.chain(plan).chain(parts).filter(|material| !is_wall(material)) {
+        warn_of_band(file, material, waveform);
     }
 }
 

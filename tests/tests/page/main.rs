@@ -219,7 +219,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     let served = Served::start(&mut live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000"));
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
     let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
-                    !document.getElementById('confidence').textContent";
+                    !document.getElementById('confidence').textContent && document.body.classList.contains('stale')";
     let says = |text: &str| format!("document.getElementById('status').textContent.startsWith('{text}')");
     browser.wait_until("window.radome?.header");
     browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
@@ -227,10 +227,16 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     served.program.signal("STOP");
     browser.wait_until(&format!("{is_blank} && {}", says("no frames for")));
     served.program.signal("CONT");
-    browser.wait_until(&format!("!({is_blank}) && {}", says("frame ")));
+    browser.wait_until(&format!(
+        "!({is_blank}) && !document.body.classList.contains('stale') && {}",
+        says("frame ")
+    ));
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
     assert!(served.stop(), "an orderly end");
     browser.wait_until(&format!("{is_blank} && {}", says("the run is over")));
+    // A label that nobody receives is not lost without a word.
+    browser.key("1");
+    browser.wait_until("document.getElementById('notice').textContent.startsWith('No connection')");
 }
 
 /// Makes the pictures of the README and of `docs/page.md`.

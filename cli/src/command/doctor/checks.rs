@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Context;
 use radome_driver::RecordingHeader;
 use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
+use radome_driver::recording::utc;
 use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
@@ -33,7 +34,7 @@ pub fn clock() -> Check {
     const RELEASE_S: u64 = 1_793_491_200;
     const TEN_YEARS_S: u64 = 315_360_000;
     let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
-    let found = format!("{now_s} s since 1970");
+    let found = utc::iso_8601(now_s);
     if (RELEASE_S..RELEASE_S + TEN_YEARS_S).contains(&now_s) {
         Check::ok("clock", found)
     } else {
@@ -297,15 +298,15 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
             let hours = free_bytes / needed_bytes_per_s / 3600.0;
             let found = format!("{named}: {:.1} GiB free, {hours:.1} h of frames", free_bytes / f64::from(1 << 30));
             checks.push(match hours {
-                h if h < 0.1 => Check::fail("room", found, "make room, or --record-to another disk"),
+                h if h < 0.1 => Check::fail("space", found, "free some space, or --record-to another disk"),
                 h if h < 10.0 => {
-                    Check::warn("room", found, "not enough for a night: --record-to FOLDER on a larger disk")
+                    Check::warn("space", found, "not enough for a night: --record-to FOLDER on a larger disk")
                 }
-                _ => Check::ok("room", found),
+                _ => Check::ok("space", found),
             });
         }
         Err(error) => {
-            checks.push(Check::fail("room", format!("{named}: {error}"), "name a folder that exists"));
+            checks.push(Check::fail("space", format!("{named}: {error}"), "name a folder that exists"));
             return checks;
         }
     }

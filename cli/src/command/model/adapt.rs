@@ -18,8 +18,11 @@ use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
+#[command(after_help = "Examples, with recordings that are labelled, and with recordings of one class each:\n  \
+                  radome model adapt room-hqnn monday.mcap tuesday.mcap -o my-room.safetensors\n  \
+                  radome model adapt room-hqnn a.mcap=empty b.mcap=empty c.mcap=one d.mcap=one -o mine.safetensors")]
 pub struct Arguments {
-    /// Model file
+    /// Model file, or room-hqnn, which is built in
     model: PathBuf,
     /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
     /// RECORDING=two for a recording of one class. Each recording whose classes are all in others, too, is held out in turn to
@@ -175,7 +178,10 @@ fn tell(
         None => output::text_line("nothing is measured: what a recording shows has to be in another one, too")?,
     }
     match file {
-        Some(file) => output::text_line(&format!("{file} written, pulled with a strength of {} s", adapted.strength)),
+        Some(file) => {
+            let strength_s = adapted.strength;
+            output::text_line(&format!("{file} written; regularised towards the model before, strength {strength_s} s"))
+        }
         None => Ok(()),
     }
 }

@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return output::json_line(&json!({ "file": file, "frames": frames, "threshold_db": threshold_db }));
     }
     output::text_line(&format!(
-        "{file}: {} frames, {:.0} dB above it count",
+        "{file}: the empty room over {} frames; a person counts from {:.0} dB above it on, summed over a map",
         background.frames, background.threshold_db
     ))
 }

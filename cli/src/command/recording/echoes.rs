@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(most + 1);
     let mut frame = Frame::zeroed(waveform.shape());
-    let mut looked = 0;
+    let (mut looked, mut found) = (0, 0);
     while looked < wanted && !output::interrupted() {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
@@ -127,11 +127,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                     let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
                     echoes.extend(new);
                 }
+                found += echoes.len();
                 say(&frame, &echoes, &receivers, arguments.json)?;
             }
         }
     }
-    let Some(truth) = truth else { return Ok(()) };
+    let Some(truth) = truth else {
+        if found == 0 && !arguments.json {
+            message!("no echo stands out of the noise in {looked} frames");
+        }
+        return Ok(());
+    };
     if output::interrupted() {
         return Err(output::Interrupted.into());
     }

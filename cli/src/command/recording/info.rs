@@ -72,10 +72,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ("frames", frames.map_or_else(|| "unknown".to_owned(), |frames| frames.to_string())),
         ("duration", format!("{duration_s:.3} s")),
         ("frame", waveform.shape().to_string()),
+        (
+            "band",
+            format!(
+                "{:.3} GHz, {:.1} MHz sampled",
+                waveform.centre_frequency_hz() * 1e-9,
+                waveform.sampled_bandwidth_hz() * 1e-6
+            ),
+        ),
         ("frame rate", format!("{:.3} Hz", 1.0 / waveform.frame_interval_s())),
         ("board", or_none(board)),
         ("labels", or_none((!labels.is_empty()).then(|| labels.join(", ")))),
-        ("answers of", or_none(model.map(str::to_owned))),
+        ("model", or_none(model.map(str::to_owned))),
     ] {
         output::text_line(&format!("{name:12} {value}"))?;
     }

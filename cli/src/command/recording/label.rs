@@ -14,7 +14,12 @@ use crate::{labels, output, source};
 
 /// `radome recording label`
 #[derive(clap::Args)]
-#[command(group = clap::ArgGroup::new("what").multiple(true))]
+#[command(
+    group = clap::ArgGroup::new("what").multiple(true),
+    after_help = "Examples:\n  \
+                  radome recording label night.mcap --span 0:60=empty --span 75:120=one\n  \
+                  radome recording label night.mcap -o night.txt"
+)]
 pub struct Arguments {
     /// Recording of any kind; labels are stored in an MCAP file, or in a file beside another kind
     recording: PathBuf,
@@ -94,7 +99,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         None => labels::add(&arguments.recording, &spans)?,
     };
-    message!("{} labels written to {}", spans.len(), place.display());
+    let word = if spans.len() == 1 { "label" } else { "labels" };
+    message!("{} {word} written to {}", spans.len(), place.display());
     print(&spans, arguments.json)
 }
 

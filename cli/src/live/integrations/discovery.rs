@@ -116,14 +116,13 @@ impl Device {
                 components.insert(format!("report_{class}"), report);
             }
         }
-        let mut device = json!({
-            "ids": [format!("bgt60_{}", self.id)], "name": self.name, "mf": self.maker, "mdl": self.model, "sw": version,
-        });
-        if let (Some(firmware), Some(device)) = (&self.firmware, device.as_object_mut()) {
-            device.insert("hw".into(), firmware.as_str().into());
-        }
+        // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that speaks for it.
+        let firmware = self.firmware.as_deref().unwrap_or(version);
         json!({
-            "dev": device,
+            "dev": {
+                "ids": [format!("bgt60_{}", self.id)],
+                "name": self.name, "mf": self.maker, "mdl": self.model, "sw": firmware,
+            },
             "o": { "name": "radome", "sw": version },
             "avty_t": self.availability_topic(),
             "stat_t": self.state_topic(),
@@ -183,7 +182,8 @@ mod tests {
         let device = Device::new(Some(&board("00ab")), Some("Bedroom radar"), "homeassistant", false);
         assert_eq!(device.discovery_topic(), "homeassistant/device/bgt60_00ab/config");
         assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");
-        assert_eq!(device.discovery()["dev"]["hw"], "2.6.0");
+        assert_eq!(device.discovery()["dev"]["sw"], "2.6.0");
+        assert_eq!(device.discovery()["o"]["sw"], env!("CARGO_PKG_VERSION"));
         let device = Device::new(Some(&board("0000")), Some("Kitchen #1/+"), "homeassistant", true);
         assert_eq!(device.state_topic(), "radome/kitchen__1__/state", "no wildcard may stand in a topic");
         assert_eq!(device.discovery()["cmps"]["report_empty"]["pl_prs"], "empty");

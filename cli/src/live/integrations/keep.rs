@@ -23,8 +23,8 @@ use crate::panics::Panicked;
 /// Options of what is kept.
 #[derive(clap::Args, Default)]
 pub struct Arguments {
-    /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button of the hub, with
-    /// POST to /report/empty on the metrics' address, or with SIGUSR1 (false alarm)
+    /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button in Home
+    /// Assistant, with POST to /report/empty on the metrics' address, or with SIGUSR1 (false alarm)
     #[arg(long, value_name = "FOLDER")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep

@@ -29,7 +29,7 @@ impl Said {
 /// Newest state of a run.
 #[derive(Debug, Clone)]
 pub struct Newest {
-    /// Newest answer; `None` until the first label.
+    /// Newest answer; `None` until the first settled one.
     pub said: Option<Said>,
     /// Time at which the last frame with a signal was classified, labelled or not.
     pub judged: Option<Instant>,
@@ -92,6 +92,12 @@ impl Latest {
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
     }
 
+    /// Frame rate over the newest frames, 1/s; 0 if frames no longer arrive.
+    pub fn frames_per_s(&self) -> f64 {
+        let newest = self.lock();
+        if newest.health.is_silent(self.silence) { 0.0 } else { newest.health.frames_per_s() }
+    }
+
     /// Number of frames classified and lost so far.
     pub fn frames(&self) -> (u64, u64) {
         let newest = self.lock();
@@ -115,7 +121,8 @@ impl Sink for LatestSink {
         if !answer.no_signal {
             newest.judged = Some(Instant::now());
         }
-        let Some(probabilities) = answer.probabilities else { return Ok(()) };
+        // Other programs act on a room that becomes empty: an unsettled count is unknown to them.
+        let Some(probabilities) = answer.probabilities.filter(|_| answer.is_settled) else { return Ok(()) };
         let said = Said { probabilities: probabilities.values(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
         drop(newest);

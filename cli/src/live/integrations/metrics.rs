@@ -25,7 +25,7 @@ pub fn text(latest: &Latest) -> String {
         Some(health.started.elapsed().as_secs_f64()),
     );
     page.answer(said);
-    page.frames(&health);
+    page.frames(&health, latest.frames_per_s());
     page.latency(&health.latency);
     page.connections(&latest.counters);
     page.0
@@ -75,7 +75,7 @@ impl Page {
         }
     }
 
-    fn frames(&mut self, health: &Health) {
+    fn frames(&mut self, health: &Health, frames_per_s: f64) {
         self.counter("radome_frames_total", "Frames judged.", health.frames);
         self.metric("radome_labels_total", "counter", "How often each label was given.");
         for class in Occupancy::ALL {
@@ -87,8 +87,8 @@ impl Page {
             self.sample("radome_frames_dropped_total", &[("reason", reason.name())], *frames as f64);
         }
         self.counter("radome_saturated_samples_total", "Samples at either end of the ADC.", health.saturated_samples);
-        let rate = Some(health.frames_per_s());
-        self.gauge("radome_frame_rate_hertz", "Frames in a second, over the newest.", rate);
+        let help = "Frames in a second, over the newest; 0 while none come.";
+        self.gauge("radome_frame_rate_hertz", help, Some(frames_per_s));
         let help = "Temperature of the radar chip; absent where none is known.";
         let celsius = health.temperature_millicelsius.map(|temperature| f64::from(temperature) * 1e-3);
         self.gauge("radome_chip_temperature_celsius", help, celsius);

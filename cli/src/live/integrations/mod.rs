@@ -30,7 +30,7 @@ use self::latest::{Latest, LatestSink};
 use super::access::{self, Access};
 use super::sink::Sink;
 
-/// Options of the house.
+/// Options of the connections to other programs.
 #[derive(clap::Args, Default)]
 pub struct Arguments {
     #[command(flatten)]

@@ -64,6 +64,7 @@ impl Mqtt {
             let listener = Listener {
                 broker: self.broker.clone(),
                 has_own_name: self.device.has_own_name(),
+                state_topic: self.device.state_topic(),
                 hub_topic: self.device.hub_topic(),
                 report_topic: self.device.report_topic(),
                 latest: self.latest.clone(),
@@ -116,6 +117,7 @@ impl Closings {
 struct Listener {
     broker: Broker,
     has_own_name: bool,
+    state_topic: String,
     hub_topic: String,
     report_topic: Option<String>,
     latest: Arc<Latest>,
@@ -137,7 +139,7 @@ impl Listener {
                     last_words.clear();
                     counters.mqtt_connected.store(true, Ordering::Relaxed);
                     count(&counters.mqtt_connections);
-                    tracing::info!("MQTT broker {} listens", self.broker);
+                    message!("MQTT broker {}: connected; answers go to {}", self.broker, self.state_topic);
                     let _ = self.hears.send(Heard::Connected).await;
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => match self.understand(&message) {

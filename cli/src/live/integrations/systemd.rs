@@ -52,14 +52,17 @@ fn status(latest: &Latest) -> String {
     let newest = latest.newest();
     let health = &newest.health;
     let room = match latest.said() {
-        Some(said) if said.people > 0 => format!("occupied, {} people", said.people),
-        Some(_) => "empty".to_owned(),
-        None => "no answer".to_owned(),
+        Some(said) => match said.people {
+            0 => "empty",
+            1 => "occupied, one person",
+            _ => "occupied, two people or more",
+        },
+        None => "no answer",
     };
     format!(
         "{room}; {} frames, {:.1}/s, {} dropped, label after {:.1} ms",
         health.frames,
-        health.frames_per_s(),
+        latest.frames_per_s(),
         health.dropped_total(),
         health.latency.quantile_s(0.5) * 1e3
     )

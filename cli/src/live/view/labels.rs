@@ -551,7 +551,9 @@ impl Keeper {
             place.settle().with_context(|| format!("{count} labels are in a file beside the recording"))?;
         }
         if self.place.is_none() && state.book.revision > 0 && !state.book.spans.is_empty() {
-            message!("{count} labels were made; they live in exports of the page alone");
+            message!(
+                "labels made on the page that no file holds, unless they were exported: {count}; -o FILE.mcap keeps them"
+            );
         }
         Ok(())
     }

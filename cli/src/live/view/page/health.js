@@ -26,8 +26,8 @@ export class HealthStrip {
   }
 
   hello({ source, board, model }) {
-    // The last part of a path identifies it.
-    this.put('source', source.replace(/\S*\/(?=[^/\s])/g, ''), { title: source });
+    // The last part of a path identifies it, except of a device: /dev/pts/1 is not just 1.
+    this.put('source', source.replace(/(?<!\S)(?!\/dev\/)\S*\/(?=[^/\s])/g, ''), { title: source });
     this.put('board', board ? board.name : null);
     this.put('firmware', board ? board.firmware : null, { title: board?.chip ?? '' });
     this.put('model', model);

@@ -10,6 +10,7 @@ export class LabelList {
   }
 
   take({ spans, open, place, saved, fault }) {
+    this.isExportOnly = !place && (spans.length || open) && !this.readOnly;
     this.count.textContent = `(${spans.length}${open ? ', one goes on' : ''})`;
     this.state.className = fault || !saved && !place ? 'unsaved' : '';
     this.state.textContent = this.readOnly ? 'labels are read-only here' : fault ? `not saved: ${fault}`
@@ -24,6 +25,13 @@ export class LabelList {
     });
     for (const [id, row] of this.rows) if (!kept.has(id)) row.element.remove();
     this.rows = kept;
+  }
+
+  /** Says of labels that no file holds that they have ended with the program. */
+  end() {
+    if (!this.isExportOnly) return;
+    this.state.className = 'unsaved';
+    this.state.textContent = 'the program has ended: labels that were not exported are lost';
   }
 
   mark(id) {

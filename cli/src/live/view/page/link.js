@@ -56,7 +56,10 @@ export class Link {
     };
   }
 
+  /** Returns whether the request was sent. */
   send(request) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
+    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(request));
+    return true;
   }
 }

@@ -90,7 +90,10 @@ const link = new Link({
     }
     if (access) health.access(access);
     if (refused) notice(refused);
-    if (over) notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+    if (over) {
+      notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+      list.end();
+    }
   },
   state(state) {
     page.state = state;
@@ -100,7 +103,8 @@ const link = new Link({
     else unsay();
   },
 });
-const send = request => link.send(request);
+/** Sends a request. The user learns of one that is not sent; what to look at is sent again when the connection is back. */
+const send = request => { if (!link.send(request) && request.do !== 'look') notice('No connection: nothing was changed.'); };
 
 function greet(hello) {
   page.hello = hello;
@@ -153,6 +157,7 @@ async function copyCommand() {
 
 const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
 function say(answer) {
+  document.body.classList.remove('stale');
   const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : answer.no_signal ? 'no signal' : '–');
   if ($('answer').value !== text) $('answer').value = text;
   $('confidence').textContent = answer.probabilities && answer.label ? `${(100 * answer.probabilities[answer.label]).toFixed(0)} %` : '';
@@ -166,8 +171,9 @@ function say(answer) {
   }
 }
 
-/** Clears the answer, so that an old one does not look like the present one. */
+/** Clears the answer and dims the plots of the last frame, so that old ones do not look like the present ones. */
 function unsay() {
+  document.body.classList.add('stale');
   $('answer').value = '–';
   $('confidence').textContent = $('truth').textContent = '';
   $('occupied').hidden = true;

@@ -20,6 +20,18 @@ const read = () => {
 read();
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', read);
 
+/** Of the colours ink and card, the one with more contrast (WCAG) to a background. */
+export function readable(background) {
+  const luminance = colour => [1, 3, 5].map(at => parseInt(colour.slice(at, at + 2), 16) / 255)
+    .map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+  const contrast = colour => {
+    const [a, b] = [luminance(colour), luminance(background)];
+    return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  };
+  return contrast(theme.ink) > contrast(theme.card) ? theme.ink : theme.card;
+}
+
 /** Cleared context of a canvas in CSS pixels, with its size; none while it is not shown. */
 export function begin(canvas) {
   const width = canvas.clientWidth, height = canvas.clientHeight, scale = devicePixelRatio || 1;

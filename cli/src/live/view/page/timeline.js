@@ -1,6 +1,6 @@
 // Timeline: probabilities, occupancy after delays, the truth where it is known, and the labels.
 
-import { begin, clock, painter, theme, ticks } from './plot.js';
+import { begin, clock, painter, readable, theme, ticks } from './plot.js';
 
 /** Number of answers that are kept: an hour at ten per second. The fixed size lets a page stay open for months. */
 const MOST = 36000;
@@ -152,7 +152,8 @@ export class Timeline {
     g.textBaseline = 'alphabetic';
     for (const [value] of ticks(from, to, Math.max(2, Math.min(10, width / 90)))) {
       const px = x(value);
-      if (px > LEFT + 14 && px < width - 18) g.fillText(clock(value, to - from > 20 ? 0 : 1), px, height - 4);
+      // A live window reaches back beyond the first frame; no time is negative.
+      if (value > -1e-9 && px > LEFT + 14 && px < width - 18) g.fillText(clock(value, to - from > 20 ? 0 : 1), px, height - 4);
     }
   }
 
@@ -176,7 +177,7 @@ export class Timeline {
       }
       g.font = '600 12px system-ui, sans-serif';
       if (w > g.measureText(span.label).width + 8) {
-        g.fillStyle = theme.card;
+        g.fillStyle = readable(isClass ? theme[span.label] : theme.soft);
         g.textAlign = 'left';
         g.textBaseline = 'middle';
         g.fillText(span.label, left + 5, y + height / 2);
