@@ -151,6 +151,8 @@ mod hard_cases {
         refused(&|spec| spec.batch_size = usize::MAX, "batch_size");
         refused(&|spec| spec.starts = u64::MAX, "starts");
         refused(&|spec| spec.pooled = [usize::MAX, 1], "pooled");
+        // A study built its dataset before it found this.
+        refused(&|spec| spec.split.test = 0.9, "split: validation 0.15 and test 0.9");
 
         let study = |variants: usize, seeds: usize, rates: usize| -> StudySpec {
             let variant = |k| serde_json::json!({ "name": format!("v{k}"), "network": "hqnn" });

@@ -119,6 +119,16 @@ impl StudySpec {
         self.snr_db.iter().try_for_each(|snr| check_setting(snr.is_finite(), "snr_db", snr, "finite numbers"))
     }
 
+    /// Checks that models are trained on all labels, which conditions need.
+    ///
+    /// # Errors
+    /// [`StudyError::Setting`] if not.
+    pub fn check_models(&self) -> Result<(), StudyError> {
+        let expected = "1 among them: models of all labels are put to conditions";
+        let shares = &self.label_fractions;
+        check_setting(shares.contains(&1.0), "label_fractions", format!("{shares:?}"), expected)
+    }
+
     /// The network of a variant.
     ///
     /// # Errors

@@ -199,7 +199,8 @@ impl TrainSpec {
     /// Checks all settings.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] for the first setting that is out of range.
+    /// [`TrainError::Setting`] for the first setting that is out of range, and [`TrainError::Dataset`] for shares of a split that leave
+    /// nothing to train on.
     pub fn check(&self) -> Result<(), TrainError> {
         let is_penalty = |value: f64| value.is_finite() && value >= 0.0;
         let (epochs, batch_size, starts) = (self.epochs, self.batch_size, self.starts);
@@ -218,6 +219,7 @@ impl TrainSpec {
             check_setting((1..=MOST_EPOCHS).contains(&steps), "full_batch.steps", steps, "1 to 100000")?;
             check_setting(is_penalty(weight_penalty), "full_batch.weight_penalty", weight_penalty, "0 or more")?;
         }
+        self.split.check()?;
         check_setting((0.0..=10.0).contains(&self.weight_decay), "weight_decay", self.weight_decay, "0 to 10")?;
         check_setting(is_penalty(self.latent_penalty), "latent_penalty", self.latent_penalty, "0 or more")?;
         for (name, value) in [
