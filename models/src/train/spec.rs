@@ -9,6 +9,7 @@ use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
 use crate::kernel::KernelLevel;
+use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::MapReference;
@@ -233,7 +234,8 @@ impl TrainSpec {
         }
         let is_share = self.label_fraction > 0.0 && self.label_fraction <= 1.0;
         check_setting(is_share, "label_fraction", self.label_fraction, "above 0 and up to 1")?;
-        check_setting(self.most_training_maps != Some(0), "most_training_maps", 0, "at least 1")?;
+        let most_maps = self.most_training_maps.unwrap_or(usize::MAX);
+        check_setting(most_maps >= CLASSES, "most_training_maps", most_maps, "at least 3, one of each class")?;
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
