@@ -47,12 +47,14 @@ impl ThermalNoise {
         Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: snr_db.to_bits() })
     }
 
-    /// Adds noise to a frame, the same in every call. Codes stay within the converter's range.
-    pub fn add(&self, frame: &mut Frame) {
+    /// Returns a frame with noise, the same in every call. Codes stay within the converter's range.
+    pub fn added(&self, frame: &Frame) -> Frame {
+        let mut noisy = frame.clone();
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
-        for code in &mut frame.codes {
-            let noisy = f64::from(*code) + self.normal.sample(&mut rng);
-            *code = noisy.round().clamp(0.0, MOST_CODE) as u16;
+        for code in &mut noisy.codes {
+            let sample = f64::from(*code) + self.normal.sample(&mut rng);
+            *code = sample.round().clamp(0.0, MOST_CODE) as u16;
         }
+        noisy
     }
 }
