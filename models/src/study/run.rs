@@ -329,6 +329,8 @@ impl<'a> Study<'a> {
                     tell(Progress::Job(job, number, count));
                     let outcome = self.train(job, tell)?;
                     write_json(&self.result_path(job), &outcome)?;
+                    // Not before: a kill while the model was saved and scored would lose the training.
+                    let _ = std::fs::remove_file(self.checkpoint_path(job));
                     tell(Progress::Done(&outcome));
                     self.judge_at_once(job, tell)?;
                 }
@@ -402,7 +404,6 @@ impl<'a> Study<'a> {
             Ok(trained) => trained,
             // A training that diverges is a result; one that cannot be run is an error.
             Err(error @ TrainError::NonFinite { .. }) => {
-                let _ = std::fs::remove_file(self.checkpoint_path(job));
                 outcome.error = Some(error.to_string());
                 return Ok(outcome);
             }
