@@ -167,6 +167,11 @@ mod hard_cases {
             let error = many.check().expect_err(expected).to_string();
             assert!(error.contains(expected), "{error}");
         }
+        // The first training was lost to maps that were not finite.
+        let mut loud = study(1, 1, 1);
+        loud.snr_db = vec![10.0, -800.0];
+        let error = loud.check().expect_err("beyond every map").to_string();
+        assert!(error.contains("snr_db is -800, expected -100 to 100"), "{error}");
         let mut hollow = study(1, 1, 1);
         hollow.train.epochs = 0;
         assert!(hollow.check().is_err());
