@@ -331,16 +331,25 @@ impl Judge {
     /// # Errors
     /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
-        let receivers = frame.shape.rx;
+        self.changed_frame(frame, frame)
+    }
+
+    /// Classifies the next frame with other codes, such as with noise. Errors of receivers are those of the frame as it was
+    /// `received`: noise that fills the range of the ADC is none.
+    ///
+    /// # Errors
+    /// Those of [`Judge::frame`].
+    pub fn changed_frame(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
+        let receivers = received.shape.rx;
         let mut dead = 0;
         for rx in 0..receivers {
-            if let Some(fault) = frame.receiver_fault(rx) {
+            if let Some(fault) = received.receiver_fault(rx) {
                 say_fault(FaultyReceiver { rx, receivers, fault });
                 dead += usize::from(fault.is_dead());
             }
         }
         // Every frame gives a map, so that displays of maps have the newest one.
-        let prediction = self.judge(frame)?;
+        let prediction = self.judge(changed)?;
         if dead < receivers {
             return Ok(prediction);
         }

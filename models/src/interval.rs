@@ -22,7 +22,18 @@ const T_QUANTILES: [f64; 30] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120,
     2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
 ];
-const NORMAL_QUANTILE: f64 = 1.960;
+/// 97.5 % quantile of the normal distribution.
+const NORMAL_QUANTILE: f64 = 1.959_964;
+
+/// 97.5 % quantile of Student's t, beyond the table by its expansion (Abramowitz and Stegun, Handbook of Mathematical Functions,
+/// 1964, equation 26.7.5).
+fn t_quantile(degrees: usize) -> f64 {
+    let of_table = degrees.checked_sub(1).and_then(|index| T_QUANTILES.get(index));
+    of_table.copied().unwrap_or_else(|| {
+        let (z, n) = (NORMAL_QUANTILE, degrees as f64);
+        z + (z.powi(3) + z) / (4.0 * n) + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
+    })
+}
 
 /// Mean of the values and the 95 % interval of the mean; `None` without values.
 pub fn t_interval(values: &[f64]) -> Option<Interval> {
@@ -33,8 +44,7 @@ pub fn t_interval(values: &[f64]) -> Option<Interval> {
     let mean = values.iter().sum::<f64>() / count as f64;
     let half_width = (count > 1).then(|| {
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1) as f64;
-        let quantile = T_QUANTILES.get(count - 2).copied().unwrap_or(NORMAL_QUANTILE);
-        quantile * (variance / count as f64).sqrt()
+        t_quantile(count - 1) * (variance / count as f64).sqrt()
     });
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -59,6 +69,14 @@ mod tests {
         assert!((interval.mean - 0.9).abs() < 1e-12);
         assert!((interval.half_width.expect("width") - 0.019_632).abs() < 1e-5);
         assert_eq!((interval.least, interval.most), (0.88, 0.92));
+    }
+
+    /// from scipy import stats; [stats.t.ppf(0.975, n) for n in (30, 31, 40, 120)]
+    #[test]
+    fn intervals_of_many_values_are_those_of_student() {
+        for (degrees, expected) in [(30, 2.0423), (31, 2.0395), (40, 2.0211), (120, 1.9799)] {
+            assert!((t_quantile(degrees) - expected).abs() < 5e-4, "{degrees}: {}", t_quantile(degrees));
+        }
     }
 
     mod hard_cases {

@@ -151,6 +151,8 @@ mod hard_cases {
         refused(&|spec| spec.batch_size = usize::MAX, "batch_size");
         refused(&|spec| spec.starts = u64::MAX, "starts");
         refused(&|spec| spec.pooled = [usize::MAX, 1], "pooled");
+        // A study built its dataset before it found this.
+        refused(&|spec| spec.split.test = 0.9, "split: validation 0.15 and test 0.9");
 
         let study = |variants: usize, seeds: usize, rates: usize| -> StudySpec {
             let variant = |k| serde_json::json!({ "name": format!("v{k}"), "network": "hqnn" });
@@ -165,6 +167,11 @@ mod hard_cases {
             let error = many.check().expect_err(expected).to_string();
             assert!(error.contains(expected), "{error}");
         }
+        // The first training was lost to maps that were not finite.
+        let mut loud = study(1, 1, 1);
+        loud.snr_db = vec![10.0, -800.0];
+        let error = loud.check().expect_err("beyond every map").to_string();
+        assert!(error.contains("snr_db is -800, expected -100 to 100"), "{error}");
         let mut hollow = study(1, 1, 1);
         hollow.train.epochs = 0;
         assert!(hollow.check().is_err());

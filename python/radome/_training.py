@@ -114,10 +114,16 @@ def evaluate(model: Union[Model, _StrPath], dataset: Union[Dataset, _StrPath]) -
     """Scores of a model over the maps of a dataset: ``samples``, ``confusion[truth][prediction]``, ``accuracy``,
     ``balanced_accuracy``, ``macro_f1``, ``populated_recall``, ``recall`` of each class, and the classes ``absent``.
 
+    The split of a :class:`Dataset` without a rule of its own is that of the model's training if this is its dataset, so
+    that the test split holds no map that the model was trained on.
+
     >>> radome.evaluate("model.safetensors", radome.Dataset("dataset", split="test"))["balanced_accuracy"]
     """
     model = model if isinstance(model, Model) else Model(os.fspath(model))
     dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
+    rule = model.card.get("split")
+    if dataset.split and rule and not dataset.rule and dataset._native.hash() == model.card["dataset_hash"]:
+        dataset = Dataset(dataset.path, split=dataset.split, rule=rule)
     return model._evaluate(dataset._native, dataset.indices.tolist())
 
 

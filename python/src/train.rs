@@ -77,7 +77,14 @@ pub fn train<'py>(
             })
         };
         match catch_unwind(AssertUnwindSafe(run)) {
-            Ok(outcome) => Ok(outcome?),
+            Ok(outcome) => {
+                let outcome = outcome?;
+                if let Some(file) = &checkpoint {
+                    // A file that cannot be removed does no harm: a new training repeats the last step.
+                    let _ = std::fs::remove_file(file);
+                }
+                Ok(outcome)
+            }
             Err(payload) => Err(stopped(payload)),
         }
     })?;

@@ -250,6 +250,10 @@ class TestHardCases:
         assert trained.test == radome.evaluate(trained.model, held)
         by_settings = radome.train(dataset_path, {**QUICK, "split": rule}, network="descriptor_linear")
         assert by_settings.test == trained.test and by_settings.validation == trained.validation
+        # Divided by the default rule, the test split held maps that the model was trained on.
+        test = radome.Dataset(dataset_path, split="test")
+        assert radome.evaluate(by_settings.model, test) == by_settings.test
+        assert radome.evaluate(by_settings.model, dataset_path)["samples"] == 48
         with pytest.raises(ValueError, match="give one of them"):
             radome.train(ruled, {**QUICK, "split": {"seed": 6}})
         file = tmp_path / "training.toml"

@@ -79,9 +79,7 @@ impl Simulator {
     /// values form no valid scene.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         Self::check_people(scene, options.people)?;
-        if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
-            return Err(SimError::Tolerance { got: options.tolerance_db });
-        }
+        Self::check_tolerance(options.tolerance_db)?;
         let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
         let inner = FrameSimulator::new(&scene, options);
         let (ahead, spare) = (VecDeque::new(), Vec::new());
@@ -102,6 +100,17 @@ impl Simulator {
         match asked.filter(|asked| *asked > most) {
             Some(asked) => Err(SimError::TooManyPeople { asked, scene: scene.name().to_owned(), most }),
             None => Ok(()),
+        }
+    }
+
+    /// Checks that a tolerance, dB, is in range.
+    ///
+    /// # Errors
+    /// [`SimError::Tolerance`] if it is not.
+    pub fn check_tolerance(tolerance_db: f64) -> Result<(), SimError> {
+        match (0.01..=20.0).contains(&tolerance_db) {
+            true => Ok(()),
+            false => Err(SimError::Tolerance { got: tolerance_db }),
         }
     }
 

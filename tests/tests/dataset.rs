@@ -415,6 +415,25 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     assert!(said.contains("'empty' (0 to 0.6 s) and 'two' (0.5 to 0.7 s) overlap"), "{said}");
 }
 
+/// Faults of a spec were found when its units had been made for hours, and the corrected spec was another one, whose units were
+/// made anew.
+#[test]
+fn a_spec_that_contradicts_itself_is_refused_before_units_are_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let sound = std::fs::read_to_string(spec(folder.path(), 2, "")).expect("reads");
+    let refused = |text: &str, expected: &str| {
+        std::fs::write(path("odd.toml"), text).expect("writable");
+        fails_with(&mut build(&path("odd.toml"), &path("set")), &[expected]);
+        assert!(!path("set.parts").exists(), "{expected}");
+    };
+    let split = |rule: &str| sound.replacen("format = 1", &format!("format = 1\nsplit = {rule}"), 1);
+    refused(&split("{ validation = 0.5, test = 0.6 }"), "odd.toml: split: validation 0.5 and test 0.6");
+    refused(&split("{ held_out = \"corridor\" }"), "no sequence 'corridor' to hold out");
+    refused(&sound.replace("people = [2]", "people = [2, 99]"), "99 people asked for");
+    refused(&format!("{sound}tolerance_db = -1.0\n"), "tolerance_db is -1");
+}
+
 /// Units of a build that gave no map stayed, so that the corrected spec was refused.
 #[test]
 fn a_build_without_labels_says_what_is_missing_and_can_be_repeated() {
@@ -566,12 +585,18 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     let evaluate = |model: &Path| {
         let mut command = radome();
         let input = format!("{}=one", path("short.mcap").display());
-        command.args(["model", "evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
+        command.args(["model", "evaluate", "--json", "--thermal-snr-db=10,-40", "--model"]).arg(model).arg(input);
         command
     };
     let (told, said) = success(&mut evaluate(&fixture("models/room-cnn.safetensors")));
     let answer: serde_json::Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
+    // Frames whose samples strong noise drives to the ends of the ADC were left out of the scores, and it was taken for a fault.
+    for thermal in answer["thermal"].as_array().expect("a list") {
+        let called = thermal["confusion"][1].as_array().expect("a row");
+        assert_eq!(called.iter().filter_map(|count| count.as_u64()).sum::<u64>(), 6, "{thermal}");
+    }
+    assert!(!said.contains("ends of the ADC"), "{said}");
     // The message appears once, although the recording is judged twice.
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
     assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");

@@ -53,7 +53,11 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
         (None, true) if !parts.was_merged(plan, &target) => {
             return Err(DatasetError::Exists { path: target }.into());
         }
-        (None, true) => parts.remove().map(|()| plan.units.len())?,
+        (None, true) => {
+            let _lock = dataset::lock_folder(&parts.folder)?;
+            parts.remove()?;
+            plan.units.len()
+        }
         (shard, false) => {
             let _lock = parts.enter(plan)?;
             let found = parts.make(plan)?;
@@ -179,8 +183,21 @@ impl Parts {
         Err(error)
     }
 
+    /// Removes the folder. After a kill in the middle, units are still complete or absent, because each takes the name of
+    /// an unfinished one first. The plan goes last: by it [`Parts::was_merged`] knows what is left.
     fn remove(&self) -> anyhow::Result<()> {
-        fs::remove_dir_all(&self.folder).with_context(|| format!("cannot remove {}", self.folder.display()))
+        let remove = || -> std::io::Result<()> {
+            for entry in fs::read_dir(&self.folder)? {
+                let path = entry?.path();
+                if path.is_dir() {
+                    let unfinished = path.with_extension("partial");
+                    fs::rename(&path, &unfinished)?;
+                    fs::remove_dir_all(unfinished)?;
+                }
+            }
+            fs::remove_dir_all(&self.folder)
+        };
+        remove().with_context(|| format!("cannot remove {}", self.folder.display()))
     }
 }
 
@@ -235,5 +252,35 @@ impl Counts {
             self.classes[row.label.index()] += 1;
             self.transitions += u64::from(row.transition);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A kill during the removal left units without some of their files, or all units without the plan: the same command
+    /// ended with an error then, and a build of another spec took the units for its own.
+    #[test]
+    fn a_removal_that_stops_leaves_whole_units_and_the_plan() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let parts = Parts { folder: folder.path().join("set.parts") };
+        let files = ["dataset.json", "manifest.jsonl", "maps-00000.npy"];
+        for unit in 0..8 {
+            let unit = parts.folder.join(unit_name(unit));
+            fs::create_dir_all(&unit).expect("a folder");
+            files.iter().for_each(|file| fs::write(unit.join(file), "").expect("written"));
+        }
+        fs::write(parts.folder.join(plan::FILE), "").expect("written");
+        // The removal stops here, because no folder takes the name of a file.
+        let stop = parts.folder.join(format!("{}.partial", unit_name(3)));
+        fs::write(&stop, "").expect("written");
+        assert!(parts.remove().is_err());
+        assert!(parts.folder.join(plan::FILE).exists() && parts.folder.join(unit_name(3)).exists());
+        let units = (0..8).map(|unit| parts.folder.join(unit_name(unit))).filter(|unit| unit.exists());
+        units.for_each(|unit| assert!(files.iter().all(|file| unit.join(file).exists()), "{}", unit.display()));
+        fs::remove_file(stop).expect("removed");
+        parts.remove().expect("nothing is in the way");
+        assert!(!parts.folder.exists());
     }
 }

@@ -9,9 +9,9 @@ use radome_driver::recording::Recording;
 use radome_dsp::rdm::{Channels, MapMismatch};
 use radome_dsp::{FrameSource, KernelLevel, Occupancy, WaveformMismatch};
 use radome_files::{named_by_spec, read_text};
-use radome_models::dataset::{DatasetHeader, Split};
-use radome_sim::Scene;
+use radome_models::dataset::{DatasetHeader, Domain, ManifestRow, Split};
 use radome_sim::scene_file::BodyFile;
+use radome_sim::{Scene, Simulator};
 use serde::{Deserialize, Serialize};
 
 use super::fingerprints::Fingerprints;
@@ -43,6 +43,21 @@ pub struct Unit {
 pub enum UnitSource {
     Run { scene: Arc<Scene>, seed: u64, people: Option<usize>, frames: u64, tolerance_db: Option<f64> },
     Recording { path: PathBuf, label: Option<Occupancy>, label_file: Option<PathBuf> },
+}
+
+impl Unit {
+    /// Row of the manifest for a map of this unit.
+    pub fn row(&self, frame: u64, label: Occupancy) -> ManifestRow {
+        let (domain, seed) = match &self.source {
+            UnitSource::Run { seed, .. } => (Domain::Sim, Some(*seed)),
+            UnitSource::Recording { .. } => (Domain::Real, None),
+        };
+        let mut row = ManifestRow::new(domain, &self.scene, &self.recording, &self.sequence, frame, label);
+        row.subject.clone_from(&self.subject);
+        row.split = self.split;
+        row.seed = seed;
+        row
+    }
 }
 
 /// Units, and the properties that their maps share.
@@ -98,6 +113,10 @@ impl Plan {
         if let Some(twice) = units.iter().find(|unit| !names.insert(&unit.recording)) {
             bail!("{}: two recordings would be called '{}'", path.display(), twice.recording);
         }
+        // Splits that contradict each other would be noticed when all units are made, and their correction is another spec.
+        let rows: Vec<ManifestRow> = units.iter().map(|unit| unit.row(0, Occupancy::Empty)).collect();
+        let rule = spec.split.clone().unwrap_or_default();
+        rule.assign(&rows).with_context(|| path.display().to_string())?;
         let kernel = spec.kernel.unwrap_or_else(KernelLevel::detect);
         if !kernel.is_available() {
             bail!(
@@ -163,6 +182,8 @@ impl List<'_> {
             scene = scene.with_body(body);
         }
         self.check_waveform(&path.display().to_string(), scene.waveform())?;
+        source.people.iter().try_for_each(|people| Simulator::check_people(&scene, Some(*people)))?;
+        source.tolerance_db.map_or(Ok(()), Simulator::check_tolerance).with_context(|| path.display().to_string())?;
         if let Channels::One(index) = self.spec.map.channels {
             // Receivers that no map uses need not be simulated.
             let receivers = scene.waveform().request.rx_antennas.up_to(index);

@@ -7,7 +7,7 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth};
-use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
+use radome_models::dataset::DatasetWriter;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
@@ -71,17 +71,8 @@ impl Sink<'_> {
     }
 
     fn take(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
-        let unit = self.unit;
-        let (domain, seed) = match &unit.source {
-            UnitSource::Run { seed, .. } => (Domain::Sim, Some(*seed)),
-            UnitSource::Recording { .. } => (Domain::Real, None),
-        };
-        let mut row =
-            ManifestRow::new(domain, &unit.scene, &unit.recording, &unit.sequence, map.sequence, truth.occupancy);
-        row.subject.clone_from(&unit.subject);
+        let mut row = self.unit.row(map.sequence, truth.occupancy);
         row.transition = truth.transition;
-        row.split = unit.split;
-        row.seed = seed;
         Ok(self.writer.push(map, row)?)
     }
 }

@@ -57,7 +57,7 @@ pub fn merge(parts: &[(&Path, &Dataset)], dir: &Path, split: Option<&SplitSpec>)
             if let Some(split) = splits.as_ref().and_then(|splits| splits.get(writer.maps())) {
                 row.split = Some(*split);
             }
-            writer.push_checked(&part.verified_map(index)?, row)?;
+            writer.push_checked(&part.map(index)?, row)?;
         }
     }
     let maps = writer.maps();

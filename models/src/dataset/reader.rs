@@ -108,34 +108,35 @@ impl Dataset {
         self.rows.is_empty()
     }
 
-    /// Cells of a map, `[rx][doppler][range]` dB, all finite.
+    /// Cells of a map, `[rx][doppler][range]` dB, all finite and those that were hashed when the map was written.
     ///
     /// # Errors
-    /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read, and
-    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite.
+    /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read,
+    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite, and [`DatasetError::Hash`] if the cells are not those that were
+    /// hashed.
     pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
-        let db = match &self.cells {
-            Cells::Memory(maps) => maps.get(index).ok_or_else(missing)?.clone(),
-            Cells::Shards(shards) => {
-                let (path, offset) = shards.get(index / MAPS_PER_SHARD).ok_or_else(missing)?;
-                if index >= self.rows.len() {
-                    return Err(missing());
-                }
-                let bytes = self.header.shape.cells() * 4;
-                let mut buffer = vec![0u8; bytes];
-                let mut read = || -> std::io::Result<()> {
-                    let mut file = File::open(path)?;
-                    file.seek(SeekFrom::Start(offset + ((index % MAPS_PER_SHARD) * bytes) as u64))?;
-                    file.read_exact(&mut buffer)
-                };
-                read().map_err(DatasetError::io(path, "reading"))?;
-                buffer.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
-            }
+        let row = self.rows.get(index).ok_or_else(missing)?;
+        let (path, offset) = match &self.cells {
+            Cells::Memory(maps) => return maps.get(index).cloned().ok_or_else(missing),
+            Cells::Shards(shards) => shards.get(index / MAPS_PER_SHARD).ok_or_else(missing)?,
         };
+        let bytes = self.header.shape.cells() * 4;
+        let mut buffer = vec![0u8; bytes];
+        let mut read = || -> std::io::Result<()> {
+            let mut file = File::open(path)?;
+            file.seek(SeekFrom::Start(offset + ((index % MAPS_PER_SHARD) * bytes) as u64))?;
+            file.read_exact(&mut buffer)
+        };
+        read().map_err(DatasetError::io(path, "reading"))?;
+        let db: Vec<f32> = buffer.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
         let cells = db.iter().filter(|v| !v.is_finite()).count();
         if cells > 0 {
             return Err(DatasetError::NonFinite { map: index.to_string(), cells });
+        }
+        let found = map_hash(&db);
+        if row.hash != found {
+            return Err(DatasetError::Hash { path: path.clone(), index, expected: row.hash.clone(), found });
         }
         Ok(db)
     }
@@ -172,32 +173,12 @@ impl Dataset {
         format!("{:x}", hash.finalize())
     }
 
-    /// Reads every map and compares it with its hash; the first that differs is an error.
+    /// Reads every map; the first that is damaged is an error.
     ///
     /// # Errors
-    /// The first error of [`Dataset::verified_map`].
+    /// The first error of [`Dataset::map`].
     pub fn verify(&self) -> Result<(), DatasetError> {
-        (0..self.len()).try_for_each(|index| self.verified_map(index).map(|_| ()))
-    }
-
-    /// Cells of a map, compared with its hash.
-    ///
-    /// # Errors
-    /// Those of [`Dataset::map`], and [`DatasetError::Hash`] if the cells are not those that were hashed.
-    pub fn verified_map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
-        let map = self.map(index)?;
-        let found = map_hash(&map);
-        match self.rows.get(index) {
-            Some(row) if row.hash != found => {
-                let path = match &self.cells {
-                    Cells::Shards(shards) => shards.get(index / MAPS_PER_SHARD).map(|s| s.0.clone()),
-                    Cells::Memory(_) => None,
-                };
-                let path = path.unwrap_or_default();
-                Err(DatasetError::Hash { path, index, expected: row.hash.clone(), found })
-            }
-            _ => Ok(map),
-        }
+        (0..self.len()).try_for_each(|index| self.map(index).map(|_| ()))
     }
 }
 

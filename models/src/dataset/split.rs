@@ -59,6 +59,19 @@ impl Default for SplitSpec {
 }
 
 impl SplitSpec {
+    /// Checks the shares, which need no rows.
+    ///
+    /// # Errors
+    /// [`DatasetError::Fractions`] if they leave nothing to train on.
+    pub fn check(&self) -> Result<(), DatasetError> {
+        let (validation, test) = (self.validation, self.test);
+        let are_shares = [validation, test].iter().all(|share| (0.0..1.0).contains(share));
+        match are_shares && validation + test < 1.0 {
+            true => Ok(()),
+            false => Err(DatasetError::Fractions { validation, test }),
+        }
+    }
+
     /// Assigns a split to each row, in order.
     ///
     /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group.
@@ -73,10 +86,7 @@ impl SplitSpec {
     /// sequence to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what
     /// must stay whole.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
-        let fraction = |f: f64| (0.0..1.0).contains(&f);
-        if !fraction(self.validation) || !fraction(self.test) || self.validation + self.test >= 1.0 {
-            return Err(DatasetError::Fractions { validation: self.validation, test: self.test });
-        }
+        self.check()?;
         let names = group_names(rows, self.by);
         let held_out = match &self.held_out {
             None => None,

@@ -422,6 +422,10 @@ mod hard_cases {
         std::fs::write(&shard, &flipped).expect("write");
         let error = Dataset::open(&path).expect("lengths agree").verify().expect_err("changed").to_string();
         assert!(error.contains("maps-00000.npy") && error.contains("map 2"), "{error}");
+        // A network was trained on the damaged map, and scored by it.
+        let damaged = Dataset::open(&path).expect("lengths agree");
+        assert!(matches!(damaged.input(2, 0), Err(DatasetError::Hash { index: 2, .. })));
+        assert_eq!(damaged.map(1).expect("whole"), map(&header(), 1).db);
 
         std::fs::write(&shard, &whole).expect("write");
 

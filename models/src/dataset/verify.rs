@@ -92,7 +92,7 @@ impl VerifyReport {
 pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, DatasetError> {
     let rows = dataset.rows();
     let damaged = (0..rows.len())
-        .filter_map(|map| dataset.verified_map(map).err().map(|error| Damage { map, what: error.to_string() }))
+        .filter_map(|map| dataset.map(map).err().map(|error| Damage { map, what: error.to_string() }))
         .collect();
     let splits = match spec.assign(rows) {
         Ok(splits) => splits,

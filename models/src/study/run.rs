@@ -329,6 +329,8 @@ impl<'a> Study<'a> {
                     tell(Progress::Job(job, number, count));
                     let outcome = self.train(job, tell)?;
                     write_json(&self.result_path(job), &outcome)?;
+                    // Not before: a kill while the model was saved and scored would lose the training.
+                    let _ = std::fs::remove_file(self.checkpoint_path(job));
                     tell(Progress::Done(&outcome));
                     self.judge_at_once(job, tell)?;
                 }
@@ -402,7 +404,6 @@ impl<'a> Study<'a> {
             Ok(trained) => trained,
             // A training that diverges is a result; one that cannot be run is an error.
             Err(error @ TrainError::NonFinite { .. }) => {
-                let _ = std::fs::remove_file(self.checkpoint_path(job));
                 outcome.error = Some(error.to_string());
                 return Ok(outcome);
             }
@@ -458,15 +459,19 @@ impl<'a> Study<'a> {
     /// Median time of one map, ms, and its mean cost. A few maps warm up first, then as many are timed as energy
     /// counters need.
     fn time_labels(&self, classifier: &mut Classifier, test: &[usize]) -> Result<(f64, Cost), StudyError> {
-        let mut maps = test.iter().cycle();
-        for &index in maps.by_ref().take(WARM_UP_LABELS) {
-            evaluate(classifier, self.dataset, &[index])?;
+        let (shape, rows) = (self.dataset.header().shape, self.dataset.rows());
+        // Read beforehand, for only the classifier is timed.
+        let read = |&index: &usize| Ok::<_, DatasetError>((self.dataset.map(index)?, rows.get(index)));
+        let maps = test.iter().take(LEAST_LABELS).map(read).collect::<Result<Vec<_>, _>>()?;
+        let mut maps = maps.iter().filter_map(|(map, row)| Some((map, (*row)?))).cycle();
+        for (map, row) in maps.by_ref().take(WARM_UP_LABELS) {
+            classifier.classify_row(map, shape, row)?;
         }
         let (meter, start) = (Meter::start(), Instant::now());
         let mut times = Vec::new();
-        for &index in maps {
+        for (map, row) in maps {
             let began = Instant::now();
-            evaluate(classifier, self.dataset, &[index])?;
+            classifier.classify_row(map, shape, row)?;
             times.push(1e3 * began.elapsed().as_secs_f64());
             if times.len() >= LEAST_LABELS && start.elapsed() >= LABELS_LAST {
                 break;

@@ -13,6 +13,8 @@ use crate::train::TrainSpec;
 /// Largest number of trainings and variants of a study. A spec of a megabyte could list more than fit into memory.
 const MOST_JOBS: usize = 1_000_000;
 const MOST_VARIANTS: usize = 1000;
+/// Largest magnitude of a signal-to-noise ratio, dB, as of datasets. Far beyond it cells are infinite.
+const MOST_SNR_DB: f64 = 100.0;
 
 /// Settings of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -116,7 +118,18 @@ impl StudySpec {
         for &rate in &self.learning_rates {
             check_setting(rate.is_finite() && rate > 0.0, "learning_rates", rate, "finite numbers above 0")?;
         }
-        self.snr_db.iter().try_for_each(|snr| check_setting(snr.is_finite(), "snr_db", snr, "finite numbers"))
+        let is_ratio = |snr_db: f64| (-MOST_SNR_DB..=MOST_SNR_DB).contains(&snr_db);
+        self.snr_db.iter().try_for_each(|&snr_db| check_setting(is_ratio(snr_db), "snr_db", snr_db, "-100 to 100"))
+    }
+
+    /// Checks that models are trained on all labels, which conditions need.
+    ///
+    /// # Errors
+    /// [`StudyError::Setting`] if not.
+    pub fn check_models(&self) -> Result<(), StudyError> {
+        let expected = "1 among them: models of all labels are put to conditions";
+        let shares = &self.label_fractions;
+        check_setting(shares.contains(&1.0), "label_fractions", format!("{shares:?}"), expected)
     }
 
     /// The network of a variant.

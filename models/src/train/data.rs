@@ -75,7 +75,8 @@ impl Indices {
         let most = spec.most_training_maps.map_or(1.0, |most| most as f64 / train.len().max(1) as f64);
         let fraction = spec.label_fraction * most.min(1.0);
         if fraction < 1.0 {
-            train = fraction_by_class(&train, |i| rows.get(i).map(|r| r.label.index()), fraction, spec.seed);
+            let most = spec.most_training_maps.unwrap_or(usize::MAX);
+            train = fraction_by_class(&train, |i| rows.get(i).map(|r| r.label.index()), fraction, most, spec.seed);
         }
         Ok(Indices { train, validation: of(Split::Validation), test: of(Split::Test) })
     }
@@ -259,21 +260,37 @@ fn cell(rows: &[ManifestRow], index: usize) -> Option<(&str, Occupancy)> {
     rows.get(index).map(|row| (row.scene.as_str(), row.label))
 }
 
-/// A share of the maps, drawn class by class (at least one of each), in their order.
+/// A share of the maps, drawn class by class (at least one of each) and at most `most`, in their order.
 fn fraction_by_class(
     indices: &[usize],
     class: impl Fn(usize) -> Option<usize>,
     fraction: f64,
+    most: usize,
     seed: u64,
 ) -> Vec<usize> {
-    let mut kept = Vec::new();
-    for label in Occupancy::ALL {
-        let mut of_class: Vec<usize> = indices.iter().copied().filter(|&i| class(i) == Some(label.index())).collect();
-        of_class.shuffle(&mut stream(seed, "label fraction", label.index() as u64));
-        of_class.truncate(((fraction * of_class.len() as f64).round() as usize).max(1));
-        kept.extend(of_class);
+    let of_class = |label: Occupancy| -> Vec<usize> {
+        indices.iter().copied().filter(|&i| class(i) == Some(label.index())).collect()
+    };
+    let mut by_class = Occupancy::ALL.map(of_class);
+    let counts = kept_by_class(by_class.each_ref().map(Vec::len), fraction, most);
+    for ((label, maps), count) in by_class.iter_mut().enumerate().zip(counts) {
+        maps.shuffle(&mut stream(seed, "label fraction", label as u64));
+        maps.truncate(count);
     }
+    let mut kept = by_class.concat();
     kept.sort_unstable();
+    kept
+}
+
+/// Share of `counts`, each to the nearest whole number and at least one where there is one. Where they are more than `most`
+/// together, the largest gives way.
+fn kept_by_class(counts: [usize; Occupancy::ALL.len()], fraction: f64, most: usize) -> [usize; Occupancy::ALL.len()] {
+    let mut kept = counts.map(|count| ((fraction * count as f64).round() as usize).max(1).min(count));
+    while kept.iter().sum::<usize>() > most
+        && let Some(largest) = kept.iter_mut().max()
+    {
+        *largest = largest.saturating_sub(1);
+    }
     kept
 }
 
@@ -320,6 +337,18 @@ pub(super) mod tests {
 
     fn cells(tensor: &Tensor) -> Vec<f32> {
         tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
+    }
+
+    /// Rounded class by class, shares of 26, 11 and 11 maps that make 20 were 21.
+    #[test]
+    fn limited_maps_are_no_more_than_the_limit() {
+        assert_eq!(kept_by_class([26, 11, 11], 20.0 / 48.0, 20), [10, 5, 5]);
+        assert_eq!(kept_by_class([46, 1, 1], 3.0 / 48.0, 3), [1, 1, 1]);
+        assert_eq!(kept_by_class([30, 0, 3], 0.1, usize::MAX), [3, 0, 1]);
+        for most in 3..=48 {
+            let kept = kept_by_class([22, 15, 11], most as f64 / 48.0, most);
+            assert!(kept.iter().all(|count| *count > 0) && kept.iter().sum::<usize>() <= most, "{most}: {kept:?}");
+        }
     }
 
     /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their

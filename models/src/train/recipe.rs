@@ -33,8 +33,9 @@ pub fn train(
     train_with_checkpoint(dataset, spec, None, report)
 }
 
-/// [`train`] that writes `checkpoint` after each epoch, continues from it if it exists, and removes it at the end. A training that
-/// was killed and continued gives the same model as one that was not.
+/// [`train`] that writes `checkpoint` after each epoch and continues from it if it exists. A training that was killed and continued
+/// gives the same model as one that was not. The file stays at the end, where another call gives the model again: remove it when
+/// the model is saved.
 ///
 /// # Errors
 /// Those of [`train`], [`TrainError::Checkpoint`] if the checkpoint cannot be read, [`TrainError::OtherTraining`] if it is of another
@@ -93,10 +94,6 @@ pub(crate) fn train_on(
         return Err(candle_core::Error::Msg("a trained network is no ONNX file".to_owned()).into());
     };
     let model = Model { card, network };
-    if let Some(path) = checkpoint {
-        // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
-        let _ = std::fs::remove_file(path);
-    }
     Ok(TrainOutcome { model, history, validation, test, warnings })
 }
 

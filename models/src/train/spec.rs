@@ -9,6 +9,7 @@ use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
 use crate::kernel::KernelLevel;
+use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::MapReference;
@@ -199,7 +200,8 @@ impl TrainSpec {
     /// Checks all settings.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] for the first setting that is out of range.
+    /// [`TrainError::Setting`] for the first setting that is out of range, and [`TrainError::Dataset`] for shares of a split that leave
+    /// nothing to train on.
     pub fn check(&self) -> Result<(), TrainError> {
         let is_penalty = |value: f64| value.is_finite() && value >= 0.0;
         let (epochs, batch_size, starts) = (self.epochs, self.batch_size, self.starts);
@@ -218,6 +220,7 @@ impl TrainSpec {
             check_setting((1..=MOST_EPOCHS).contains(&steps), "full_batch.steps", steps, "1 to 100000")?;
             check_setting(is_penalty(weight_penalty), "full_batch.weight_penalty", weight_penalty, "0 or more")?;
         }
+        self.split.check()?;
         check_setting((0.0..=10.0).contains(&self.weight_decay), "weight_decay", self.weight_decay, "0 to 10")?;
         check_setting(is_penalty(self.latent_penalty), "latent_penalty", self.latent_penalty, "0 or more")?;
         for (name, value) in [
@@ -231,7 +234,8 @@ impl TrainSpec {
         }
         let is_share = self.label_fraction > 0.0 && self.label_fraction <= 1.0;
         check_setting(is_share, "label_fraction", self.label_fraction, "above 0 and up to 1")?;
-        check_setting(self.most_training_maps != Some(0), "most_training_maps", 0, "at least 1")?;
+        let most_maps = self.most_training_maps.unwrap_or(usize::MAX);
+        check_setting(most_maps >= CLASSES, "most_training_maps", most_maps, "at least 3, one of each class")?;
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {

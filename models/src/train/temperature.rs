@@ -23,6 +23,10 @@ pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
 }
 
 fn minimise(logits: &[Vec<f32>], labels: &[usize], class_weights: &[f32]) -> f64 {
+    // Maps of classes that were not trained on do not weigh: the loss is 0 at every temperature.
+    if labels.iter().all(|&label| class_weights.get(label).is_none_or(|weight| *weight <= 0.0)) {
+        return 1.0;
+    }
     let loss = |log_temperature: f64| -> f64 {
         let temperature = log_temperature.exp();
         let terms = logits.iter().zip(labels).map(|(row, &label)| {
@@ -68,5 +72,11 @@ mod tests {
             .collect();
         let found = minimise(&logits, &labels, &[1.0; 3]);
         assert!((found / 2.5 - 1.0).abs() < 0.05, "{found}");
+    }
+
+    /// The temperature was 0.05, so that the model was certain of everything.
+    #[test]
+    fn without_a_map_of_a_trained_class_it_is_1() {
+        assert_eq!(minimise(&[vec![1.0, 0.5, 0.0], vec![0.0, 0.2, 0.1]], &[2, 2], &[1.0, 1.0, 0.0]), 1.0);
     }
 }

@@ -430,10 +430,11 @@ fn judge(
             SourceEvent::End => return Ok(Ok(candidate.end(run))),
             SourceEvent::Gap(_) => run.gap(),
             SourceEvent::Frame => {
-                if let Some(noise) = noise {
-                    noise.add(&mut frame);
+                let truth = recording.truth(&frame, source.waveform());
+                match noise {
+                    Some(noise) => run.changed_frame(&frame, &noise.added(&frame), truth)?,
+                    None => run.frame(&frame, truth)?,
                 }
-                run.frame(&frame, recording.truth(&frame, source.waveform()))?;
             }
         }
     }

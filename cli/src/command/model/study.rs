@@ -77,6 +77,9 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<Condi
     spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;
     conditions::check(&file.conditions)?;
+    if !file.conditions.is_empty() {
+        spec.check_models()?;
+    }
     Ok((spec, file.dataset, file.conditions))
 }
 

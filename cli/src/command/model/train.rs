@@ -139,6 +139,8 @@ fn train(arguments: &Arguments, checkpoint: &Path) -> anyhow::Result<()> {
     }
     // The model is saved even if progress could not be printed.
     outcome.model.save(&arguments.output)?;
+    // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
+    let _ = std::fs::remove_file(checkpoint);
     if let Some(error) = trouble {
         return Err(error);
     }

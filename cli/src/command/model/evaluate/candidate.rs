@@ -82,8 +82,16 @@ impl Run {
     /// # Errors
     /// If the model cannot judge it.
     pub fn frame(&mut self, frame: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
-        if let Prediction::Probabilities(alone) = self.judge.frame(frame)? {
-            let time_s = frame.time_s();
+        self.changed_frame(frame, frame, truth)
+    }
+
+    /// Predicts the next frame with other codes than it was `received` with ([`Judge::changed_frame`]).
+    ///
+    /// # Errors
+    /// If the model cannot judge it.
+    pub fn changed_frame(&mut self, received: &Frame, changed: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
+        if let Prediction::Probabilities(alone) = self.judge.changed_frame(received, changed)? {
+            let time_s = received.time_s();
             let filtered = self.filter.update(time_s, alone);
             self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
             self.predictions.alone.push(FramePrediction { time_s, truth, probabilities: alone });

@@ -38,21 +38,63 @@ impl ThermalNoise {
         let mut source = Recording::open(path)?;
         let shape = source.waveform().shape();
         let mut frame = Frame::zeroed(shape);
-        let (mut sum, mut count) = (0.0, 0u64);
+        let (mut sum, mut count) = (0f64, 0u64);
         while source::next_frame(&mut source, &mut frame)? {
             sum += signal_squares(&frame.codes, shape.samples);
             count += frame.codes.len() as u64;
         }
         let sigma = (sum / count.max(1) as f64 / 10f64.powf(0.1 * snr_db)).sqrt();
-        Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: snr_db.to_bits() })
+        // Each recording has noise of its own, which is the same at every ratio but for its size.
+        Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: sum.to_bits() })
     }
 
-    /// Adds noise to a frame, the same in every call. Codes stay within the converter's range.
-    pub fn add(&self, frame: &mut Frame) {
+    /// Returns a frame with noise, the same in every call. Codes stay within the converter's range.
+    pub fn added(&self, frame: &Frame) -> Frame {
+        let mut noisy = frame.clone();
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
-        for code in &mut frame.codes {
-            let noisy = f64::from(*code) + self.normal.sample(&mut rng);
-            *code = noisy.round().clamp(0.0, MOST_CODE) as u16;
+        for code in &mut noisy.codes {
+            let sample = f64::from(*code) + self.normal.sample(&mut rng);
+            *code = sample.round().clamp(0.0, MOST_CODE) as u16;
         }
+        noisy
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_driver::RecordingHeader;
+    use radome_driver::recording::{Format, RecordingWriter};
+    use radome_dsp::{Waveform, WaveformRequest};
+
+    use super::*;
+
+    /// Noise that is added to a recording of one frame with a tone of this amplitude, codes.
+    fn added(amplitude: f64, snr_db: f64) -> Vec<f64> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("tone.mcap");
+        let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 16, ..WaveformRequest::paper() };
+        let waveform = Waveform::realise(request).expect("a waveform");
+        let mut frame = Frame::zeroed(waveform.shape());
+        for (index, code) in frame.codes.iter_mut().enumerate() {
+            *code = (2048.0 + amplitude * (index as f64).sin()).round() as u16;
+        }
+        let header = RecordingHeader::new(waveform);
+        let mut writer = RecordingWriter::create(&path, Format::Mcap, &header).expect("a file");
+        writer.frame(&frame).expect("written");
+        writer.finish().expect("written");
+        let noisy = ThermalNoise::of(&path, snr_db).expect("noise").added(&frame);
+        noisy.codes.iter().zip(&frame.codes).map(|(noisy, code)| f64::from(*noisy) - f64::from(*code)).collect()
+    }
+
+    /// Frames of one number had the same noise in all recordings, and other noise at another ratio.
+    #[test]
+    fn each_recording_has_its_own_noise_and_only_its_size_follows_the_ratio() {
+        let (one, twice) = (added(100.0, 0.0), added(100.0, -20.0 * 2f64.log10()));
+        // Both are rounded to codes.
+        assert!(one.iter().zip(&twice).all(|(one, twice)| (2.0 * one - twice).abs() < 1.6));
+        let other = added(90.0, 0.0);
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let correlation = product(&one, &other) / (product(&one, &one) * product(&other, &other)).sqrt();
+        assert!(correlation.abs() < 0.2, "{correlation}");
     }
 }

@@ -266,6 +266,20 @@ mod tests {
     mod hard_cases {
         use super::*;
 
+        /// The datasets of a study and of its conditions were built before this was found.
+        #[test]
+        fn conditions_without_a_model_of_all_labels_are_refused_with_the_file() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("study.toml");
+            let text = "title = \"a\"\ndataset = \"b.toml\"\nseeds = [1]\nlabel_fractions = [0.5]\n\
+                        variants = [{ name = \"hqnn\" }]\nconditions = [{ name = \"c\", dataset = \"d.toml\" }]\n";
+            std::fs::write(&path, text).expect("written");
+            let error = read(&path).err().expect("no model").to_string();
+            assert!(error.contains("label_fractions") && error.contains("models of all labels"), "{error}");
+            std::fs::write(&path, text.replace("[0.5]", "[0.5, 1.0]")).expect("written");
+            assert!(read(&path).is_ok());
+        }
+
         #[test]
         fn conditions_that_cannot_be_made_are_refused() {
             let refused = |text: &str, expected: &str| {
