@@ -8,7 +8,7 @@ mod wire;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::ensure;
 use serde_json::json;
 
 use self::check::{Check, Outcome};
@@ -133,9 +133,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     } else {
         output::text_line(&format!("{checked} checks, {warnings} warnings, {failures} failures"))?;
     }
-    if failures > 0 {
-        bail!("{failures} of {checked} checks failed");
-    }
+    ensure!(failures == 0, "{failures} of {checked} checks failed");
     Ok(())
 }
 

@@ -11,7 +11,7 @@ mod report;
 mod sample;
 mod still;
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_sim::receiver::Receiver;
 
 pub use self::arguments::Arguments;
@@ -28,17 +28,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
         arguments.overwrite.check(output, &inputs.map(std::path::PathBuf::as_path).collect::<Vec<_>>())?;
     }
-    if arguments.people.is_some() && arguments.scene.is_none() {
-        bail!(
-            "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
-        );
-    }
+    ensure!(
+        arguments.people.is_none() || arguments.scene.is_some(),
+        "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
+    );
     if !(arguments.part > 0.0 && arguments.part < 1.0) {
         bail!("--part is {}, expected a number between 0 and 1", arguments.part);
     }
-    if !(1..=10_000).contains(&arguments.copies) {
-        bail!("--copies is {}, expected 1 to 10000", arguments.copies);
-    }
+    ensure!((1..=10_000).contains(&arguments.copies), "--copies is {}, expected 1 to 10000", arguments.copies);
     let base = match &arguments.base {
         Some(path) => radome_sim::scene::load_receiver(path)?,
         None => Receiver::typical(),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::Waveform;
 use radome_files::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
 use radome_sim::Scene;
@@ -30,12 +30,11 @@ impl Stage {
     pub fn load(path: &Path, waveform: &Waveform) -> anyhow::Result<Self> {
         let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("{} cannot be read", path.display()))?;
         let mut table: Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;
-        if table.get("random").and_then(Value::as_table).is_some_and(|random| !random.is_empty()) {
-            bail!(
-                "{}: the scene is another for each seed\n\nhint: a recording shows one room: write its values in place of [random]",
-                path.display()
-            );
-        }
+        ensure!(
+            table.get("random").and_then(Value::as_table).is_none_or(Table::is_empty),
+            "{}: the scene is another for each seed\n\nhint: a recording shows one room: write its values in place of [random]",
+            path.display()
+        );
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(Value::String(relative)) = table.get("receiver") {
             let file =

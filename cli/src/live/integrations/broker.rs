@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use percent_encoding::percent_decode_str;
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
@@ -82,13 +82,12 @@ fn read_password(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("cannot read the password in {}", path.display());
     let file = File::open(path).with_context(named)?;
     let mode = file.metadata().with_context(named)?.permissions().mode();
-    if mode & 0o007 != 0 {
-        bail!(
-            "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
-            path = path.display(),
-            mode = mode & 0o777
-        );
-    }
+    ensure!(
+        mode & 0o007 == 0,
+        "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
+        path = path.display(),
+        mode = mode & 0o777
+    );
     let mut text = Vec::new();
     file.take(MOST_PASSWORD_BYTES + 1).read_to_end(&mut text).with_context(named)?;
     if text.len() as u64 > MOST_PASSWORD_BYTES {
@@ -96,9 +95,7 @@ fn read_password(path: &Path) -> anyhow::Result<Secret> {
     }
     let Ok(text) = String::from_utf8(text) else { bail!("{}: the password is not text in UTF-8", path.display()) };
     let password = text.lines().next().unwrap_or_default();
-    if password.is_empty() {
-        bail!("{}: there is no password in its first line", path.display());
-    }
+    ensure!(!password.is_empty(), "{}: there is no password in its first line", path.display());
     Ok(Secret(password.to_owned()))
 }
 
@@ -150,12 +147,11 @@ impl Broker {
             Some((login, address)) => (Some(login), address),
             None => (None, rest),
         };
-        if login.is_some_and(|login| login.contains(':')) {
-            bail!(
-                "the broker's address holds a password, which other users can read in the list of processes\n\nhint: write it \
-                 into a file for --mqtt-password-file FILE (chmod 600), or set {PASSWORD_VARIABLE}; --mqtt mqtt://USER@HOST"
-            );
-        }
+        ensure!(
+            !login.is_some_and(|login| login.contains(':')),
+            "the broker's address holds a password, which other users can read in the list of processes\n\nhint: write it \
+             into a file for --mqtt-password-file FILE (chmod 600), or set {PASSWORD_VARIABLE}; --mqtt mqtt://USER@HOST"
+        );
         let address = address.strip_suffix('/').unwrap_or(address);
         let default_port = if is_encrypted { 8883 } else { 1883 };
         // An IPv6 address is enclosed in brackets.
@@ -176,9 +172,7 @@ impl Broker {
             None => None,
         };
         let user = url_user.or(user);
-        if user.is_none() && password.is_some() {
-            bail!("there is a password for the broker, but no user{GRAMMAR}");
-        }
+        ensure!(user.is_some() || password.is_none(), "there is a password for the broker, but no user{GRAMMAR}");
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
     }
 
