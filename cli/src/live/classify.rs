@@ -282,7 +282,7 @@ mod tests {
     use std::cell::Cell;
     use std::rc::Rc;
 
-    use radome_dsp::{SourceEvent, WaveformRequest};
+    use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
@@ -293,20 +293,6 @@ mod tests {
 
     fn judge() -> FrameClassifier {
         FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), Instant::now()).expect("a judge")
-    }
-
-    struct Middle(Waveform);
-
-    impl radome_dsp::FrameSource for Middle {
-        fn waveform(&self) -> &Waveform {
-            &self.0
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, radome_dsp::SourceError> {
-            frame.codes.fill(2048);
-            frame.sequence += 1;
-            Ok(SourceEvent::Frame)
-        }
     }
 
     /// Sink that runs a given function for each answer, and counts how often it is ended.
@@ -331,7 +317,12 @@ mod tests {
     fn run_with(answer: fn() -> anyhow::Result<()>) -> (anyhow::Error, usize) {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
-        let _reader = pipeline.start(Box::new(Middle(waveform())), Some(3));
+        let source = source_from_fn(waveform(), |frame| {
+            frame.codes.fill(2048);
+            frame.sequence += 1;
+            Ok(SourceEvent::Frame)
+        });
+        let _reader = pipeline.start(Box::new(source), Some(3));
         let ends = Rc::new(Cell::new(0));
         let mut sinks: Vec<Box<dyn Sink>> =
             vec![Box::new(Told(|| Ok(()), ends.clone())), Box::new(Told(answer, ends.clone()))];

@@ -347,27 +347,23 @@ impl Chip {
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, WaveformRequest};
+    use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
 
     use super::*;
     use crate::chip::RegisterList;
     use crate::emulator::Pace;
 
     /// Frames whose codes count on from 0.
-    struct Ramp(Waveform, u64);
-
-    impl FrameSource for Ramp {
-        fn waveform(&self) -> &Waveform {
-            &self.0
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            let first = self.1 * frame.codes.len() as u64;
+    fn ramp(waveform: Waveform) -> Feed {
+        let (interval_s, mut next) = (waveform.frame_interval_s(), 0);
+        let source = source_from_fn(waveform, move |frame| {
+            let first = next * frame.codes.len() as u64;
             frame.codes.iter_mut().zip(first..).for_each(|(code, value)| *code = (value & 0xFFF) as u16);
-            frame.time_ns = (self.1 as f64 * self.0.frame_interval_s() * 1e9) as u64;
-            self.1 += 1;
+            frame.time_ns = (next as f64 * interval_s * 1e9) as u64;
+            next += 1;
             Ok(SourceEvent::Frame)
-        }
+        });
+        Feed::from(Box::new(source))
     }
 
     /// One receiver, 4 chirps of 64 samples.
@@ -380,7 +376,7 @@ mod tests {
 
     fn chip_of(waveform: Waveform, pace: Pace) -> Chip {
         let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
-        Chip::new(Feed::from(Box::new(Ramp(waveform, 0))), &options, &Arc::default()).expect("threads")
+        Chip::new(ramp(waveform), &options, &Arc::default()).expect("threads")
     }
 
     fn chip(pace: Pace) -> Chip {
@@ -531,7 +527,7 @@ mod tests {
         fn of_another_waveform_nothing_is_measured_and_both_are_named() {
             let shared = Arc::new(Shared::default());
             let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
-            let mut chip = Chip::new(Feed::from(Box::new(Ramp(waveform(), 0))), &options, &shared).expect("threads");
+            let mut chip = Chip::new(ramp(waveform()), &options, &shared).expect("threads");
             let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
             let other = Waveform::realise(request).expect("valid");
             program(&mut chip, &list(other, 128));
