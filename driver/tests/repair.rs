@@ -156,17 +156,7 @@ mod hard_cases {
         let mut frame = Frame::zeroed(source.waveform.shape());
         while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
             recorder.frame(&frame).expect("records");
-            let result = FrameResult {
-                sequence: frame.sequence,
-                time_ns: frame.time_ns,
-                host_time_ns: 0,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
-                latency_ns: 0,
-            };
+            let result = FrameResult { sequence: frame.sequence, time_ns: frame.time_ns, ..FrameResult::default() };
             recorder.result(&result).expect("records");
         }
         recorder.flush().expect("records");

@@ -385,17 +385,7 @@ mod tests {
         let (ahead, newest, next_sequence) = (VecDeque::new(), Some(0), 1);
         let mut writer = Writer { recorder, ahead, newest, next_sequence, taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
-            writer.ahead.push_back(FrameResult {
-                sequence,
-                time_ns: 0,
-                host_time_ns: 0,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
-                latency_ns: 0,
-            });
+            writer.ahead.push_back(FrameResult { sequence, ..FrameResult::default() });
             writer.write_results().expect("writes");
             assert!(writer.ahead.len() <= WAITING_RESULTS);
         }

@@ -344,13 +344,9 @@ mod tests {
         let result = |(i, people): (usize, &u8)| FrameResult {
             sequence: i as u64,
             time_ns: i as u64 * 100_000_000,
-            host_time_ns: 0,
-            label: None,
-            probabilities: None,
-            frame_probabilities: None,
             occupied: *people > 0,
             people: *people,
-            latency_ns: 0,
+            ..FrameResult::default()
         };
         people.iter().enumerate().map(result).collect()
     }
