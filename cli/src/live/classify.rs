@@ -27,7 +27,8 @@ pub struct FrameClassifier {
     /// Time span of the frames of a map, s.
     map_s: f64,
     last_time_s: Option<f64>,
-    health: Health,
+    /// Counters of the run so far.
+    pub health: Health,
     transition_frames: u64,
     all: Confusion,
     settled: Confusion,
@@ -71,11 +72,6 @@ impl FrameClassifier {
     /// Newest map.
     pub fn map(&self) -> &Rdm {
         self.judge.map()
-    }
-
-    /// Counters of the run so far.
-    pub fn health(&self) -> &Health {
-        &self.health
     }
 
     /// Time over which earlier frames affect an answer, s: the frames of a map, and the time for which people usually
@@ -236,7 +232,7 @@ fn judge_all(
             Item::Frame(frame) => {
                 missed.note(frame.sequence, judge, sinks)?;
                 let answer = judge.frame(&frame, delivery.arrived)?;
-                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: judge.health() };
+                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
                 for sink in sinks.iter_mut() {
                     sink.answer(&moment)?;
                 }
@@ -253,7 +249,7 @@ fn judge_all(
 
 fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
     judge.gap(gap);
-    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, judge.health()))
+    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, &judge.health))
 }
 
 /// Converts frames that the classifier was too slow for to gaps at their position.

@@ -41,18 +41,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => Receiver::typical(),
     };
     let recordings = Recordings::open(&arguments.recordings, arguments.part)?;
-    let copies = Copies::new(arguments, recordings.waveform())?;
+    let copies = Copies::new(arguments, &recordings.waveform)?;
     let mut measured = measure(arguments, &recordings, &base)?;
-    let clutter = still::fit_clutter(recordings.waveform(), &mut measured);
-    let gain = match copies.has_scene() {
-        true => Some(still::fit_level(recordings.waveform(), &copies, &mut measured)?),
+    let clutter = still::fit_clutter(&recordings.waveform, &mut measured);
+    let gain = match copies.has_scene {
+        true => Some(still::fit_level(&recordings.waveform, &copies, &mut measured)?),
         false => None,
     };
     report::round(&mut measured.fit.receiver);
     let line = measured.slow_time.line();
     let real = gap::Real::new(&recordings, measured.judged.channels.clone(), line.map(|line| line.bin))?;
-    let before = copies.sample(&base, real.regions())?;
-    let after = copies.sample(&measured.fit.receiver, real.regions())?;
+    let before = copies.sample(&base, &real.regions)?;
+    let after = copies.sample(&measured.fit.receiver, &real.regions)?;
     if let Some(output) = &arguments.output {
         report::write_receiver(output, &measured.fit.receiver, arguments)?;
     }
@@ -64,11 +64,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
         clutter,
         gain,
-        resampled: real.resampled(),
+        resampled: real.resampled,
         between_real: real.between(),
         before: real.beside(&before),
         after: real.beside(&after),
-        line: copies.has_scene().then(|| line::Lines::new(line, &before.lines, &after.lines)),
+        line: copies.has_scene.then(|| line::Lines::new(line, &before.lines, &after.lines)),
     };
     report::print(&answer, arguments.json)
 }

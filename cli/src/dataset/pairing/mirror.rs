@@ -11,7 +11,8 @@ use toml::{Table, Value};
 
 /// Scene without people and with a recording's waveform, from which a mirror is made.
 pub struct Stage {
-    table: Table,
+    /// Scene file's table, in which meshes have their names in its own folder.
+    pub table: Table,
     /// Scene table for the dataset's folder, where the meshes have the names of `meshes`.
     pub stored: Table,
     /// Meshes of the room: name in the dataset's folder, and source path.
@@ -69,11 +70,6 @@ impl Stage {
         let mut stored = table.clone();
         let meshes = rename_meshes(&mut stored, folder)?;
         Ok(Stage { table, stored, meshes, scene, waveform_replaced })
-    }
-
-    /// Returns the scene file's table, in which meshes have their names in its own folder.
-    pub fn table(&self) -> &Table {
-        &self.table
     }
 
     /// Returns the files that belong beside the stored scene.

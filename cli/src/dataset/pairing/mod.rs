@@ -303,7 +303,7 @@ impl<'a> Pairing<'a> {
     ) -> anyhow::Result<(String, Simulator)> {
         script::fill(roles, detections, self.stage.scene.file(), points)
             .with_context(|| format!("{} cannot be mirrored as it is", self.settings.recording))?;
-        let scene = Scene::parse(&self.mirror_text(self.stage.table(), roles)?, &self.settings.scene)?;
+        let scene = Scene::parse(&self.mirror_text(&self.stage.table, roles)?, &self.settings.scene)?;
         let options = SimulateOptions { seed: self.settings.seed, ..SimulateOptions::default() };
         Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
     }

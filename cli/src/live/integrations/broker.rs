@@ -34,24 +34,14 @@ pub struct BrokerArguments {
     /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// with encryption. RADOME_MQTT_USER may
     /// name the user instead
     #[arg(long = "mqtt", id = "mqtt", value_name = "URL")]
-    url: Option<String>,
+    pub url: Option<String>,
     /// File whose first line is the password at the broker; only its owner and group may read it. Without it, the password
     /// is RADOME_MQTT_PASSWORD
     #[arg(long, value_name = "FILE", requires = "mqtt")]
-    mqtt_password_file: Option<PathBuf>,
+    pub mqtt_password_file: Option<PathBuf>,
 }
 
 impl BrokerArguments {
-    /// Returns the broker's address as given; it may be malformed and hold a password.
-    pub fn url(&self) -> Option<&str> {
-        self.url.as_deref()
-    }
-
-    /// Returns the file of the password.
-    pub fn password_file(&self) -> Option<&Path> {
-        self.mqtt_password_file.as_deref()
-    }
-
     /// Returns the broker with its login; `None` where no broker is named.
     ///
     /// # Errors
@@ -119,11 +109,14 @@ impl std::fmt::Debug for Secret {
 /// Address of a broker, and the login there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Broker {
-    host: String,
+    /// Name or address of the host; IPv6 in brackets.
+    pub host: String,
     port: u16,
     is_encrypted: bool,
-    user: Option<String>,
-    password: Option<Secret>,
+    /// User at the broker.
+    pub user: Option<String>,
+    /// Password of that user.
+    pub password: Option<Secret>,
 }
 
 /// Formats host and port without the login, for logs.
@@ -174,21 +167,6 @@ impl Broker {
         let user = url_user.or(user);
         ensure!(user.is_some() || password.is_none(), "there is a password for the broker, but no user{GRAMMAR}");
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
-    }
-
-    /// Returns the name or address of the host; IPv6 in brackets.
-    pub fn host(&self) -> &str {
-        &self.host
-    }
-
-    /// Returns the user at the broker.
-    pub fn user(&self) -> Option<&str> {
-        self.user.as_deref()
-    }
-
-    /// Returns the password of that user.
-    pub fn password(&self) -> Option<&Secret> {
-        self.password.as_ref()
     }
 
     /// Builds the options of a connection without the last will. `authorities` is a file of certificates to trust in
@@ -280,7 +258,7 @@ mod tests {
             (Some("env"), Some("u"))
         );
         let broker = with("mqtt://u@hub");
-        assert_eq!(broker.password().map(Secret::reveal), Some("hunter2"));
+        assert_eq!(broker.password.as_ref().map(Secret::reveal), Some("hunter2"));
         assert_eq!(broker.to_string(), "hub:1883");
         assert!(!format!("{broker:?} {broker:#?}").contains("hunter2"));
     }

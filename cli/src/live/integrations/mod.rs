@@ -90,7 +90,7 @@ impl Integrations {
         let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
-        if arguments.broker.url().is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+        if arguments.broker.url.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
             return Ok(integrations);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
