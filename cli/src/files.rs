@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::recording::{Existing, Partial};
 
 /// Finds a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
@@ -98,9 +98,7 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
 /// The folder does not exist.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !parent.is_dir() {
-        bail!("folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
-    }
+    ensure!(parent.is_dir(), "folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
     Ok(())
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
@@ -43,12 +43,11 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
         radome_models::Model::from_bytes(name, BUILT_IN_FILE)?
     } else {
         check_exists(name)?;
-        if name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
-            bail!(
-                "{}: an ONNX file can only judge\n\nhint: name the .safetensors file that it was exported from",
-                name.display()
-            );
-        }
+        ensure!(
+            !name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")),
+            "{}: an ONNX file can only judge\n\nhint: name the .safetensors file that it was exported from",
+            name.display()
+        );
         radome_models::Model::load(name)?
     })
 }

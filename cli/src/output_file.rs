@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_driver::recording::text::config_path;
 use radome_driver::recording::{Existing, Format, Partial, RecordingError, utc};
 use radome_driver::{Recorder, RecorderOptions, RecordingHeader};
@@ -43,9 +43,7 @@ impl Overwrite {
     /// Those of [`check_name`](Self::check_name), or the output is a folder.
     pub fn check(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
         self.check_name(path, inputs)?;
-        if path.is_dir() {
-            bail!("{} is a folder\n\nhint: name a file in it", path.display());
-        }
+        ensure!(!path.is_dir(), "{} is a folder\n\nhint: name a file in it", path.display());
         Ok(())
     }
 
@@ -56,9 +54,7 @@ impl Overwrite {
     /// The folder is missing, the file exists and is not to be replaced, the output is an input or a file of one, or it is
     /// named `-`, where this would be no stdout.
     pub fn check_name(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
-        if is_stdout(path) {
-            bail!("this output does not go to stdout\n\nhint: name a file; ./- is one of this name");
-        }
+        ensure!(!is_stdout(path), "this output does not go to stdout\n\nhint: name a file; ./- is one of this name");
         files::check_parent(path)?;
         inputs.iter().try_for_each(|input| check_not_input(path, input))?;
         if !self.overwrite && path.is_file() {
@@ -179,12 +175,11 @@ pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()>
 /// # Errors
 /// The name is that of a text recording.
 pub fn check_is_mcap(path: &Path) -> anyhow::Result<()> {
-    if Format::of_output(path) == Some(Format::Text) {
-        bail!(
-            "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
-            path.display()
-        );
-    }
+    ensure!(
+        Format::of_output(path) != Some(Format::Text),
+        "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
+        path.display()
+    );
     Ok(())
 }
 

@@ -105,69 +105,34 @@ impl FrameSource for Guarded {
 pub mod tests {
     use std::sync::Once;
 
-    use radome_dsp::WaveformRequest;
+    use radome_dsp::{WaveformRequest, source_from_fn};
 
     use super::*;
 
-    /// Source that returns some frames and then panics.
-    pub struct Panicking {
-        waveform: Waveform,
-        left: u64,
-        next: u64,
+    /// Creates a source that panics instead of returning frame number `frames`.
+    pub fn panicking_after(frames: u64) -> Box<dyn FrameSource> {
+        static HOOK: Once = Once::new();
+        HOOK.call_once(remember_places);
+        failing_after(frames, |next| panic!("frame {next} cannot be made"))
     }
 
-    impl Panicking {
-        /// Creates a source that panics instead of returning frame number `frames`.
-        pub fn after(frames: u64) -> Box<Self> {
-            static HOOK: Once = Once::new();
-            HOOK.call_once(remember_places);
-            let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
-            Box::new(Panicking {
-                waveform: Waveform::realise(request).expect("a valid waveform"),
-                left: frames,
-                next: 0,
-            })
-        }
-    }
-
-    impl FrameSource for Panicking {
-        fn waveform(&self) -> &Waveform {
-            &self.waveform
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            assert!(self.left > 0, "frame {} cannot be made", self.next);
-            frame.sequence = self.next;
-            frame.time_ns = self.next * 100_000_000;
-            self.left -= 1;
-            self.next += 1;
+    /// Creates a source that returns the error of this number instead of frame number `frames`.
+    pub fn failing_after(frames: u64, error: fn(u64) -> SourceError) -> Box<dyn FrameSource> {
+        let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
+        let mut next = 0;
+        Box::new(source_from_fn(Waveform::realise(request).expect("a valid waveform"), move |frame| {
+            if next == frames {
+                return Err(error(next));
+            }
+            (frame.sequence, frame.time_ns) = (next, next * 100_000_000);
+            next += 1;
             Ok(SourceEvent::Frame)
-        }
-    }
-
-    /// Source that returns some frames and then an error.
-    pub struct Failing(Box<Panicking>, fn() -> SourceError);
-
-    impl Failing {
-        /// Creates a source that returns this error instead of frame number `frames`.
-        pub fn after(frames: u64, error: fn() -> SourceError) -> Box<Self> {
-            Box::new(Failing(Panicking::after(frames), error))
-        }
-    }
-
-    impl FrameSource for Failing {
-        fn waveform(&self) -> &Waveform {
-            self.0.waveform()
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            if self.0.left == 0 { Err((self.1)()) } else { self.0.next_frame(frame) }
-        }
+        }))
     }
 
     #[test]
     fn a_panic_becomes_an_error_with_message_and_place_and_the_source_is_left_alone() {
-        let mut source = Guarded::new(Panicking::after(1));
+        let mut source = Guarded::new(panicking_after(1));
         let mut frame = Frame::zeroed(source.waveform().shape());
         assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
         for _ in 0..2 {
@@ -181,7 +146,7 @@ pub mod tests {
     #[test]
     fn a_panic_of_another_thread_keeps_its_place() {
         let thread = std::thread::spawn(|| {
-            let mut source = Panicking::after(0);
+            let mut source = panicking_after(0);
             let mut frame = Frame::zeroed(source.waveform().shape());
             source.next_frame(&mut frame).is_ok()
         });

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
 
 use crate::shell;
 
@@ -26,9 +26,7 @@ impl Array {
     /// # Errors
     /// A number is zero.
     pub fn check(&self) -> anyhow::Result<()> {
-        if self.tasks == 0 || self.cpus == 0 {
-            bail!("an array has at least one task, and a task one core");
-        }
+        ensure!(self.tasks > 0 && self.cpus > 0, "an array has at least one task, and a task one core");
         Ok(())
     }
 
@@ -80,8 +78,6 @@ pub fn word_with(text: &str, path: &Path) -> anyhow::Result<String> {
         .to_str()
         .with_context(|| format!("{}: a path that is not UTF-8 cannot go into a script", path.display()))?;
     let text = format!("{text}{full}");
-    if text.contains('\n') {
-        bail!("{text:?}: a path with a line's end cannot go into a script");
-    }
+    ensure!(!text.contains('\n'), "{text:?}: a path with a line's end cannot go into a script");
     Ok(shell::word(&text))
 }

@@ -14,7 +14,7 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
@@ -255,12 +255,11 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
-    if !path.exists() {
-        bail!(
-            "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, usb:, auto, or \
-             emulated:SOURCE; radome board list lists the boards"
-        );
-    }
+    ensure!(
+        path.exists(),
+        "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, usb:, auto, or \
+         emulated:SOURCE; radome board list lists the boards"
+    );
     // Reading from a terminal would wait for somebody to type.
     if is_device(path) {
         bail!("{spec} is a device, and no recording or scene\n\nhint: name the board on it serial:{spec}");

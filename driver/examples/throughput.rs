@@ -10,30 +10,18 @@ use std::error::Error;
 use std::time::{Duration, Instant};
 
 use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, Pace};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 
 /// Source of equal frames, without computing cost.
-struct Same {
-    waveform: Waveform,
-    next: u64,
-}
-
-impl FrameSource for Same {
-    fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let shape = self.waveform.shape();
-        if frame.codes.len() != shape.codes() {
-            frame.codes = (0..shape.codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
-        }
-        frame.shape = shape;
-        (frame.sequence, frame.time_ns) =
-            (self.next, (self.next as f64 * self.waveform.frame_interval_s() * 1e9) as u64);
-        self.next += 1;
+fn same(waveform: Waveform) -> impl FrameSource {
+    let (interval_s, mut next) = (waveform.frame_interval_s(), 0);
+    let codes: Vec<u16> = (0..waveform.shape().codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
+    source_from_fn(waveform, move |frame| {
+        frame.codes.clone_from(&codes);
+        (frame.sequence, frame.time_ns) = (next, (next as f64 * interval_s * 1e9) as u64);
+        next += 1;
         Ok(SourceEvent::Frame)
-    }
+    })
 }
 
 /// Processor time of this thread.
@@ -51,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let frames = (seconds * if times > 0.0 { times } else { 20.0 } / waveform.frame_interval_s()) as u64;
     let pace = if times > 0.0 { Pace::RealTime(times) } else { Pace::AsFastAsRead };
     let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
-    let board = EmulatedBoard::spawn(Box::new(Same { waveform: waveform.clone(), next: 0 }), options)?;
+    let board = EmulatedBoard::spawn(Box::new(same(waveform.clone())), options)?;
     let mut stream = Mcu7Board::open(board.address())?.start(&waveform)?;
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut received, mut lost) = (0, 0);

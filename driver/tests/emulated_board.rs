@@ -9,7 +9,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
-use crate::common::{self, Pattern, board, waveform};
+use crate::common::{self, Pattern, board, in_folder, waveform};
 
 /// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
@@ -399,8 +399,7 @@ mod hard_cases {
 
     #[test]
     fn one_link_is_one_boards() {
-        let folder = tempfile::tempdir().expect("folder");
-        let link = folder.path().join("board");
+        let (_folder, link) = in_folder("board");
         let own = waveform(&[1], 8, 64, 0.1);
         let spawn = || {
             let options = EmulatorOptions { link: Some(link.clone()), ..options(&[]) };

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use radome_driver::{BoardError, EmulatedBoard, EmulatedSource, Kind, Mcu7Board, Reconnect};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, source_from_fn};
 
 use crate::common::{Pattern, linked, open, spawn, waveform};
 
@@ -50,27 +50,13 @@ fn a_board_of_any_kind_ends_its_stream_with_the_broken_connection() {
 }
 
 /// Source that fails after five frames, by an error or by a panic.
-struct Failing {
-    pattern: Pattern,
-    panics: bool,
-}
-
-impl FrameSource for Failing {
-    fn waveform(&self) -> &Waveform {
-        self.pattern.waveform()
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        match self.pattern.next_frame(frame)? {
-            SourceEvent::End if self.panics => panic!("chunk 3 is damaged"),
-            SourceEvent::End => Err("chunk 3 is damaged".into()),
-            event => Ok(event),
-        }
-    }
-}
-
-fn failing(panics: bool) -> Box<Failing> {
-    Box::new(Failing { pattern: Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), 5), panics })
+fn failing(panics: bool) -> Box<dyn FrameSource> {
+    let mut pattern = Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), 5);
+    Box::new(source_from_fn(pattern.waveform.clone(), move |frame| match pattern.next_frame(frame)? {
+        SourceEvent::End if panics => panic!("chunk 3 is damaged"),
+        SourceEvent::End => Err("chunk 3 is damaged".into()),
+        event => Ok(event),
+    }))
 }
 
 #[test]

@@ -6,7 +6,7 @@ use radome_driver::recording::{Existing, Recording, mcap as native};
 use radome_driver::{LabelSpan, McapReader, Player, Recorder, RecordingError, RecordingHeader, Transport};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, waveform};
+use crate::common::{Pattern, in_folder, waveform};
 
 /// Records 40 frames at 10 Hz, with numbers 10 to 19 missing.
 fn record(path: &Path) {
@@ -24,8 +24,7 @@ struct Tape {
 
 impl Tape {
     fn new(speed: f64) -> Tape {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (folder, path) = in_folder("a.mcap");
         record(&path);
         let player = Player::new(Recording::open(&path).expect("opens"), speed).expect("reads").expect("frames");
         let frame = Frame::zeroed(player.waveform().shape());
@@ -127,8 +126,7 @@ fn it_keeps_time_and_changes_speed() {
 
 #[test]
 fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("a.mcap");
+    let (folder, path) = in_folder("a.mcap");
     record(&path);
     let before = std::fs::read(&path).expect("reads");
     let mut playing = McapReader::open(&path).expect("opens");
@@ -192,8 +190,7 @@ mod hard_cases {
 
     #[test]
     fn an_unfinished_recording_takes_no_labels_and_says_so() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
         for cut in [1, 8, 37, 60, whole.len() / 2] {
@@ -206,8 +203,7 @@ mod hard_cases {
 
     #[test]
     fn a_summary_that_lies_is_an_error_and_nothing_is_written() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
         // Damages every byte of the footer's two positions, and of the first records of the summary.
@@ -226,8 +222,7 @@ mod hard_cases {
 
     #[test]
     fn a_recording_without_frames_is_no_tape() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
         Recorder::create(&path, &header).expect("creates").finish().expect("finishes");
         assert!(Player::new(Recording::open(&path).expect("opens"), 1.0).expect("reads").is_none());

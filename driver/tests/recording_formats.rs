@@ -9,7 +9,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
-use crate::common::{self, cases, waveform};
+use crate::common::{self, cases, in_folder, waveform};
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");
@@ -64,8 +64,7 @@ proptest! {
         steps in prop::collection::vec((1..3_000_000_000u64, prop::option::of(-40_000..125_000i32)), 0..12),
         start_ns in 0..1_000_000_000u64,
     ) {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("session");
+        let (folder, path) = in_folder("session");
         let mut frames = simulated(&waveform, steps.len() as u64, seed);
         let (mut now, mut known) = (start_ns, None);
         for (frame, (step, temperature)) in frames.iter_mut().zip(steps) {
@@ -89,8 +88,7 @@ proptest! {
         finish in any::<bool>(),
         items in prop::collection::vec((any::<[u64; 3]>(), any::<Option<i32>>(), 0..9usize, any::<bool>()), 0..30),
     ) {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform.clone())).expect("creates");
         let (mut events, mut labels) = (Vec::new(), Vec::new());
         for (mut frame, ([sequence, time_ns, host_time_ns], temperature, kind, transition)) in
@@ -141,8 +139,7 @@ proptest! {
 
     #[test]
     fn the_text_file_gives_samples_and_waveform_back(waveform in waveforms(), seed in any::<u64>(), count in 0..6u64) {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("session.txt");
+        let (_folder, path) = in_folder("session.txt");
         let frames = simulated(&waveform, count, seed);
         let report = write(&path, Format::Text, &waveform, &frames);
         prop_assert_eq!((report.frames, report.omitted), (count, vec![]));
@@ -155,8 +152,7 @@ proptest! {
 
 #[test]
 fn text_is_laid_out_as_the_vendor_lays_it_out() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("session.txt");
+    let (folder, path) = in_folder("session.txt");
     let waveform = waveform(&[1, 3], 2, 8, 0.1);
     let mut frame = Frame::zeroed(waveform.shape());
     frame.codes = (0..32).map(|i| i * 132).collect();
@@ -175,8 +171,7 @@ fn text_is_laid_out_as_the_vendor_lays_it_out() {
 /// Asserts that the folder has the keys of a real file, in the same order.
 #[test]
 fn the_folder_has_the_vendors_files_and_keys() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("session");
+    let (_folder, path) = in_folder("session");
     let waveform = waveform(&[1, 2, 3], 4, 16, 0.1);
     write(&path, Format::Infineon, &waveform, &simulated(&waveform, 3, 1));
     let radar = path.join("RadarIfxAvian_00");
@@ -199,8 +194,7 @@ fn the_folder_has_the_vendors_files_and_keys() {
 
 #[test]
 fn host_times_are_kept_to_the_nanosecond() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("session");
+    let (_folder, path) = in_folder("session");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let mut frames = simulated(&waveform, 4, 1);
     for frame in &mut frames {
@@ -269,8 +263,7 @@ mod hard_cases {
 
     #[test]
     fn a_folder_that_holds_something_is_not_touched() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("mine");
+        let (_folder, path) = in_folder("mine");
         std::fs::create_dir(&path).expect("creates");
         let header = RecordingHeader::new(waveform(&[1], 2, 8, 0.1));
         RecordingWriter::create(&path, Format::Infineon, &header).expect("an empty folder may be filled");
@@ -282,8 +275,7 @@ mod hard_cases {
 
     #[test]
     fn a_text_file_cut_or_damaged_names_the_place() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.txt");
+        let (folder, path) = in_folder("a.txt");
         let waveform = waveform(&[1], 2, 8, 0.1);
         write(&path, Format::Text, &waveform, &simulated(&waveform, 3, 1));
         let whole = std::fs::read(&path).expect("reads");
@@ -353,8 +345,7 @@ mod hard_cases {
 
     #[test]
     fn stamps_with_an_exponent_are_read_and_nonsense_is_not() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a");
+        let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 2, 1);
         frames[0].time_ns = 5;

@@ -9,7 +9,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
 
-use crate::common::{Pattern, read, waveform};
+use crate::common::{Pattern, in_folder, read, waveform};
 
 /// Path of the recording of a breathing person; `None` where the shared data are absent.
 fn breathing() -> Option<PathBuf> {
@@ -221,8 +221,7 @@ fn label(name: &str, start_s: f64) -> LabelSpan {
 
 #[test]
 fn native_recording_gives_everything_back() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("a.mcap");
+    let (_folder, path) = in_folder("a.mcap");
     let summary = record(&path);
     assert_eq!((summary.frames, summary.gaps, summary.frames_lost, summary.labels), (25, 1, 2, 2));
     assert_eq!(summary.bytes, std::fs::metadata(&path).expect("there").len());
@@ -251,8 +250,7 @@ fn native_recording_gives_everything_back() {
 /// recording has the last ones.
 #[test]
 fn labels_given_while_recording_are_found_when_the_call_returns() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("a.mcap");
+    let (folder, path) = in_folder("a.mcap");
     let mut source = truthful(7);
     let mut recorder = Recorder::create(&path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(source.waveform.shape());
@@ -395,8 +393,7 @@ mod hard_cases {
     /// Asserts that a file cut anywhere, as after `kill -9`, loses at most ten frames: a chunk spans a second.
     #[test]
     fn an_unfinished_recording_is_readable_to_its_last_chunk() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (folder, path) = in_folder("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
         let cut_path = folder.path().join("cut.mcap");
@@ -420,8 +417,7 @@ mod hard_cases {
     /// Asserts that a wrong length in the middle of a finished file is not taken for its end (found by fuzzing).
     #[test]
     fn a_length_gone_wrong_is_no_end() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let mut bytes = std::fs::read(&path).expect("reads");
         let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
@@ -435,8 +431,7 @@ mod hard_cases {
 
     #[test]
     fn a_damaged_chunk_is_an_error_with_its_place() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let mut bytes = std::fs::read(&path).expect("reads");
         let middle = bytes.len() / 2;

@@ -8,7 +8,7 @@ use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, set_
 use radome_driver::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, cases, read, waveform};
+use crate::common::{Pattern, cases, in_folder, read, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
@@ -146,8 +146,7 @@ mod hard_cases {
     /// Bytes of a recording of 20 frames at 10 Hz with an answer to each, as a live run makes it: chunks of answers follow those of
     /// frames.
     fn with_answers() -> Vec<u8> {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         let mut source = Pattern::new(waveform(&[1], 4, 32, 0.1), 20);
         let (model, model_hash) = ("a".to_owned(), "b".to_owned());
         let judge = Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: 0.5, off_delay_s: 3.0 };
@@ -156,17 +155,7 @@ mod hard_cases {
         let mut frame = Frame::zeroed(source.waveform.shape());
         while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
             recorder.frame(&frame).expect("records");
-            let result = FrameResult {
-                sequence: frame.sequence,
-                time_ns: frame.time_ns,
-                host_time_ns: 0,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
-                latency_ns: 0,
-            };
+            let result = FrameResult { sequence: frame.sequence, time_ns: frame.time_ns, ..FrameResult::default() };
             recorder.result(&result).expect("records");
         }
         recorder.flush().expect("records");
@@ -219,8 +208,7 @@ mod hard_cases {
     /// chunk accepts them without further loss.
     #[test]
     fn labels_are_refused_by_what_is_unfinished_and_leave_what_is_damaged() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (folder, path) = in_folder("a.mcap");
         let bytes = record(&path);
         let both = [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")];
         std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("writes");
@@ -242,8 +230,7 @@ mod hard_cases {
 
     #[test]
     fn a_file_is_not_repaired_onto_itself() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         let bytes = record(&path);
         assert!(repair(&path, &path, Existing::Replace).is_err());
         assert!(std::fs::read(&path).expect("reads") == bytes);
@@ -301,8 +288,7 @@ mod hard_cases {
         /// Asserts that arbitrary bytes behind the magic, or within a valid file, are refused or read.
         #[test]
         fn arbitrary_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
-            let folder = tempfile::tempdir().expect("folder");
-            let path = folder.path().join("a.mcap");
+            let (folder, path) = in_folder("a.mcap");
             for content in [bytes.clone(), [mcap::MAGIC, &bytes].concat()] {
                 std::fs::write(&path, content).expect("writes");
                 let _ = McapReader::open(&path).map(|reader| reader.labels());

@@ -7,7 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, cases, waveform};
+use crate::common::{Pattern, cases, in_folder, waveform};
 
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
@@ -73,8 +73,7 @@ proptest! {
 
     #[test]
     fn an_mcap_file_is_entered_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path, finish, |sequence| lost.contains(&sequence) || (40..55).contains(&sequence));
         let mut source = Recording::open(&path).expect("opens");
         let events = rest(&mut source);
@@ -126,8 +125,7 @@ fn the_vendors_formats_are_entered_anywhere() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_place_is_found_without_reading_the_file() {
-    let folder = tempfile::tempdir().expect("folder");
-    let path = folder.path().join("long.mcap");
+    let (_folder, path) = in_folder("long.mcap");
     let pattern = Pattern::new(waveform(&[1, 2, 3], 8, 128, 1.0), 0);
     let mut recorder = Recorder::create(&path, &RecordingHeader::new(pattern.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(pattern.waveform.shape());
@@ -159,8 +157,7 @@ mod hard_cases {
     /// Asserts that a seek skips a damaged chunk and still finds the others.
     #[test]
     fn seeking_steps_around_damage() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path, true, |_| false);
         let mut bytes = std::fs::read(&path).expect("reads");
         let middle = bytes.len() / 2;
@@ -179,8 +176,7 @@ mod hard_cases {
     /// fuzzing).
     #[test]
     fn an_index_that_is_wrong_about_a_chunk_is_seen_through() {
-        let folder = tempfile::tempdir().expect("folder");
-        let path = folder.path().join("a.mcap");
+        let (_folder, path) = in_folder("a.mcap");
         record(&path, true, |_| false);
         let bytes = std::fs::read(&path).expect("reads");
         let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");

@@ -11,7 +11,7 @@ use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
 use radome_driver::protocol::mcu7::{Command, Protocol, Request, SpiWord};
 use radome_driver::{Address, EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, source_from_fn};
 use serialport::{SerialPort, TTYPort};
 
 use crate::common::transcript;
@@ -40,36 +40,24 @@ fn programmed(transcript: &[Message]) -> Waveform {
 }
 
 /// Source whose codes count up in FIFO order, as in the transcripts.
-struct Ramp {
-    waveform: Waveform,
-    next: u64,
-}
-
-impl FrameSource for Ramp {
-    fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let shape = self.waveform.shape();
-        frame.shape = shape;
-        frame.codes.resize(shape.codes(), 0);
-        let first = self.next * shape.codes() as u64;
+fn ramp(waveform: Waveform) -> Box<dyn FrameSource> {
+    let (shape, interval_s, mut next) = (waveform.shape(), waveform.frame_interval_s(), 0);
+    Box::new(source_from_fn(waveform, move |frame| {
+        let first = next * shape.codes() as u64;
         for (i, code) in frame.codes.iter_mut().enumerate() {
             let (rx, rest) = (i / (shape.chirps * shape.samples), i % (shape.chirps * shape.samples));
             *code = ((first + (rest * shape.rx + rx) as u64) % 4096) as u16;
         }
-        (frame.sequence, frame.time_ns) =
-            (self.next, (self.next as f64 * self.waveform.frame_interval_s() * 1e9) as u64);
-        self.next += 1;
+        (frame.sequence, frame.time_ns) = (next, (next as f64 * interval_s * 1e9) as u64);
+        next += 1;
         Ok(SourceEvent::Frame)
-    }
+    }))
 }
 
 fn emulated(waveform: Waveform, protocol: Protocol) -> EmulatedBoard {
     let kind = if protocol == Protocol::V3 { Kind::Mcu7V3 } else { Kind::Mcu7V4 };
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
-    EmulatedBoard::spawn(Box::new(Ramp { waveform, next: 0 }), options).expect("spawns")
+    EmulatedBoard::spawn(ramp(waveform), options).expect("spawns")
 }
 
 /// Reads one whole message of a board that sends no garbage.

@@ -77,7 +77,7 @@ pub mod statistics;
 pub use frame::{Frame, FrameShape, MAX_CODE, Occupancy, ReceiverFault, Truth};
 pub use level::KernelLevel;
 pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
-pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent};
+pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent, source_from_fn};
 pub use statistics::noise_floor_db;
 pub use waveform::{
     ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, SPEED_OF_LIGHT_M_PER_S, Waveform,

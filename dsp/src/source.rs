@@ -65,31 +65,20 @@ pub type SourceError = Box<dyn std::error::Error + Send + Sync>;
 /// Source of frames of one waveform: a board, a recording or a simulation.
 ///
 /// ```
-/// use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
+/// use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 ///
-/// /// Two frames of silence.
-/// struct Silence(Waveform, u64);
-///
-/// impl FrameSource for Silence {
-///     fn waveform(&self) -> &Waveform {
-///         &self.0
-///     }
-///     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-///         if self.1 == 2 {
-///             return Ok(SourceEvent::End);
-///         }
-///         frame.shape = self.0.shape();
-///         frame.codes.clear();
-///         frame.codes.resize(frame.shape.codes(), 2048);
-///         frame.sequence = self.1;
-///         self.1 += 1;
-///         Ok(SourceEvent::Frame)
-///     }
-/// }
-///
+/// // Two frames of silence.
 /// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
 /// let mut frame = Frame::zeroed(waveform.shape());
-/// let mut source = Silence(waveform, 0);
+/// let mut left = 2;
+/// let mut source = source_from_fn(waveform, move |frame| {
+///     if left == 0 {
+///         return Ok(SourceEvent::End);
+///     }
+///     left -= 1;
+///     frame.codes.fill(2048);
+///     Ok(SourceEvent::Frame)
+/// });
 /// let mut frames = 0;
 /// loop {
 ///     match source.next_frame(&mut frame).expect("no error") {
@@ -126,4 +115,27 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
     fn frame_count(&self) -> Option<u64> {
         (**self).frame_count()
     }
+}
+
+/// Source whose next frame or gap a function gives: see [`source_from_fn`].
+struct FromFn<F> {
+    waveform: Waveform,
+    next: F,
+}
+
+impl<F: FnMut(&mut Frame) -> Result<SourceEvent, SourceError> + Send> FrameSource for FromFn<F> {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        (self.next)(frame)
+    }
+}
+
+/// Returns a source of this waveform that calls `next` as its [`FrameSource::next_frame`].
+pub fn source_from_fn(
+    waveform: Waveform,
+    next: impl FnMut(&mut Frame) -> Result<SourceEvent, SourceError> + Send,
+) -> impl FrameSource {
+    FromFn { waveform, next }
 }

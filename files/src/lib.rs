@@ -1,4 +1,6 @@
-//! Reading of files of bounded length, parsing of TOML documents, and resolution of paths that files name.
+//! Reading of files of bounded length, locks, parsing of TOML documents, and resolution of paths that files name.
+
+mod lock;
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -6,6 +8,8 @@ use std::path::{Component, Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;
+
+pub use self::lock::lock;
 
 /// Length limit of TOML files, headers and other single documents, bytes. The longest of this project has 6 kB, and
 /// measured densities take about 100 kB.

@@ -14,7 +14,7 @@ use radome_tests::root;
 const CRATES: [(&str, &[&str]); 6] = [
     ("dsp", &[]),
     ("files", &[]),
-    ("driver", &["dsp"]),
+    ("driver", &["dsp", "files"]),
     ("sim", &["dsp", "files"]),
     ("models", &["dsp", "files"]),
     ("cli", &["dsp", "files", "driver", "sim", "models"]),

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOptions, RecordingHeader};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 use radome_models::Model;
 use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, emulated_board, wait_up_to};
@@ -15,13 +15,6 @@ use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcomma
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
-}
-
-/// Source that repeats small frames, a hundred for each second of its time, without computing cost.
-struct SmallFrames {
-    waveform: Waveform,
-    end: u64,
-    sent: Arc<AtomicU64>,
 }
 
 fn small() -> Waveform {
@@ -34,25 +27,20 @@ fn small() -> Waveform {
     Waveform::realise(request).expect("possible")
 }
 
-impl FrameSource for SmallFrames {
-    fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let next = self.sent.load(Ordering::Relaxed);
-        if next == self.end {
+/// Source that repeats small frames, a hundred for each second of its time, without computing cost, until `end` are sent.
+fn small_frames(end: u64, sent: Arc<AtomicU64>) -> impl FrameSource {
+    let waveform = small();
+    let codes: Vec<u16> = (0..waveform.shape().codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
+    source_from_fn(waveform, move |frame| {
+        let next = sent.load(Ordering::Relaxed);
+        if next == end {
             return Ok(SourceEvent::End);
         }
-        let shape = self.waveform.shape();
-        if frame.codes.len() != shape.codes() {
-            frame.codes = (0..shape.codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
-        }
-        frame.shape = shape;
+        frame.codes.clone_from(&codes);
         (frame.sequence, frame.time_ns) = (next, next * 10_000_000);
-        self.sent.store(next + 1, Ordering::Relaxed);
+        sent.store(next + 1, Ordering::Relaxed);
         Ok(SourceEvent::Frame)
-    }
+    })
 }
 
 /// Resident memory of a process, KiB.
@@ -91,7 +79,7 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     model.save(&path).expect("saves");
 
     let sent = Arc::new(AtomicU64::new(0));
-    let source = SmallFrames { waveform: small(), end, sent: sent.clone() };
+    let source = small_frames(end, sent.clone());
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("a board");
     let mut command = radome();
@@ -145,8 +133,8 @@ fn a_million_small_frames_are_recorded_with_and_without_syncing() {
         let header = RecordingHeader::new(small());
         let options = RecorderOptions { sync, ..RecorderOptions::default() };
         let mut recorder = Recorder::with_options(&path, &header, &options).expect("creates");
-        let mut source = SmallFrames { waveform: small(), end, sent: Arc::default() };
-        let mut frame = Frame::zeroed(source.waveform.shape());
+        let mut source = small_frames(end, Arc::default());
+        let mut frame = Frame::zeroed(source.waveform().shape());
         let mut memory = Vec::new();
         let start = Instant::now();
         while source.next_frame(&mut frame).expect("a frame") == SourceEvent::Frame {

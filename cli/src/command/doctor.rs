@@ -8,7 +8,7 @@ mod wire;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::ensure;
 use serde_json::json;
 
 use self::check::{Check, Outcome};
@@ -61,9 +61,13 @@ impl Arguments {
         // Absolute paths are recognised anywhere. A path relative to the working folder is known only from the
         // arguments.
         let source = source.filter(|source| *source != "auto").map(Path::new);
-        for path in
-            [source, self.model.as_deref(), Some(self.record_to.as_path()), self.broker.password_file(), Some(bundle)]
-        {
+        for path in [
+            source,
+            self.model.as_deref(),
+            Some(self.record_to.as_path()),
+            self.broker.mqtt_password_file.as_deref(),
+            Some(bundle),
+        ] {
             if let Some(path) = path.filter(|path| !path.starts_with("/dev")) {
                 redactor.hide_path(path);
             }
@@ -71,11 +75,11 @@ impl Arguments {
         for (variable, kind) in [(broker::USER_VARIABLE, Kind::User), (broker::PASSWORD_VARIABLE, Kind::Secret)] {
             redactor.hide(&std::env::var(variable).unwrap_or_default(), kind);
         }
-        match (self.broker.broker(), self.broker.url()) {
+        match (self.broker.broker(), self.broker.url.as_deref()) {
             (Ok(Some(broker)), _) => {
-                redactor.hide(broker.host(), Kind::Host);
-                redactor.hide(broker.user().unwrap_or_default(), Kind::User);
-                redactor.hide(broker.password().map_or("", Secret::reveal), Kind::Secret);
+                redactor.hide(&broker.host, Kind::Host);
+                redactor.hide(broker.user.as_deref().unwrap_or_default(), Kind::User);
+                redactor.hide(broker.password.as_ref().map_or("", Secret::reveal), Kind::Secret);
             }
             (Err(_), Some(url)) => redactor.hide_url(url),
             _ => {}
@@ -135,9 +139,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let (warnings, failures) = (plural(warnings, "warning"), plural(failures, "failure"));
         output::text_line(&format!("{checked} checks, {warnings}, {failures}"))?;
     }
-    if failures > 0 {
-        bail!("{failures} of {checked} checks failed");
-    }
+    ensure!(failures == 0, "{failures} of {checked} checks failed");
     Ok(())
 }
 

@@ -74,7 +74,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
-    if arguments.view.access().is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
+    if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
         bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
     }
     let output = arguments.output.as_deref().map(NewRecording::named);
@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut integrations = Integrations::open(&arguments.integrations, arguments.view.access(), &header, started)?;
+    let mut integrations = Integrations::open(&arguments.integrations, &arguments.view.access, &header, started)?;
     let screen = Screen::new(arguments.json, source.is_live)?;
 
     let mut pipeline = Pipeline::new();

@@ -220,14 +220,14 @@ mod tests {
     use radome_dsp::FrameSource;
 
     use super::*;
-    use crate::panics::tests::{Failing, Panicking};
+    use crate::panics::tests::{failing_after, panicking_after};
 
     /// Records a source; without a source, the pipeline ends at once. Returns the counts, the error, and whether the
     /// recording is marked finished.
     fn captured(source: Option<Box<dyn FrameSource>>) -> (Tally, Option<String>, bool) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("run.mcap");
-        let waveform = Panicking::after(0).waveform().clone();
+        let waveform = panicking_after(0).waveform().clone();
         let recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("a file");
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
@@ -239,12 +239,12 @@ mod tests {
 
     #[test]
     fn a_source_that_fails_leaves_a_finished_recording_and_its_error() {
-        let damaged = Failing::after(3, || "chunk 3 is damaged".into());
+        let damaged = failing_after(3, |_| "chunk 3 is damaged".into());
         let (tally, error, is_finished) = captured(Some(damaged));
         assert_eq!(tally, Tally { frames: 3, ..Tally::default() });
         assert_eq!((error.as_deref(), is_finished), (Some("chunk 3 is damaged"), true));
         // The number of frames that a lost board would have sent is unknown.
-        let lost = Failing::after(3, || BoardError::Stopped.into());
+        let lost = failing_after(3, |_| BoardError::Stopped.into());
         let (tally, error, is_finished) = captured(Some(lost));
         assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1, unknown: 1 });
         assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn a_source_that_panics_leaves_an_unfinished_recording_and_its_place() {
-        let (tally, error, is_finished) = captured(Some(Panicking::after(3)));
+        let (tally, error, is_finished) = captured(Some(panicking_after(3)));
         let error = error.expect("an error");
         assert!(error.contains("panics.rs:") && error.contains("frame 3 cannot be made"), "{error}");
         assert_eq!((tally.frames, is_finished), (3, false));

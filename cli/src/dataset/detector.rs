@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::bail;
+use anyhow::ensure;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_dsp::detect::{CfarCounter, Observation};
@@ -32,9 +32,7 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
             SourceEvent::Frame => looked.push((frame.time_s(), counter.observe(&frame)?)),
         }
     }
-    if looked.is_empty() {
-        bail!("{}: no frame", path.display());
-    }
+    ensure!(!looked.is_empty(), "{}: no frame", path.display());
     let believe = |index: usize, (time_s, seen): &(f64, Observation)| {
         // People who have just left still affect the window of the detector for breathing. Its result counts only where
         // few frames of the window held a walker.

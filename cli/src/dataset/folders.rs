@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use regex_lite::Regex;
 
 use super::spec::{FolderLabel, Recorded};
@@ -29,13 +29,12 @@ pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
     let mut found = Vec::new();
     search(folder, "", &mut found, 0)?;
     found.sort();
-    if found.is_empty() {
-        bail!(
-            "{}: no recording here\n\nhint: expected folders with RadarIfxAvian_00 or radar.npy in them, .mcap files, or text \
-             recordings with their _config.json",
-            folder.display()
-        );
-    }
+    ensure!(
+        !found.is_empty(),
+        "{}: no recording here\n\nhint: expected folders with RadarIfxAvian_00 or radar.npy in them, .mcap files, or text \
+         recordings with their _config.json",
+        folder.display()
+    );
     // A folder that is itself a recording uses its own name.
     for found in found.iter_mut().filter(|f| f.session.is_empty()) {
         let own = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
@@ -161,11 +160,10 @@ fn compile(pattern: &str) -> anyhow::Result<Regex> {
                 let Some((name, after)) = rest.split_once('}') else {
                     bail!("pattern \"{pattern}\": a brace is never closed")
                 };
-                if !["scene", "subject", "sequence"].contains(&name) {
-                    bail!(
-                        "pattern \"{pattern}\": {{{name}}} means nothing; there are {{scene}}, {{subject}} and {{sequence}}"
-                    );
-                }
+                ensure!(
+                    ["scene", "subject", "sequence"].contains(&name),
+                    "pattern \"{pattern}\": {{{name}}} means nothing; there are {{scene}}, {{subject}} and {{sequence}}"
+                );
                 text += &format!("(?P<{name}>[^/]+?)");
                 rest = after;
             }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_models::dataset::{self, Dataset};
 
 use super::build::{Built, Counts, merge_units};
@@ -50,14 +50,13 @@ fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     let Some((path, card)) = first else { bail!("nothing to merge") };
     let missing: Vec<String> =
         (0..card.shard.count).filter(|index| !by_index.contains_key(index)).map(|index| index.to_string()).collect();
-    if !missing.is_empty() {
-        bail!(
-            "shards {} of {} are missing\n\nhint: radome dataset build SPEC -o DIR --shard {}/{1}",
-            missing.join(", "),
-            card.shard.count,
-            missing.first().map_or("", String::as_str)
-        );
-    }
+    ensure!(
+        missing.is_empty(),
+        "shards {} of {} are missing\n\nhint: radome dataset build SPEC -o DIR --shard {}/{1}",
+        missing.join(", "),
+        card.shard.count,
+        missing.first().map_or("", String::as_str)
+    );
     let place = |shard: usize| by_index.get(&shard).map_or_else(PathBuf::new, |path| path.to_path_buf());
     merge_units(path, &card, card.shard.count, target, place)?;
     Ok(card.units)

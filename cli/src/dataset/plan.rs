@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow, bail, ensure};
 use radome_driver::recording::Recording;
 use radome_dsp::rdm::{Channels, MapMismatch};
 use radome_dsp::{FrameSource, KernelLevel, Occupancy, WaveformMismatch};
@@ -118,13 +118,12 @@ impl Plan {
         let rule = spec.split.clone().unwrap_or_default();
         rule.assign(&rows).with_context(|| path.display().to_string())?;
         let kernel = spec.kernel.unwrap_or_else(KernelLevel::detect);
-        if !kernel.is_available() {
-            bail!(
-                "{}: kernel {kernel} asked for, the best that this machine has is {}",
-                path.display(),
-                KernelLevel::detect()
-            );
-        }
+        ensure!(
+            kernel.is_available(),
+            "{}: kernel {kernel} asked for, the best that this machine has is {}",
+            path.display(),
+            KernelLevel::detect()
+        );
         let card = PlanCard {
             format: FORMAT,
             program: env!("CARGO_PKG_VERSION").to_owned(),
@@ -302,13 +301,12 @@ impl PlanCard {
             format: u32,
         }
         let version: Version = serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))?;
-        if version.format > FORMAT {
-            bail!(
-                "{}: format {} is newer than {FORMAT}, the newest this program reads",
-                path.display(),
-                version.format
-            );
-        }
+        ensure!(
+            version.format <= FORMAT,
+            "{}: format {} is newer than {FORMAT}, the newest this program reads",
+            path.display(),
+            version.format
+        );
         serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))
     }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::RdmSpec;
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::scene_file::BodyFile;
@@ -59,9 +59,7 @@ impl RungFile {
     }
 
     fn check(&self) -> anyhow::Result<()> {
-        if self.format != FORMAT {
-            bail!("format is {}, this program knows {FORMAT}", self.format);
-        }
+        ensure!(self.format == FORMAT, "format is {}, this program knows {FORMAT}", self.format);
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-' || letter == '_';
         if self.name.is_empty() || !self.name.chars().all(is_plain) {
             bail!("name is {:?}, expected letters, digits, - and _", self.name);
@@ -72,17 +70,11 @@ impl RungFile {
         let mut frames = 0u64;
         for scene in &self.scene {
             let (first, last) = scene.seeds;
-            if first > last {
-                bail!("seeds are [{first}, {last}], expected the first one first");
-            }
-            if scene.frames == 0 {
-                bail!("frames is 0, expected 1 or more");
-            }
+            ensure!(first <= last, "seeds are [{first}, {last}], expected the first one first");
+            ensure!(scene.frames > 0, "frames is 0, expected 1 or more");
             frames = frames.saturating_add((last - first).saturating_add(1).saturating_mul(scene.frames));
         }
-        if frames > MOST_FRAMES {
-            bail!("{frames} frames, expected {MOST_FRAMES} at most");
-        }
+        ensure!(frames <= MOST_FRAMES, "{frames} frames, expected {MOST_FRAMES} at most");
         Ok(())
     }
 

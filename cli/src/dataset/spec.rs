@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
@@ -207,9 +207,7 @@ impl BuildSpec {
     }
 
     fn check(&self) -> anyhow::Result<()> {
-        if self.format != FORMAT {
-            bail!("format is {}, this program knows {FORMAT}", self.format);
-        }
+        ensure!(self.format == FORMAT, "format is {}, this program knows {FORMAT}", self.format);
         if let Some(snr_db) = self.raw_snr_db.filter(|snr_db| !(-MOST_SNR_DB..=MOST_SNR_DB).contains(snr_db)) {
             bail!("raw_snr_db is {snr_db}, expected -{MOST_SNR_DB} to {MOST_SNR_DB}; leave it out for no noise");
         }
@@ -227,9 +225,7 @@ impl BuildSpec {
             }
             let of_source = (last - first).saturating_add(1).saturating_mul(source.people.len().max(1) as u64);
             runs = runs.saturating_add(of_source);
-            if runs > MOST_RUNS {
-                bail!("simulated source {}: more than {MOST_RUNS} runs up to here", index + 1);
-            }
+            ensure!(runs <= MOST_RUNS, "simulated source {}: more than {MOST_RUNS} runs up to here", index + 1);
         }
         for (index, source) in self.recorded.iter().enumerate() {
             let fault = match (&source.recording, &source.folders) {

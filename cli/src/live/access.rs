@@ -10,7 +10,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
@@ -124,27 +124,25 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
     #[cfg(unix)]
     {
         let mode = std::os::unix::fs::PermissionsExt::mode(&file.metadata().with_context(cannot)?.permissions());
-        if mode & 0o077 != 0 {
-            bail!(
-                "the token file {} has the permissions {:03o}: others than its owner may use it\n\nhint: chmod 600 {0}, and put a new \
-                 token in it if others have read it",
-                path.display(),
-                mode & 0o777
-            );
-        }
+        ensure!(
+            mode & 0o077 == 0,
+            "the token file {} has the permissions {:03o}: others than its owner may use it\n\nhint: chmod 600 {0}, and put a new \
+             token in it if others have read it",
+            path.display(),
+            mode & 0o777
+        );
     }
     let mut text = String::new();
     file.take(2 * MOST_TOKEN as u64).read_to_string(&mut text).with_context(cannot)?;
     let text = text.trim();
     // Characters that a link and a header can hold unescaped. The token itself is never quoted.
     let is_plain = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte));
-    if !is_plain || !(LEAST_TOKEN..=MOST_TOKEN).contains(&text.len()) {
-        bail!(
-            "the token file {} holds no token: {LEAST_TOKEN} to {MOST_TOKEN} letters, digits, '-', '.', '_' or '~' are expected\n\nhint: \
-             delete the file, and the next start makes one",
-            path.display()
-        );
-    }
+    ensure!(
+        is_plain && (LEAST_TOKEN..=MOST_TOKEN).contains(&text.len()),
+        "the token file {} holds no token: {LEAST_TOKEN} to {MOST_TOKEN} letters, digits, '-', '.', '_' or '~' are expected\n\nhint: \
+         delete the file, and the next start makes one",
+        path.display()
+    );
     Ok(text.to_owned())
 }
 

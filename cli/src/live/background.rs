@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::Judge;
 use radome_driver::recording::Existing;
 use radome_dsp::{Rdm, Waveform};
@@ -73,12 +73,11 @@ impl Capture {
     /// Too few maps were captured.
     pub fn finish(self, judge: &Judge, waveform: &Waveform) -> anyhow::Result<Background> {
         let Capture { maps, doppler, range } = self;
-        if maps.len() < LEAST_FRAMES {
-            bail!(
-                "{} maps of the empty room, expected {LEAST_FRAMES} at least\n\nhint: capture for longer",
-                maps.len()
-            );
-        }
+        ensure!(
+            maps.len() >= LEAST_FRAMES,
+            "{} maps of the empty room, expected {LEAST_FRAMES} at least\n\nhint: capture for longer",
+            maps.len()
+        );
         let (first, last) = maps.split_at(2 * maps.len() / 3);
         let mut highest = vec![f32::MIN; doppler * range];
         for map in first {
@@ -154,12 +153,11 @@ impl Background {
         let is_alike = captured.shape() == waveform.shape()
             && is_close(Waveform::max_range_m)
             && is_close(Waveform::max_velocity_m_per_s);
-        if !is_alike {
-            bail!(
-                "{} was captured with another waveform\n\nhint: radome model background captures the empty room anew",
-                path.display()
-            );
-        }
+        ensure!(
+            is_alike,
+            "{} was captured with another waveform\n\nhint: radome model background captures the empty room anew",
+            path.display()
+        );
         Ok(())
     }
 

@@ -27,7 +27,8 @@ pub struct FrameClassifier {
     /// Time span of the frames of a map, s.
     map_s: f64,
     last_time_s: Option<f64>,
-    health: Health,
+    /// Counters of the run so far.
+    pub health: Health,
     transition_frames: u64,
     all: Confusion,
     settled: Confusion,
@@ -71,11 +72,6 @@ impl FrameClassifier {
     /// Newest map.
     pub fn map(&self) -> &Rdm {
         self.judge.map()
-    }
-
-    /// Counters of the run so far.
-    pub fn health(&self) -> &Health {
-        &self.health
     }
 
     /// Time over which earlier frames affect an answer, s: the frames of a map, and the time for which people usually
@@ -236,7 +232,7 @@ fn judge_all(
             Item::Frame(frame) => {
                 missed.note(frame.sequence, judge, sinks)?;
                 let answer = judge.frame(&frame, delivery.arrived)?;
-                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: judge.health() };
+                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
                 for sink in sinks.iter_mut() {
                     sink.answer(&moment)?;
                 }
@@ -253,7 +249,7 @@ fn judge_all(
 
 fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
     judge.gap(gap);
-    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, judge.health()))
+    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, &judge.health))
 }
 
 /// Converts frames that the classifier was too slow for to gaps at their position.
@@ -282,7 +278,7 @@ mod tests {
     use std::cell::Cell;
     use std::rc::Rc;
 
-    use radome_dsp::{SourceEvent, WaveformRequest};
+    use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
@@ -293,20 +289,6 @@ mod tests {
 
     fn judge() -> FrameClassifier {
         FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), Instant::now()).expect("a judge")
-    }
-
-    struct Middle(Waveform);
-
-    impl radome_dsp::FrameSource for Middle {
-        fn waveform(&self) -> &Waveform {
-            &self.0
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, radome_dsp::SourceError> {
-            frame.codes.fill(2048);
-            frame.sequence += 1;
-            Ok(SourceEvent::Frame)
-        }
     }
 
     /// Sink that runs a given function for each answer, and counts how often it is ended.
@@ -331,7 +313,12 @@ mod tests {
     fn run_with(answer: fn() -> anyhow::Result<()>) -> (anyhow::Error, usize) {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
-        let _reader = pipeline.start(Box::new(Middle(waveform())), Some(3));
+        let source = source_from_fn(waveform(), |frame| {
+            frame.codes.fill(2048);
+            frame.sequence += 1;
+            Ok(SourceEvent::Frame)
+        });
+        let _reader = pipeline.start(Box::new(source), Some(3));
         let ends = Rc::new(Cell::new(0));
         let mut sinks: Vec<Box<dyn Sink>> =
             vec![Box::new(Told(|| Ok(()), ends.clone())), Box::new(Told(answer, ends.clone()))];

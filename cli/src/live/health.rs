@@ -117,8 +117,10 @@ impl Health {
 #[derive(Debug, Clone)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,
-    total: u64,
-    sum_s: f64,
+    /// Number of latencies that were counted.
+    pub total: u64,
+    /// Sum of the latencies, s.
+    pub sum_s: f64,
 }
 
 impl LatencyHistogram {
@@ -136,16 +138,6 @@ impl LatencyHistogram {
         self.counts[(bin as usize).min(Self::BINS - 1)] += 1;
         self.total += 1;
         self.sum_s += latency_s;
-    }
-
-    /// Number of latencies that were counted.
-    pub fn count(&self) -> u64 {
-        self.total
-    }
-
-    /// Sum of the latencies, s.
-    pub fn sum_s(&self) -> f64 {
-        self.sum_s
     }
 
     /// Latency quantile within one percent: the latency that a fraction `q` of the frames did not exceed, s; 0 without
@@ -184,7 +176,7 @@ mod tests {
             let ratio = histogram.quantile_s(q) / (1e-5 * 10f64.powf(6.0 * q));
             assert!((ratio - 1.0).abs() < 0.0105, "{q}: {ratio}");
         }
-        assert_eq!(histogram.count(), 10_001);
+        assert_eq!(histogram.total, 10_001);
         assert!((histogram.count_up_to(1e-2) as f64 / 5_000.0 - 1.0).abs() < 0.01);
     }
 

@@ -294,45 +294,31 @@ impl Outlet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use radome_dsp::{Waveform, WaveformRequest};
+    use radome_dsp::{Waveform, WaveformRequest, source_from_fn};
 
-    struct Counter {
-        waveform: Waveform,
-        next: u64,
-        end: u64,
-    }
-
-    impl Counter {
-        fn new(end: u64) -> Box<Self> {
-            let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
-            Box::new(Counter { waveform: Waveform::realise(request).expect("valid"), next: 0, end })
-        }
-    }
-
-    impl FrameSource for Counter {
-        fn waveform(&self) -> &Waveform {
-            &self.waveform
-        }
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            if self.next == self.end {
+    /// Source of frames whose codes are their number, up to `end`; number 4 is lost.
+    fn counter(end: u64) -> Box<dyn FrameSource> {
+        let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
+        let mut next = 0;
+        Box::new(source_from_fn(Waveform::realise(request).expect("valid"), move |frame| {
+            if next == end {
                 return Ok(SourceEvent::End);
             }
-            frame.sequence = self.next;
-            frame.codes.fill(self.next as u16);
-            self.next += 1;
-            if self.next == 5 {
-                let gap = Gap { first_sequence: 4, frames: 1, reason: GapReason::PacketLost };
-                return Ok(SourceEvent::Gap(gap));
-            }
-            Ok(SourceEvent::Frame)
-        }
+            frame.sequence = next;
+            frame.codes.fill(next as u16);
+            next += 1;
+            Ok(match next {
+                5 => SourceEvent::Gap(Gap { first_sequence: 4, frames: 1, reason: GapReason::PacketLost }),
+                _ => SourceEvent::Frame,
+            })
+        }))
     }
 
     #[test]
     fn every_consumer_gets_every_frame_in_order_and_the_gap_in_its_place() {
         let mut pipeline = Pipeline::new();
         let inlets = [pipeline.consumer("a", 2, Policy::Wait), pipeline.consumer("b", 64, Policy::DropOldest)];
-        let _reader = pipeline.start(Counter::new(50), None);
+        let _reader = pipeline.start(counter(50), None);
         for inlet in inlets {
             let mut expected = 0;
             loop {
@@ -355,7 +341,7 @@ mod tests {
     fn a_slow_view_misses_the_oldest_and_knows_how_many() {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("view", 3, Policy::DropOldest);
-        let mut reader = pipeline.start(Counter::new(1000), Some(20));
+        let mut reader = pipeline.start(counter(1000), Some(20));
         reader.thread.take().expect("runs").join().expect("reader ends by itself");
         let left: Vec<_> = inlet.receiver.try_iter().collect();
         let sequences: Vec<_> = left
@@ -377,7 +363,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         drop(pipeline.consumer("gone", 1, Policy::Wait));
         let inlet = pipeline.consumer("stays", 64, Policy::Wait);
-        let _reader = pipeline.start(Counter::new(50), None);
+        let _reader = pipeline.start(counter(50), None);
         let mut frames = 0;
         while let Ok(delivery) = inlet.receiver.recv_timeout(Duration::from_secs(5)) {
             frames += usize::from(matches!(delivery.item, Item::Frame(_)));
@@ -389,7 +375,7 @@ mod tests {
     fn a_stalled_recorder_stops_the_pipeline_loudly() {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 2, Policy::Lossless(Duration::from_millis(50)));
-        let reader = pipeline.start(Counter::new(1000), None);
+        let reader = pipeline.start(counter(1000), None);
         std::thread::sleep(Duration::from_millis(200));
         let items: Vec<_> = inlet.receiver.iter().collect();
         drop(reader);
@@ -402,7 +388,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let stalled = pipeline.consumer("recorder", 2, Policy::LosslessOrGone(Duration::from_millis(50)));
         let other = pipeline.consumer("classifier", 64, Policy::Wait);
-        let _reader = pipeline.start(Counter::new(50), None);
+        let _reader = pipeline.start(counter(50), None);
         let sent: Vec<_> = other.receiver.iter().collect();
         assert!(matches!(sent.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
         assert_eq!(sent.len(), 51);
@@ -413,14 +399,14 @@ mod tests {
 
     mod hard_cases {
         use super::*;
-        use crate::panics::tests::{Failing, Panicking};
+        use crate::panics::tests::{failing_after, panicking_after};
 
         #[test]
         fn a_source_that_fails_is_heard_by_every_consumer() {
             let mut pipeline = Pipeline::new();
             let first = pipeline.consumer("first", 1, Policy::Wait);
             let second = pipeline.consumer("second", 1, Policy::DropOldest);
-            let _reader = pipeline.start(Failing::after(0, || "chunk 3 is damaged".into()), None);
+            let _reader = pipeline.start(failing_after(0, |_| "chunk 3 is damaged".into()), None);
             let end = |inlet: &Inlet| match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item
             {
                 Item::End(end) => end.map_err(|e| e.to_string()),
@@ -438,7 +424,7 @@ mod tests {
                 pipeline.consumer("second", 9, Policy::DropOldest),
                 pipeline.consumer("third", 9, Policy::Lossless(Duration::from_secs(5))),
             ];
-            let _reader = pipeline.start(Panicking::after(3), None);
+            let _reader = pipeline.start(panicking_after(3), None);
             for inlet in inlets {
                 let mut frames = 0;
                 let failure = loop {

@@ -326,11 +326,11 @@ mod tests {
 
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, source_from_fn};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
-    use crate::panics::tests::{Failing, Panicking};
+    use crate::panics::tests::{failing_after, panicking_after};
 
     /// Records a source until it ends.
     fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
@@ -377,7 +377,7 @@ mod tests {
             on_delay_s: 0.5,
             off_delay_s: 3.0,
         };
-        let waveform = Panicking::after(0).waveform().clone();
+        let waveform = panicking_after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
         let (taken, has_gaps, outage) = Default::default();
@@ -385,17 +385,7 @@ mod tests {
         let (ahead, newest, next_sequence) = (VecDeque::new(), Some(0), 1);
         let mut writer = Writer { recorder, ahead, newest, next_sequence, taken, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
-            writer.ahead.push_back(FrameResult {
-                sequence,
-                time_ns: 0,
-                host_time_ns: 0,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
-                latency_ns: 0,
-            });
+            writer.ahead.push_back(FrameResult { sequence, ..FrameResult::default() });
             writer.write_results().expect("writes");
             assert!(writer.ahead.len() <= WAITING_RESULTS);
         }
@@ -409,7 +399,7 @@ mod tests {
     fn a_panicking_source_leaves_a_recording_that_opens_and_is_marked_unfinished() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
-        let (recorded, _) = record(Panicking::after(3), &path);
+        let (recorded, _) = record(panicking_after(3), &path);
         assert!(matches!(recorded.expect("no error of its own"), Recorded::Unfinished(3)));
         assert_eq!(read(&path), (false, vec![0, 1, 2], vec![]));
     }
@@ -418,7 +408,7 @@ mod tests {
     fn a_board_that_is_lost_leaves_a_finished_recording_that_says_so() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
-        let (recorded, has_gaps) = record(Failing::after(3, || BoardError::Stopped.into()), &path);
+        let (recorded, has_gaps) = record(failing_after(3, |_| BoardError::Stopped.into()), &path);
         let Ok(Recorded::Finished(summary)) = &recorded else { panic!("no summary") };
         let lost = "3 frames, 0 judged, 0 lost, and an unknown number (gaps of unknown length: 1), ";
         assert!(said(summary).starts_with(lost), "{}", said(summary));
@@ -426,30 +416,19 @@ mod tests {
         assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
     }
 
-    /// Source of three frames and a gap, whose board is then lost.
-    struct LostAfterGap(Box<dyn FrameSource>, bool);
-
-    impl FrameSource for LostAfterGap {
-        fn waveform(&self) -> &Waveform {
-            self.0.waveform()
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            self.0.next_frame(frame).or_else(|error| match std::mem::replace(&mut self.1, true) {
-                false => Ok(SourceEvent::Gap(Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc })),
-                true => Err(error),
-            })
-        }
-    }
-
     /// The gap at the end began behind the last frame, within the gap before it.
     #[test]
     fn a_gap_at_the_end_begins_behind_the_gap_before_it() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
-        let source = LostAfterGap(Failing::after(3, || BoardError::Stopped.into()), false);
-        record(Box::new(source), &path).0.expect("no error of its own");
         let lost = Gap { first_sequence: 3, frames: 5, reason: GapReason::Crc };
+        // Three frames and a gap; then the board is lost.
+        let (mut board, mut has_gap) = (failing_after(3, |_| BoardError::Stopped.into()), false);
+        let source = source_from_fn(board.waveform().clone(), move |frame| match board.next_frame(frame) {
+            Err(_) if !std::mem::replace(&mut has_gap, true) => Ok(SourceEvent::Gap(lost)),
+            event => event,
+        });
+        record(Box::new(source), &path).0.expect("no error of its own");
         let hole = Gap { first_sequence: 8, frames: 0, reason: GapReason::Disconnected };
         assert_eq!(read(&path), (true, vec![0, 1, 2], vec![lost, hole]));
     }
@@ -461,7 +440,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
-        let header = RecordingHeader::new(Panicking::after(0).waveform().clone());
+        let header = RecordingHeader::new(panicking_after(0).waveform().clone());
         let mut sink = RecorderSink::start(
             NewRecording::named(&path),
             &header,

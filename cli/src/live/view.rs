@@ -53,7 +53,7 @@ pub struct Arguments {
     #[arg(long, requires = "view")]
     read_only_labels: bool,
     #[command(flatten)]
-    access: access::Arguments,
+    pub access: access::Arguments,
     /// Folder of `radome scene pair` for the recording, whose simulated partner the page shows; NAME-pair beside NAME.mcap if
     /// absent
     #[arg(long, value_name = "DIR", requires = "view")]
@@ -64,11 +64,6 @@ impl Arguments {
     /// Returns whether a page is requested.
     pub fn is_wanted(&self) -> bool {
         self.view
-    }
-
-    /// Returns the access policy of the ports.
-    pub fn access(&self) -> &access::Arguments {
-        &self.access
     }
 }
 

@@ -8,7 +8,8 @@ pub struct Clock {
     /// Time at which the frames' own clock shows 0, ns since 1970.
     origin_ns: u64,
     newest_frame_ns: Option<u64>,
-    last_ns: u64,
+    /// Time of the previous message, ns since 1970.
+    pub last_ns: u64,
 }
 
 impl Clock {
@@ -25,11 +26,6 @@ impl Clock {
     /// before.
     pub fn at(&mut self, time_ns: u64) -> u64 {
         self.last_ns = self.last_ns.max(self.origin_ns.saturating_add(time_ns));
-        self.last_ns
-    }
-
-    /// Returns the time of the previous message, ns since 1970.
-    pub fn last_ns(&self) -> u64 {
         self.last_ns
     }
 }
@@ -65,6 +61,6 @@ mod tests {
     fn a_simulation_keeps_its_own_time() {
         let mut clock = Clock::default();
         clock.follow(&frame(0, 0));
-        assert_eq!((clock.at(0), clock.at(300), clock.at(200), clock.last_ns()), (0, 300, 300, 300));
+        assert_eq!((clock.at(0), clock.at(300), clock.at(200), clock.last_ns), (0, 300, 300, 300));
     }
 }

@@ -189,7 +189,7 @@ impl<W: Write + Seek> Export<W> {
             frames => format!("{frames} frames"),
         };
         let message = format!("{lost} lost from frame {} on: {}", gap.first_sequence, gap.reason.name());
-        self.event(self.clock.last_ns(), WARNING, "gap", message)
+        self.event(self.clock.last_ns, WARNING, "gap", message)
     }
 
     /// Writes the starts and ends of labels up to a time of the frames' own clock.

@@ -42,9 +42,9 @@ enum Power {
 pub(super) struct Chip {
     registers: RegisterFile,
     chip_id: u32,
-    source: SampleSource,
+    pub source: SampleSource,
     /// Waveform of the running frames; `None` while none run.
-    frames: Option<Waveform>,
+    pub frames: Option<Waveform>,
     power: Power,
     thermometer: Thermometer,
     /// Number of conversions of the slow ADC, and the result of the last one.
@@ -125,11 +125,6 @@ impl Chip {
     /// Returns whether GSR0 reports an error of the FIFO.
     pub fn fifo_failed(&self) -> bool {
         self.overflowed || self.underflowed
-    }
-
-    /// Waveform of the frames, while they run.
-    pub fn frames(&self) -> Option<&Waveform> {
-        self.frames.as_ref()
     }
 
     /// Executes an SPI word; the answer is GSR0 and the former content of the register.
@@ -310,7 +305,7 @@ impl Chip {
         let Some(waveform) = &self.frames else { return Slice::Wait };
         let frames = self.registers.field(field::CCR2::MAX_FRAME_CNT);
         let last = u64::from(frames) * waveform.shape().codes() as u64;
-        if frames > 0 && self.source.taken() + codes > last {
+        if frames > 0 && self.source.taken + codes > last {
             return Slice::Wait;
         }
         // The interrupt line rises at its own level; firmware that reads more than that reads past the end.
@@ -338,36 +333,27 @@ impl Chip {
     pub fn overflow(&mut self) {
         self.overflowed = true;
     }
-
-    /// Returns the sample source.
-    pub fn source(&mut self) -> &mut SampleSource {
-        &mut self.source
-    }
 }
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, WaveformRequest};
+    use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
 
     use super::*;
     use crate::chip::RegisterList;
     use crate::emulator::Pace;
 
     /// Frames whose codes count on from 0.
-    struct Ramp(Waveform, u64);
-
-    impl FrameSource for Ramp {
-        fn waveform(&self) -> &Waveform {
-            &self.0
-        }
-
-        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-            let first = self.1 * frame.codes.len() as u64;
+    fn ramp(waveform: Waveform) -> Feed {
+        let (interval_s, mut next) = (waveform.frame_interval_s(), 0);
+        let source = source_from_fn(waveform, move |frame| {
+            let first = next * frame.codes.len() as u64;
             frame.codes.iter_mut().zip(first..).for_each(|(code, value)| *code = (value & 0xFFF) as u16);
-            frame.time_ns = (self.1 as f64 * self.0.frame_interval_s() * 1e9) as u64;
-            self.1 += 1;
+            frame.time_ns = (next as f64 * interval_s * 1e9) as u64;
+            next += 1;
             Ok(SourceEvent::Frame)
-        }
+        });
+        Feed::from(Box::new(source))
     }
 
     /// One receiver, 4 chirps of 64 samples.
@@ -380,7 +366,7 @@ mod tests {
 
     fn chip_of(waveform: Waveform, pace: Pace) -> Chip {
         let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
-        Chip::new(Feed::from(Box::new(Ramp(waveform, 0))), &options, &Arc::default()).expect("threads")
+        Chip::new(ramp(waveform), &options, &Arc::default()).expect("threads")
     }
 
     fn chip(pace: Pace) -> Chip {
@@ -421,10 +407,10 @@ mod tests {
     #[test]
     fn a_software_reset_puts_every_register_back_and_clears_itself() {
         let mut chip = started(Pace::AsFastAsRead, 128);
-        assert!(chip.frames().is_some());
+        assert!(chip.frames.is_some());
         assert_eq!(chip.read(address::MAIN) & main_bits::ALL, 0);
         chip.write(address::MAIN, main_bits::SW_RESET);
-        assert!(chip.frames().is_none());
+        assert!(chip.frames.is_none());
         for register in
             crate::chip::REGISTERS.iter().filter(|r| r.address != address::MAIN && r.address != address::CHIP_ID)
         {
@@ -503,7 +489,7 @@ mod tests {
             let waveform = Waveform::realise(request).expect("valid");
             let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
-                chip.source().advance();
+                chip.source.advance();
                 chip.check_overflow();
                 if chip.fifo_failed() {
                     break;
@@ -531,11 +517,11 @@ mod tests {
         fn of_another_waveform_nothing_is_measured_and_both_are_named() {
             let shared = Arc::new(Shared::default());
             let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
-            let mut chip = Chip::new(Feed::from(Box::new(Ramp(waveform(), 0))), &options, &shared).expect("threads");
+            let mut chip = Chip::new(ramp(waveform()), &options, &shared).expect("threads");
             let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
             let other = Waveform::realise(request).expect("valid");
             program(&mut chip, &list(other, 128));
-            assert!(chip.frames().is_some() && matches!(chip.poll(128), Slice::Wait));
+            assert!(chip.frames.is_some() && matches!(chip.poll(128), Slice::Wait));
             let refusal = shared.refusal().expect("says why");
             assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");
             // The source's own waveform is still measured afterwards.
@@ -550,7 +536,7 @@ mod tests {
             let mut chip = chip(Pace::AsFastAsRead);
             chip.reset();
             chip.write(address::MAIN, main_bits::FRAME_START);
-            assert!(chip.frames().is_none());
+            assert!(chip.frames.is_none());
         }
     }
 
@@ -575,7 +561,7 @@ mod tests {
             assert_eq!(chip.read(address::STAT0), 0xA8, "deep sleep, as after a reset");
             chip.write(address::CSCI, 0x0B60 | 0x0080 | 0x0400);
             chip.write(address::MAIN, 0x1E_8270 | 1 << 16 | main_bits::FRAME_START);
-            assert!(chip.frames().is_none(), "continuous wave is no frames");
+            assert!(chip.frames.is_none(), "continuous wave is no frames");
             assert!(is_set(&chip, field::STAT0::MADC_BGUP) && !is_set(&chip, field::STAT0::SADC_RDY));
             chip.write(address::SADC_CTRL, 0x01_0F10);
             assert!(celsius(&chip) < 0.0, "an ADC that is off converts nothing");

@@ -62,7 +62,7 @@ impl Deepcraft {
     }
 
     fn begin_anew(&mut self) {
-        self.frame_codes = self.requests.chip.frames().map_or(1, |w| w.shape().codes().max(1));
+        self.frame_codes = self.requests.chip.frames.as_ref().map_or(1, |w| w.shape().codes().max(1));
         self.codes.clear();
         (self.number, self.first_number, self.read, self.sent, self.stalled) = (0, 0, 0, 0, false);
     }
@@ -181,7 +181,7 @@ impl Firmware for Deepcraft {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.source().advance();
+        self.requests.chip.source.advance();
         self.requests.chip.check_overflow();
     }
 

@@ -70,7 +70,7 @@ impl Esp32 {
     /// Resets the chip and starts frames. The content of its FIFO is lost; the chip's frame counter tells how many
     /// frames, so that frames keep their numbers.
     fn start(&mut self) {
-        self.chip.source().stop();
+        self.chip.source.stop();
         let begun = u64::from(self.chip.frames_begun());
         self.number += begun.wrapping_sub(self.number - self.first_number) % 4096;
         self.first_number = self.number;
@@ -83,7 +83,7 @@ impl Esp32 {
 
     /// Reads the chip's FIFO at each interrupt, as long as there is room for another frame.
     fn drain(&mut self) {
-        let frames = if self.chip.source().waits() { 1 } else { BUFFER_FRAMES };
+        let frames = if self.chip.source.waits() { 1 } else { BUFFER_FRAMES };
         while self.frames.len() < frames && !self.chip.fifo_failed() {
             match self.chip.poll(self.slice.samples as u64) {
                 Slice::Ready { .. } => {
@@ -173,7 +173,7 @@ impl Firmware for Esp32 {
     }
 
     fn advance(&mut self) {
-        self.chip.source().advance();
+        self.chip.source.advance();
         if self.is_up && !self.stalled {
             self.drain();
         }

@@ -73,7 +73,7 @@ pub(super) struct SampleSource {
     codes: Vec<u16>,
     sent: usize,
     /// Codes taken out, and codes put in, since the frames started.
-    taken: u64,
+    pub taken: u64,
     put: u64,
     /// First code and time of the frames that `codes` holds.
     frames: VecDeque<(u64, u64)>,
@@ -373,11 +373,6 @@ impl SampleSource {
     /// Codes sampled and not yet taken out.
     pub fn in_fifo(&self) -> u64 {
         self.sampled().saturating_sub(self.taken)
-    }
-
-    /// Codes taken out since the frames started.
-    pub fn taken(&self) -> u64 {
-        self.taken
     }
 
     /// Codes taken from the source and not yet taken out.

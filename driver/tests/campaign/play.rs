@@ -4,17 +4,10 @@
 use std::time::{Duration, Instant};
 
 use radome_driver::{BoardError, EmulatedBoard, EmulatorOptions, Fault, Kind as Board, Pace};
-use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, Waveform, source_from_fn};
 
 use crate::common::{POLICY, Random, open};
 use crate::draw::{Job, Kind};
-
-/// Endless source of frames. The first two codes of a frame are its number, the others resemble noise.
-struct Source {
-    seed: u64,
-    waveform: Waveform,
-    next: u64,
-}
 
 fn fill(seed: u64, sequence: u64, codes: &mut [u16]) {
     let mut random = Random(seed ^ sequence.wrapping_mul(0x2545_F491_4F6C_DD1D));
@@ -27,20 +20,15 @@ fn fill(seed: u64, sequence: u64, codes: &mut [u16]) {
     }
 }
 
-impl FrameSource for Source {
-    fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        frame.shape = self.waveform.shape();
-        frame.codes.resize(frame.shape.codes(), 0);
-        fill(self.seed, self.next, &mut frame.codes);
-        frame.sequence = self.next;
-        frame.time_ns = self.waveform.frame_time_ns(self.next);
-        self.next += 1;
+/// Endless source of frames. The first two codes of a frame are its number, the others resemble noise.
+fn source(seed: u64, waveform: Waveform) -> impl FrameSource {
+    let (of_frames, mut next) = (waveform.clone(), 0);
+    source_from_fn(waveform, move |frame| {
+        fill(seed, next, &mut frame.codes);
+        (frame.sequence, frame.time_ns) = (next, of_frames.frame_time_ns(next));
+        next += 1;
         Ok(SourceEvent::Frame)
-    }
+    })
 }
 
 /// Result of a job.
@@ -72,7 +60,6 @@ impl Outcome {
 
 pub fn play(job: &Job) -> Outcome {
     let folder = tempfile::tempdir().expect("folder");
-    let source = Source { seed: job.seed, waveform: job.waveform.clone(), next: 0 };
     let options = EmulatorOptions {
         pace: if job.kind == Kind::SlowHost { Pace::RealTime(1.0) } else { Pace::AsFastAsRead },
         kind: job.board,
@@ -81,7 +68,7 @@ pub fn play(job: &Job) -> Outcome {
         link: Some(folder.path().join("board")),
         ..EmulatorOptions::default()
     };
-    let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+    let board = EmulatedBoard::spawn(Box::new(source(job.seed, job.waveform.clone())), options).expect("spawns");
     let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
     // On a busy machine even a healthy board may answer late, or close before its answer is read.
     let attempt = || {

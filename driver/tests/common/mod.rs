@@ -4,7 +4,7 @@
 
 mod pattern;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use proptest::prelude::ProptestConfig;
@@ -97,6 +97,13 @@ pub fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Vec<Gap>, Option<Sourc
             Err(error) => return (frames, gaps, Some(error)),
         }
     }
+}
+
+/// A new folder, which vanishes when it is dropped, and the path of a file in it.
+pub fn in_folder(name: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join(name);
+    (folder, path)
 }
 
 /// Records a source with one label.

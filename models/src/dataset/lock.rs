@@ -2,6 +2,7 @@
 
 use std::fs::{File, TryLockError};
 use std::path::Path;
+use std::time::Duration;
 
 use super::error::DatasetError;
 
@@ -33,46 +34,14 @@ pub fn lock_file(path: &Path) -> Result<File, DatasetError> {
     lock(path, path, File::try_lock)
 }
 
-/// Number of times that a file is opened again because another process has removed it before it was locked.
-const ATTEMPTS: usize = 100;
-
-/// Opens and locks a file. The lock belongs to the file and not to its name: whoever locks a file that its last holder has removed holds
-/// nothing, so the file that has the name now is opened then.
-fn lock(path: &Path, what: &Path, attempt: impl Fn(&File) -> Result<(), TryLockError>) -> Result<File, DatasetError> {
-    for _ in 0..ATTEMPTS {
+fn lock(path: &Path, what: &Path, attempt: fn(&File) -> Result<(), TryLockError>) -> Result<File, DatasetError> {
+    let open = || {
         // Network file systems grant a shared lock only on files that can be read.
-        let open = File::options().read(true).write(true).create(true).truncate(false).open(path);
-        let file = open.map_err(DatasetError::io(path, "creating"))?;
-        match attempt(&file) {
-            Ok(()) if leads_to(path, &file) => return Ok(file),
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => break,
-            Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {
-                tracing::warn!(
-                    "{}: this file system knows no locks; see that only one process writes here",
-                    path.display()
-                );
-                return Ok(file);
-            }
-            Err(TryLockError::Error(error)) => return Err(DatasetError::io(path, "locking")(error)),
-        }
-    }
-    Err(DatasetError::Busy { path: what.to_owned() })
-}
-
-/// Returns whether a name still refers to an open file.
-#[cfg(unix)]
-fn leads_to(path: &Path, file: &File) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    match (std::fs::metadata(path), file.metadata()) {
-        (Ok(named), Ok(open)) => (named.dev(), named.ino()) == (open.dev(), open.ino()),
-        _ => false,
-    }
-}
-
-#[cfg(not(unix))]
-fn leads_to(_: &Path, _: &File) -> bool {
-    true
+        let opened = File::options().read(true).write(true).create(true).truncate(false).open(path);
+        opened.map_err(DatasetError::io(path, "creating"))
+    };
+    let locked = radome_files::lock(path, Duration::ZERO, open, attempt, DatasetError::io(path, "locking"))?;
+    locked.ok_or_else(|| DatasetError::Busy { path: what.to_owned() })
 }
 
 #[cfg(test)]
@@ -92,30 +61,5 @@ mod tests {
         assert!(is_busy(lock_folder(path)));
         drop(shares);
         assert!(lock_folder(path).is_ok());
-    }
-
-    mod hard_cases {
-        use std::cell::Cell;
-
-        use super::*;
-
-        /// A file that its holder removed between opening and locking gave a lock that kept nobody out.
-        #[test]
-        fn a_file_that_was_removed_meanwhile_is_made_again() {
-            let folder = tempfile::tempdir().expect("a folder");
-            let path = folder.path().join("a.lock");
-            let attempts = Cell::new(0);
-            let locked = lock(&path, &path, |file: &File| {
-                if attempts.replace(attempts.get() + 1) == 0 {
-                    std::fs::remove_file(&path).expect("removed");
-                }
-                file.try_lock()
-            });
-            let held = locked.expect("free");
-            assert_eq!(attempts.get(), 2);
-            assert!(matches!(lock_file(&path), Err(DatasetError::Busy { .. })));
-            drop(held);
-            assert!(lock_file(&path).is_ok());
-        }
     }
 }

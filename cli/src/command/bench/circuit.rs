@@ -1,4 +1,4 @@
-use anyhow::bail;
+use anyhow::ensure;
 use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Jacobian, Noise, ShotGradient, Shots};
 use serde::{Serialize, Serializer};
 
@@ -63,20 +63,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let circuit = Circuit::new(&spec)?;
     let (x, theta) = (&arguments.x, &arguments.theta);
     let (inputs, angles) = (circuit.qubits(), circuit.angle_count());
-    if (x.len(), theta.len()) != (inputs, angles) {
-        bail!(
-            "--x takes {} {} and --theta {}, got {} and {}\n\n\
-             hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
-            in_words(inputs),
-            if inputs == 1 { "number" } else { "numbers" },
-            in_words(angles),
-            x.len(),
-            theta.len()
-        );
-    }
-    if x.iter().chain(theta).any(|v| !v.is_finite()) {
-        bail!("--x and --theta must be finite numbers");
-    }
+    ensure!(
+        (x.len(), theta.len()) == (inputs, angles),
+        "--x takes {} {} and --theta {}, got {} and {}\n\n\
+         hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
+        in_words(inputs),
+        if inputs == 1 { "number" } else { "numbers" },
+        in_words(angles),
+        x.len(),
+        theta.len()
+    );
+    ensure!(x.iter().chain(theta).all(|v| v.is_finite()), "--x and --theta must be finite numbers");
     let jacobian = circuit.jacobian(x, theta, Draw::default())?;
     let answer = Answer { names: spec.observables(), jacobian };
     if arguments.json { output::json_line(&answer) } else { answer.print() }

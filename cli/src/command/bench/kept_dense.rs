@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use npyz::WriterBuilder;
 use radome_sim::Simulator;
 use rayon::prelude::*;
@@ -82,9 +82,7 @@ impl DenseFrame<'_> {
         let bar = output::progress(chirps as u64, "chirps by dense physical optics");
         let started = Instant::now();
         let chirp = |chirp| {
-            if output::interrupted() {
-                bail!("interrupted: frame {} is not kept", self.index);
-            }
+            ensure!(!output::interrupted(), "interrupted: frame {} is not kept", self.index);
             let samples = self.simulator.dense_echo_chirp(self.index, chirp, self.margin_db);
             bar.inc(1);
             Ok(samples)

@@ -1,6 +1,6 @@
 use std::f64::consts::{PI, TAU};
 
-use anyhow::bail;
+use anyhow::ensure;
 use radome_models::quantum::{Circuit, CircuitSpec, Draw, MOST_QUBITS};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -49,9 +49,7 @@ struct Row {
 /// # Errors
 /// A circuit is not valid, there are no points, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if arguments.points == 0 {
-        bail!("--points is 0, expected at least 1");
-    }
+    ensure!(arguments.points > 0, "--points is 0, expected at least 1");
     let mut rows = Vec::new();
     for &depth in &arguments.depths {
         for qubits in 1..=arguments.qubits {

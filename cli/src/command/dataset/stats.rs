@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
+use anyhow::ensure;
 use radome_models::dataset::{Dataset, Split, SplitSpec, statistics};
 use radome_models::standardise::LEAST_SIGMA_DB;
 
@@ -83,12 +83,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .filter(|row| row.sigma_db < LEAST_SIGMA_DB)
         .map(|row| format!("{} {} {} (all cells at {:.2} dB)", row.domain, row.scene, row.class, row.mean_db))
         .collect();
-    if !flat.is_empty() {
-        bail!(
-            "sigma is zero in {}: such maps hold nothing to learn but that they are such\n\nhint: noise-free simulated maps sit \
-             at the dB floor; add receiver noise to the simulation",
-            flat.join(", ")
-        );
-    }
+    ensure!(
+        flat.is_empty(),
+        "sigma is zero in {}: such maps hold nothing to learn but that they are such\n\nhint: noise-free simulated maps sit \
+         at the dB floor; add receiver noise to the simulation",
+        flat.join(", ")
+    );
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
+use anyhow::ensure;
 use radome_models::dataset::{Dataset, SplitBy, SplitSpec, verify};
 
 use crate::one_of::one_of;
@@ -74,16 +74,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         show(report.unpaired.iter().map(|fault| format!("pair '{}' {}", fault.pair, fault.what)), "pairs")?;
     }
-    if !report.is_sound() {
-        bail!(
-            "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits, {} pairs that are none",
-            arguments.dataset.display(),
-            report.damaged.len(),
-            report.duplicates.len(),
-            report.leaks.len(),
-            report.unpaired.len()
-        );
-    }
+    ensure!(
+        report.is_sound(),
+        "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits, {} pairs that are none",
+        arguments.dataset.display(),
+        report.damaged.len(),
+        report.duplicates.len(),
+        report.leaks.len(),
+        report.unpaired.len()
+    );
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::Recorder;
 use radome_models::ModelCard;
 use serde::Serialize;
@@ -25,9 +25,7 @@ const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove tha
 pub fn check_absent(path: &Path) -> anyhow::Result<()> {
     files::check_parent(path)?;
     // This also rejects a link whose target is missing.
-    if path.symlink_metadata().is_ok() {
-        bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display());
-    }
+    ensure!(path.symlink_metadata().is_err(), "{} exists and is not written over\n\n{EXISTS_HINT}", path.display());
     Ok(())
 }
 

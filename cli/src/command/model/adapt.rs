@@ -3,7 +3,7 @@ mod frames;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::Dataset;
@@ -67,12 +67,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         arguments.overwrite.check(path, &inputs)?;
         check_ending(path, &["safetensors"], MODEL_HINT)?;
     }
-    if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
-        bail!(
-            "{}: an ONNX file cannot be adapted\n\nhint: adapt the .safetensors file that it was exported from, and export that",
-            arguments.model.display()
-        );
-    }
+    ensure!(
+        !arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")),
+        "{}: an ONNX file cannot be adapted\n\nhint: adapt the .safetensors file that it was exported from, and export that",
+        arguments.model.display()
+    );
     let judging = Model::open(&arguments.model)?;
     if matches!(judging, Model::Cfar) {
         bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
@@ -126,13 +125,12 @@ fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<Ad
     if found.frames.is_empty() {
         return Err(recording.without_frames());
     }
-    if found.frames.iter().all(|frame| frame.label.is_none()) {
-        bail!(
-            "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \
-             it shows: {0}=empty",
-            named()
-        );
-    }
+    ensure!(
+        found.frames.iter().any(|frame| frame.label.is_some()),
+        "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \
+         it shows: {0}=empty",
+        named()
+    );
     Ok(found)
 }
 

@@ -7,7 +7,7 @@ mod thermal;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_driver::RecordingError;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
@@ -102,12 +102,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             models.len()
         ),
     };
-    if model.is_dir() {
-        bail!(
-            "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
-            model.display()
-        );
-    }
+    ensure!(
+        !model.is_dir(),
+        "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
+        model.display()
+    );
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
         bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
@@ -121,12 +120,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let Model::Network(mut classifier) = judging else {
                 bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
             };
-            if !arguments.thermal_snr_db.is_empty() {
-                bail!(
-                    "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
-                     build a dataset with raw_snr_db"
-                );
-            }
+            ensure!(
+                arguments.thermal_snr_db.is_empty(),
+                "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
+                 build a dataset with raw_snr_db"
+            );
             if arguments.no_smoothing || arguments.skip_refused {
                 bail!(
                     "--no-smoothing and --skip-refused are for recordings; each map of a dataset is judged by itself\n\nhint: leave them \
@@ -144,13 +142,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// Fails if a folder without a recording is no dataset either.
 fn check_is_dataset(folder: &Path) -> anyhow::Result<()> {
-    if !folder.join("dataset.json").exists() {
-        bail!(
-            "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
-             dataset of them: radome dataset build SPEC.toml -o FOLDER",
-            folder.display()
-        );
-    }
+    ensure!(
+        folder.join("dataset.json").exists(),
+        "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
+         dataset of them: radome dataset build SPEC.toml -o FOLDER",
+        folder.display()
+    );
     Ok(())
 }
 
@@ -274,13 +271,12 @@ impl<'a> Answers<'a> {
         if predictions.alone.is_empty() {
             return Err(recording.without_frames());
         }
-        if alone.frames() == 0 {
-            bail!(
-                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
-                 RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
-                recording.path.display()
-            );
-        }
+        ensure!(
+            alone.frames() > 0,
+            "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
+             RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
+            recording.path.display()
+        );
         add_confusion(&mut self.confusion_alone, &alone.confusion);
         let (scores, judged) =
             if no_smoothing { (alone, &predictions.alone) } else { (filtered, &predictions.filtered) };

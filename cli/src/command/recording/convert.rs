@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::span_check::check_spans;
 use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
@@ -109,12 +109,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// Fails if the folder to write has something in it.
 fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
-    if std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {
-        bail!(
-            "{} exists already and is not empty\n\nhint: --overwrite replaces files, never folders; move it away, or name another",
-            folder.display()
-        );
-    }
+    ensure!(
+        !std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()),
+        "{} exists already and is not empty\n\nhint: --overwrite replaces files, never folders; move it away, or name another",
+        folder.display()
+    );
     Ok(())
 }
 
@@ -173,9 +172,7 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
     let bar = output::progress(source.frame_count().unwrap_or(0), "converting");
     let mut frame = Frame::zeroed(source.waveform().shape());
     loop {
-        if output::interrupted() {
-            bail!(INTERRUPTED);
-        }
+        ensure!(!output::interrupted(), INTERRUPTED);
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => writer.frame(&frame)?,
             Ok(SourceEvent::Gap(gap)) => writer.gap(&gap)?,
@@ -204,9 +201,7 @@ fn write_for_viewers(arguments: &Arguments, source: &mut Recording) -> anyhow::R
     let spans = read_labels(&arguments.input, source)?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "for viewers");
     let after_event = || {
-        if output::interrupted() {
-            bail!(INTERRUPTED);
-        }
+        ensure!(!output::interrupted(), INTERRUPTED);
         bar.inc(1);
         Ok(())
     };

@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
 use radome_dsp::{Frame, SourceEvent, Waveform};
 use serde::{Deserialize, Serialize};
@@ -93,9 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {
         let why = "these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation";
-        if truth.is_some() {
-            bail!(why);
-        }
+        ensure!(truth.is_none(), why);
         message!("{why}");
     }
     let mut detector = Detector::new(&waveform, &receivers.baselines());
@@ -150,11 +148,10 @@ fn reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
     let &[range_m, azimuth_deg, elevation_deg] = numbers else {
         bail!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
     };
-    if !(range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0) {
-        bail!(
-            "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
-        );
-    }
+    ensure!(
+        range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0,
+        "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
+    );
     Ok([range_m, azimuth_deg, elevation_deg])
 }
 
@@ -204,9 +201,7 @@ fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
             path.display()
         )
     })?;
-    if file.format != 1 {
-        bail!("{}: format {}, this program reads 1", path.display(), file.format);
-    }
+    ensure!(file.format == 1, "{}: format {}, this program reads 1", path.display(), file.format);
     let AngleCalibration { azimuth_phase_rad, elevation_phase_rad } = file.calibration;
     if !(azimuth_phase_rad.is_finite() && elevation_phase_rad.is_finite()) {
         bail!("{}: a phase is no number", path.display());

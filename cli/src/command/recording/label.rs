@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
@@ -139,9 +139,7 @@ fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
         })?;
         frames.push((frame.time_s(), truth.occupancy));
     }
-    if frames.is_empty() {
-        bail!("{}: no frame", path.display());
-    }
+    ensure!(!frames.is_empty(), "{}: no frame", path.display());
     let mut spans = labels::spans_of(&frames, interval_s);
     for span in &mut spans {
         (span.who, span.confidence) = (Some("truth".into()), Some(1.0));

@@ -1,7 +1,7 @@
 use std::io::{BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Waveform};
 use serde_json::json;
@@ -62,9 +62,7 @@ impl Arguments {
         if let Some(picture) = &self.png {
             self.overwrite.check(picture, &inputs)?;
             check_ending(picture, &["png", "svg"], "end the picture's name in .png or .svg; -o writes the array")?;
-            if self.output.as_ref() == Some(picture) {
-                bail!("-o and --png name one file\n\nhint: name two");
-            }
+            ensure!(self.output.as_ref() != Some(picture), "-o and --png name one file\n\nhint: name two");
         }
         match &self.output {
             None if self.png.is_none() => {
@@ -174,12 +172,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Fails if no frame gave a map, or if the frame of the picture gave none.
 fn check_maps(arguments: &Arguments, maps: u64, frames: u64, is_pictured: bool) -> anyhow::Result<()> {
     let source = &arguments.source.source;
-    if maps == 0 {
-        bail!(
-            "{source}: {frames} frames give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
-             --frames, or a smaller N"
-        );
-    }
+    ensure!(
+        maps > 0,
+        "{source}: {frames} frames give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
+         --frames, or a smaller N"
+    );
     match (&arguments.png, arguments.frame) {
         (Some(_), Some(wanted)) if !is_pictured => bail!(
             "{source}: there is no map of frame {wanted}; {frames} frames were read\n\nhint: frames count from 0, and with \

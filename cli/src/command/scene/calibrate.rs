@@ -11,7 +11,7 @@ mod report;
 mod sample;
 mod still;
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_sim::receiver::Receiver;
 
 pub use self::arguments::Arguments;
@@ -28,34 +28,31 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
         arguments.overwrite.check(output, &inputs.map(std::path::PathBuf::as_path).collect::<Vec<_>>())?;
     }
-    if arguments.people.is_some() && arguments.scene.is_none() {
-        bail!(
-            "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
-        );
-    }
+    ensure!(
+        arguments.people.is_none() || arguments.scene.is_some(),
+        "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
+    );
     if !(arguments.part > 0.0 && arguments.part < 1.0) {
         bail!("--part is {}, expected a number between 0 and 1", arguments.part);
     }
-    if !(1..=10_000).contains(&arguments.copies) {
-        bail!("--copies is {}, expected 1 to 10000", arguments.copies);
-    }
+    ensure!((1..=10_000).contains(&arguments.copies), "--copies is {}, expected 1 to 10000", arguments.copies);
     let base = match &arguments.base {
         Some(path) => radome_sim::scene::load_receiver(path)?,
         None => Receiver::typical(),
     };
     let recordings = Recordings::open(&arguments.recordings, arguments.part)?;
-    let copies = Copies::new(arguments, recordings.waveform())?;
+    let copies = Copies::new(arguments, &recordings.waveform)?;
     let mut measured = measure(arguments, &recordings, &base)?;
-    let clutter = still::fit_clutter(recordings.waveform(), &mut measured);
-    let gain = match copies.has_scene() {
-        true => Some(still::fit_level(recordings.waveform(), &copies, &mut measured)?),
+    let clutter = still::fit_clutter(&recordings.waveform, &mut measured);
+    let gain = match copies.has_scene {
+        true => Some(still::fit_level(&recordings.waveform, &copies, &mut measured)?),
         false => None,
     };
     report::round(&mut measured.fit.receiver);
     let line = measured.slow_time.line();
     let real = gap::Real::new(&recordings, measured.judged.channels.clone(), line.map(|line| line.bin))?;
-    let before = copies.sample(&base, real.regions())?;
-    let after = copies.sample(&measured.fit.receiver, real.regions())?;
+    let before = copies.sample(&base, &real.regions)?;
+    let after = copies.sample(&measured.fit.receiver, &real.regions)?;
     if let Some(output) = &arguments.output {
         report::write_receiver(output, &measured.fit.receiver, arguments)?;
     }
@@ -67,11 +64,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
         clutter,
         gain,
-        resampled: real.resampled(),
+        resampled: real.resampled,
         between_real: real.between(),
         before: real.beside(&before),
         after: real.beside(&after),
-        line: copies.has_scene().then(|| line::Lines::new(line, &before.lines, &after.lines)),
+        line: copies.has_scene.then(|| line::Lines::new(line, &before.lines, &after.lines)),
     };
     report::print(&answer, arguments.json)
 }

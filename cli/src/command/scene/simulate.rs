@@ -2,7 +2,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, rename_synced};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
@@ -209,13 +209,12 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
         message!("{} is there already", output.display());
         return Ok(true);
     }
-    if overwrite.existing() == Existing::Refuse {
-        bail!(
-            "{} is there already, but was made of another scene, or with another --frames, --seed, --people or --tolerance-db\n\n\
-             hint: --overwrite replaces it; or move it away",
-            output.display()
-        );
-    }
+    ensure!(
+        overwrite.existing() != Existing::Refuse,
+        "{} is there already, but was made of another scene, or with another --frames, --seed, --people or --tolerance-db\n\n\
+         hint: --overwrite replaces it; or move it away",
+        output.display()
+    );
     Ok(false)
 }
 

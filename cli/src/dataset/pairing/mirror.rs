@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::Waveform;
 use radome_files::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
 use radome_sim::Scene;
@@ -11,7 +11,8 @@ use toml::{Table, Value};
 
 /// Scene without people and with a recording's waveform, from which a mirror is made.
 pub struct Stage {
-    table: Table,
+    /// Scene file's table, in which meshes have their names in its own folder.
+    pub table: Table,
     /// Scene table for the dataset's folder, where the meshes have the names of `meshes`.
     pub stored: Table,
     /// Meshes of the room: name in the dataset's folder, and source path.
@@ -30,12 +31,11 @@ impl Stage {
     pub fn load(path: &Path, waveform: &Waveform) -> anyhow::Result<Self> {
         let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("{} cannot be read", path.display()))?;
         let mut table: Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;
-        if table.get("random").and_then(Value::as_table).is_some_and(|random| !random.is_empty()) {
-            bail!(
-                "{}: the scene is another for each seed\n\nhint: a recording shows one room: write its values in place of [random]",
-                path.display()
-            );
-        }
+        ensure!(
+            table.get("random").and_then(Value::as_table).is_none_or(Table::is_empty),
+            "{}: the scene is another for each seed\n\nhint: a recording shows one room: write its values in place of [random]",
+            path.display()
+        );
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(Value::String(relative)) = table.get("receiver") {
             let file =
@@ -70,11 +70,6 @@ impl Stage {
         let mut stored = table.clone();
         let meshes = rename_meshes(&mut stored, folder)?;
         Ok(Stage { table, stored, meshes, scene, waveform_replaced })
-    }
-
-    /// Returns the scene file's table, in which meshes have their names in its own folder.
-    pub fn table(&self) -> &Table {
-        &self.table
     }
 
     /// Returns the files that belong beside the stored scene.

@@ -17,7 +17,7 @@ mod watcher;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
@@ -105,9 +105,7 @@ pub struct Paired {
 /// written, or the user interrupts.
 pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     files::check_parent(&settings.output)?;
-    if !(0.5..=2.5).contains(&settings.height_m) {
-        bail!("--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
-    }
+    ensure!((0.5..=2.5).contains(&settings.height_m), "--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
     let points = settings.waypoints.as_deref().map_or(Ok(WayPoints::default()), read_waypoints)?;
     let source = open(settings)?;
     let pairing = Pairing::new(settings, source.frames.waveform().clone())?;
@@ -274,12 +272,11 @@ impl<'a> Pairing<'a> {
     fn check(&self, taken: &[Taken], spans: &[LabelSpan]) -> anyhow::Result<u64> {
         let recording = &self.settings.recording;
         let (Some(first), Some(last)) = (taken.first(), taken.last()) else { bail!("{recording}: no frame") };
-        if taken.iter().all(|of| of.truth.is_none()) {
-            bail!(
-                "{recording}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording \
-                 label {recording} --propose detector"
-            );
-        }
+        ensure!(
+            taken.iter().any(|of| of.truth.is_some()),
+            "{recording}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording \
+             label {recording} --propose detector"
+        );
         if let Some(pair) = taken.windows(2).find(|pair| matches!(pair, [a, b] if b.time_ns <= a.time_ns)) {
             bail!("{recording}: frame {} is not later than the one before", pair[1].sequence);
         }
@@ -306,7 +303,7 @@ impl<'a> Pairing<'a> {
     ) -> anyhow::Result<(String, Simulator)> {
         script::fill(roles, detections, self.stage.scene.file(), points)
             .with_context(|| format!("{} cannot be mirrored as it is", self.settings.recording))?;
-        let scene = Scene::parse(&self.mirror_text(self.stage.table(), roles)?, &self.settings.scene)?;
+        let scene = Scene::parse(&self.mirror_text(&self.stage.table, roles)?, &self.settings.scene)?;
         let options = SimulateOptions { seed: self.settings.seed, ..SimulateOptions::default() };
         Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
     }

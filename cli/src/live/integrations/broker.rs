@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use percent_encoding::percent_decode_str;
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
@@ -34,24 +34,14 @@ pub struct BrokerArguments {
     /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// with encryption. RADOME_MQTT_USER may
     /// name the user instead
     #[arg(long = "mqtt", id = "mqtt", value_name = "URL")]
-    url: Option<String>,
+    pub url: Option<String>,
     /// File whose first line is the password at the broker; only its owner and group may read it. Without it, the password
     /// is RADOME_MQTT_PASSWORD
     #[arg(long, value_name = "FILE", requires = "mqtt")]
-    mqtt_password_file: Option<PathBuf>,
+    pub mqtt_password_file: Option<PathBuf>,
 }
 
 impl BrokerArguments {
-    /// Returns the broker's address as given; it may be malformed and hold a password.
-    pub fn url(&self) -> Option<&str> {
-        self.url.as_deref()
-    }
-
-    /// Returns the file of the password.
-    pub fn password_file(&self) -> Option<&Path> {
-        self.mqtt_password_file.as_deref()
-    }
-
     /// Returns the broker with its login; `None` where no broker is named.
     ///
     /// # Errors
@@ -82,13 +72,12 @@ fn read_password(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("cannot read the password in {}", path.display());
     let file = File::open(path).with_context(named)?;
     let mode = file.metadata().with_context(named)?.permissions().mode();
-    if mode & 0o007 != 0 {
-        bail!(
-            "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
-            path = path.display(),
-            mode = mode & 0o777
-        );
-    }
+    ensure!(
+        mode & 0o007 == 0,
+        "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
+        path = path.display(),
+        mode = mode & 0o777
+    );
     let mut text = Vec::new();
     file.take(MOST_PASSWORD_BYTES + 1).read_to_end(&mut text).with_context(named)?;
     if text.len() as u64 > MOST_PASSWORD_BYTES {
@@ -96,9 +85,7 @@ fn read_password(path: &Path) -> anyhow::Result<Secret> {
     }
     let Ok(text) = String::from_utf8(text) else { bail!("{}: the password is not text in UTF-8", path.display()) };
     let password = text.lines().next().unwrap_or_default();
-    if password.is_empty() {
-        bail!("{}: there is no password in its first line", path.display());
-    }
+    ensure!(!password.is_empty(), "{}: there is no password in its first line", path.display());
     Ok(Secret(password.to_owned()))
 }
 
@@ -122,11 +109,14 @@ impl std::fmt::Debug for Secret {
 /// Address of a broker, and the login there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Broker {
-    host: String,
+    /// Name or address of the host; IPv6 in brackets.
+    pub host: String,
     port: u16,
     is_encrypted: bool,
-    user: Option<String>,
-    password: Option<Secret>,
+    /// User at the broker.
+    pub user: Option<String>,
+    /// Password of that user.
+    pub password: Option<Secret>,
 }
 
 /// Formats host and port without the login, for logs.
@@ -150,12 +140,11 @@ impl Broker {
             Some((login, address)) => (Some(login), address),
             None => (None, rest),
         };
-        if login.is_some_and(|login| login.contains(':')) {
-            bail!(
-                "the broker's address holds a password, which other users can read in the list of processes\n\nhint: write it \
-                 into a file for --mqtt-password-file FILE (chmod 600), or set {PASSWORD_VARIABLE}; --mqtt mqtt://USER@HOST"
-            );
-        }
+        ensure!(
+            !login.is_some_and(|login| login.contains(':')),
+            "the broker's address holds a password, which other users can read in the list of processes\n\nhint: write it \
+             into a file for --mqtt-password-file FILE (chmod 600), or set {PASSWORD_VARIABLE}; --mqtt mqtt://USER@HOST"
+        );
         let address = address.strip_suffix('/').unwrap_or(address);
         let default_port = if is_encrypted { 8883 } else { 1883 };
         // An IPv6 address is enclosed in brackets.
@@ -176,25 +165,8 @@ impl Broker {
             None => None,
         };
         let user = url_user.or(user);
-        if user.is_none() && password.is_some() {
-            bail!("there is a password for the broker, but no user{GRAMMAR}");
-        }
+        ensure!(user.is_some() || password.is_none(), "there is a password for the broker, but no user{GRAMMAR}");
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
-    }
-
-    /// Returns the name or address of the host; IPv6 in brackets.
-    pub fn host(&self) -> &str {
-        &self.host
-    }
-
-    /// Returns the user at the broker.
-    pub fn user(&self) -> Option<&str> {
-        self.user.as_deref()
-    }
-
-    /// Returns the password of that user.
-    pub fn password(&self) -> Option<&Secret> {
-        self.password.as_ref()
     }
 
     /// Builds the options of a connection without the last will. `authorities` is a file of certificates to trust in
@@ -286,7 +258,7 @@ mod tests {
             (Some("env"), Some("u"))
         );
         let broker = with("mqtt://u@hub");
-        assert_eq!(broker.password().map(Secret::reveal), Some("hunter2"));
+        assert_eq!(broker.password.as_ref().map(Secret::reveal), Some("hunter2"));
         assert_eq!(broker.to_string(), "hub:1883");
         assert!(!format!("{broker:?} {broker:#?}").contains("hunter2"));
     }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use radome_driver::protocol::packed12;
 use radome_driver::recording::{Format, RecordingWriter};
@@ -276,17 +276,14 @@ impl Saving {
             Entry::Gap(_) => None,
         });
         let results: Vec<FrameResult> = results.collect();
-        if results.is_empty() {
-            bail!("no frame has come yet");
-        }
+        ensure!(!results.is_empty(), "no frame has come yet");
         let held = folder_bytes(&self.folder)?;
-        if held >= self.most_disk_bytes {
-            bail!(
-                "{} holds {} MiB already\n\nhint: look at the reports and remove them, or raise --keep-disk-mib",
-                self.folder.display(),
-                held >> 20
-            );
-        }
+        ensure!(
+            held < self.most_disk_bytes,
+            "{} holds {} MiB already\n\nhint: look at the reports and remove them, or raise --keep-disk-mib",
+            self.folder.display(),
+            held >> 20
+        );
         let now_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64);
         let path = self.free_name(now_ns / 1_000_000_000, report.truth);
         let mut writer = RecordingWriter::create(&path, Format::Mcap, &self.header)?;
@@ -347,13 +344,9 @@ mod tests {
         let result = |(i, people): (usize, &u8)| FrameResult {
             sequence: i as u64,
             time_ns: i as u64 * 100_000_000,
-            host_time_ns: 0,
-            label: None,
-            probabilities: None,
-            frame_probabilities: None,
             occupied: *people > 0,
             people: *people,
-            latency_ns: 0,
+            ..FrameResult::default()
         };
         people.iter().enumerate().map(result).collect()
     }

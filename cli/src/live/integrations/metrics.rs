@@ -100,9 +100,9 @@ impl Page {
             let count = latency.count_up_to(bound_s);
             self.sample("radome_latency_seconds_bucket", &[("le", &bound_s.to_string())], count as f64);
         }
-        self.sample("radome_latency_seconds_bucket", &[("le", "+Inf")], latency.count() as f64);
-        self.sample("radome_latency_seconds_sum", &[], latency.sum_s());
-        self.sample("radome_latency_seconds_count", &[], latency.count() as f64);
+        self.sample("radome_latency_seconds_bucket", &[("le", "+Inf")], latency.total as f64);
+        self.sample("radome_latency_seconds_sum", &[], latency.sum_s);
+        self.sample("radome_latency_seconds_count", &[], latency.total as f64);
     }
 
     fn connections(&mut self, counters: &Counters) {

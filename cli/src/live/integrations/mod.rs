@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::RecordingHeader;
 use radome_dsp::Occupancy;
 use tokio::runtime::Runtime;
@@ -90,7 +90,7 @@ impl Integrations {
         let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
-        if arguments.broker.url().is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+        if arguments.broker.url.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
             return Ok(integrations);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
@@ -163,12 +163,11 @@ fn serve_metrics(
     reports: Option<Reports>,
 ) -> anyhow::Result<()> {
     let token = access.token()?;
-    if token.is_none() && !address.ip().is_loopback() {
-        bail!(
-            "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE protects \
-             them, and Prometheus is given the file as authorization: credentials_file"
-        );
-    }
+    ensure!(
+        token.is_some() || address.ip().is_loopback(),
+        "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE protects \
+         them, and Prometheus is given the file as authorization: credentials_file"
+    );
     let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
         format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
     })?;

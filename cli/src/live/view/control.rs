@@ -1,6 +1,6 @@
 //! Requests of a page: one JSON object per message, all of them checked here.
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_dsp::Occupancy;
 use serde::Deserialize;
@@ -86,9 +86,7 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         Command::Speed { times } => transport()?.set_speed(times),
         Command::Seek { time_s } => {
             let transport = transport()?;
-            if !time_s.is_finite() {
-                bail!("a time must be finite");
-            }
+            ensure!(time_s.is_finite(), "a time must be finite");
             shared.labels.before_jump();
             transport.seek_time_s(time_s);
         }

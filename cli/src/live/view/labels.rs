@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::mcap::{self, LabelEditor};
 use radome_driver::recording::span_check::check_spans;
@@ -173,9 +173,7 @@ impl Book {
     }
 
     fn delete(&mut self, id: u64) -> anyhow::Result<()> {
-        if !self.spans.iter().any(|span| span.id == id) {
-            bail!("that label is no longer there");
-        }
+        ensure!(self.spans.iter().any(|span| span.id == id), "that label is no longer there");
         self.remember();
         self.spans.retain(|span| span.id != id);
         Ok(())

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_files::read_text;
 use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
@@ -30,9 +30,7 @@ impl Partner {
         waveform: &Waveform,
     ) -> anyhow::Result<Option<Self>> {
         let Some(playback) = playback else {
-            if folder.is_some() {
-                bail!("--pair is of a recording, and the source is none");
-            }
+            ensure!(folder.is_none(), "--pair is of a recording, and the source is none");
             return Ok(None);
         };
         let folder = match folder {

@@ -70,7 +70,7 @@ impl Requests {
 
     /// Layout of the slices, while data run.
     pub fn streaming(&self) -> Option<SliceLayout> {
-        self.slice.filter(|_| self.data_started && self.chip.frames().is_some())
+        self.slice.filter(|_| self.data_started && self.chip.frames.is_some())
     }
 
     /// Stops data after an overflow, as the firmware does by itself. The chip goes on measuring until it is reset.

@@ -79,7 +79,7 @@ impl Mcu7 {
     }
 
     fn has_room(&mut self, slice: SliceLayout) -> bool {
-        let source = self.requests.chip.source();
+        let source = &self.requests.chip.source;
         match source.waits() {
             // Reading ahead gains nothing.
             true => self.buffer.is_empty(),
@@ -136,10 +136,10 @@ impl Mcu7 {
 
     /// Counts frames that the source lacks as lost packets; the counter cannot express every gap.
     fn skip(&mut self, slice: SliceLayout, frames: u64) {
-        let codes = frames * self.requests.chip.frames().map_or(0, |w| w.shape().codes() as u64);
+        let codes = frames * self.requests.chip.frames.as_ref().map_or(0, |w| w.shape().codes() as u64);
         let samples = slice.samples as u64;
         let packets = codes / samples * slice.packets() as u64;
-        if codes.is_multiple_of(samples) && self.requests.chip.source().at_frame_boundary() && packets < 0x8000 {
+        if codes.is_multiple_of(samples) && self.requests.chip.source.at_frame_boundary() && packets < 0x8000 {
             self.buffer.push_back(Waiting::LostPackets(packets as u16));
         }
     }
@@ -157,7 +157,7 @@ impl Mcu7 {
 
     /// Counts the frames that a sent slice completes.
     fn count(&mut self, slice: SliceLayout) {
-        let per_frame = self.requests.chip.frames().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
+        let per_frame = self.requests.chip.frames.as_ref().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
         let before = self.sent / per_frame;
         self.sent += slice.samples as u64;
         self.shared.frames.fetch_add(self.sent / per_frame - before, Ordering::Relaxed);
@@ -234,7 +234,7 @@ impl Firmware for Mcu7 {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.source().advance();
+        self.requests.chip.source.advance();
         self.drain();
     }
 

@@ -583,13 +583,8 @@ mod tests {
             let result = FrameResult {
                 sequence: number,
                 time_ns: frame.time_ns,
-                host_time_ns: 0,
-                label: None,
-                probabilities: None,
-                frame_probabilities: None,
-                occupied: false,
-                people: 0,
                 latency_ns: 1_000_000 + number,
+                ..FrameResult::default()
             };
             recorder.result(&result).expect("records");
             check(&recorder);

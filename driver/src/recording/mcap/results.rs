@@ -22,7 +22,7 @@ pub struct Judge {
 }
 
 /// Result of the classifier for a frame. Frames without a result were not classified in time.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameResult {
     /// Sequence number of the frame.
     pub sequence: u64,

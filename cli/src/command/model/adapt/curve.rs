@@ -7,7 +7,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::train::{AdaptRecording, Adapter, Scores};
@@ -55,17 +55,13 @@ struct RoomFile {
 
 impl RoomsFile {
     fn check(&self) -> anyhow::Result<()> {
-        if self.format != FORMAT {
-            bail!("format is {}, this program knows {FORMAT}", self.format);
-        }
+        ensure!(self.format == FORMAT, "format is {}, this program knows {FORMAT}", self.format);
         let is_time = |seconds: f64| seconds > 0.0 && seconds <= LONGEST_S;
         if self.minutes.is_empty() || !self.minutes.iter().all(|minutes| is_time(60.0 * minutes)) {
             bail!("minutes are {:?}, expected some above 0 and up to {}", self.minutes, LONGEST_S / 60.0);
         }
         for (key, seconds) in [("recording_s", self.recording_s), ("test_s", self.test_s)] {
-            if !is_time(seconds) {
-                bail!("{key} is {seconds}, expected above 0 and up to {LONGEST_S}");
-            }
+            ensure!(is_time(seconds), "{key} is {seconds}, expected above 0 and up to {LONGEST_S}");
         }
         let mut names = BTreeSet::new();
         match self.room.iter().find(|room| !names.insert(&room.name)) {
@@ -167,9 +163,7 @@ fn stretch(frames: &mut Frames, simulator: &mut Simulator, length: u64) -> anyho
     let waveform = simulator.waveform().clone();
     let mut left = length;
     let next = |frame: &mut Frame| {
-        if output::interrupted() {
-            bail!("interrupted");
-        }
+        ensure!(!output::interrupted(), "interrupted");
         if left == 0 {
             return Ok(SourceEvent::End);
         }

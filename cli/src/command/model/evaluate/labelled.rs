@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
@@ -56,12 +56,11 @@ impl LabelledRecording {
         }
         let (path, spans) = match after {
             Some((path, file)) if !Path::new(input).exists() => {
-                if !Path::new(file).is_file() {
-                    bail!(
-                        "{input}: {file} is not empty, one or two, and no file of labels\n\nhint: RECORDING=empty, RECORDING=one, \
-                         RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
-                    );
-                }
+                ensure!(
+                    Path::new(file).is_file(),
+                    "{input}: {file} is not empty, one or two, and no file of labels\n\nhint: RECORDING=empty, RECORDING=one, \
+                     RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
+                );
                 (PathBuf::from(path), labels::read(Path::new(file))?)
             }
             _ => {

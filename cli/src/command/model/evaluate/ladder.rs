@@ -6,7 +6,7 @@ mod scores;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, Recording};
@@ -39,9 +39,7 @@ pub fn run(
     json: bool,
 ) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    if models.is_empty() {
-        bail!("no model to evaluate on {}\n\nhint: name one or more with --model", ladder.display());
-    }
+    ensure!(!models.is_empty(), "no model to evaluate on {}\n\nhint: name one or more with --model", ladder.display());
     let mut rungs = load(ladder)?;
     if let Some(hours) = empty_hours {
         rungs = rungs.into_iter().map(|rung| rung.without_people(hours)).collect::<anyhow::Result<_>>()?;
@@ -115,9 +113,7 @@ impl Simulation {
         }
         let mut frame = Frame::zeroed(waveform.shape());
         loop {
-            if output::interrupted() {
-                bail!("interrupted");
-            }
+            ensure!(!output::interrupted(), "interrupted");
             match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::End => break,
                 SourceEvent::Gap(_) => runs.iter_mut().flatten().for_each(Run::gap),

@@ -14,7 +14,8 @@ use crate::{output, source};
 /// Scene that is simulated with one receiver after the other.
 pub struct Copies {
     scene: Scene,
-    has_scene: bool,
+    /// Whether the copies contain anything but the receiver.
+    pub has_scene: bool,
     people: Option<usize>,
     seeds: std::ops::Range<u64>,
     /// Frames of each copy.
@@ -59,11 +60,6 @@ impl Copies {
             scene,
             frames,
         })
-    }
-
-    /// Returns whether the copies contain anything but the receiver.
-    pub fn has_scene(&self) -> bool {
-        self.has_scene
     }
 
     /// Simulates all copies with a receiver.

@@ -32,13 +32,14 @@ pub type Figures = BTreeMap<&'static str, f64>;
 /// Parts of the recordings that simulations are compared with.
 pub struct Real {
     waveform: Waveform,
-    regions: Regions,
+    pub regions: Regions,
     channels: Vec<ChannelFit>,
     /// Samples of the recordings, or of the blocks of a single one.
     units: Vec<Sample>,
     /// Parts that the receiver was fitted to, by recording.
     fitted: Vec<Sample>,
-    resampled: &'static str,
+    /// Name of the units that were resampled for the intervals.
+    pub resampled: &'static str,
 }
 
 /// Comparison of one channel between recordings and simulations.
@@ -67,10 +68,10 @@ impl Real {
     /// A recording cannot be read.
     pub fn new(recordings: &Recordings, channels: Vec<ChannelFit>, target: Option<usize>) -> anyhow::Result<Self> {
         let regions = regions(target);
-        let mut sampler = Sampler::new(recordings.waveform(), &regions)?;
-        let is_single = recordings.all().len() == 1;
+        let mut sampler = Sampler::new(&recordings.waveform, &regions)?;
+        let is_single = recordings.all.len() == 1;
         let (mut units, mut fitted) = (Vec::new(), Vec::new());
-        for recording in recordings.all() {
+        for recording in &recordings.all {
             let mut first = Sample::default();
             let mut blocks = vec![Sample::default(); if is_single { BLOCKS } else { 1 }];
             recording.each_frame("making maps", |place, frame| {
@@ -81,16 +82,7 @@ impl Real {
             fitted.push(first);
         }
         let resampled = if is_single { "contiguous blocks of the one recording" } else { "recordings" };
-        Ok(Real { waveform: recordings.waveform().clone(), regions, channels, units, fitted, resampled })
-    }
-
-    pub fn regions(&self) -> &Regions {
-        &self.regions
-    }
-
-    /// Returns the name of the units that were resampled for the intervals.
-    pub fn resampled(&self) -> &'static str {
-        self.resampled
+        Ok(Real { waveform: recordings.waveform.clone(), regions, channels, units, fitted, resampled })
     }
 
     /// Figures between real recordings by channel: the mean over all pairs, or those between the two parts of a single

@@ -24,12 +24,12 @@ pub struct Measured {
 /// # Errors
 /// A recording cannot be read, or too little can be fitted.
 pub fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) -> anyhow::Result<Measured> {
-    let waveform = recordings.waveform();
+    let waveform = &recordings.waveform;
     let mut fitted = Calibration::new(waveform, recordings.frames_fitted() as usize)?;
     let mut judged = Calibration::new(waveform, recordings.frames_judged() as usize)?;
     let (mut fitted_slow_time, mut slow_time) =
         (SlowTimeStatistics::new(waveform, WINDOW_S), SlowTimeStatistics::new(waveform, WINDOW_S));
-    for recording in recordings.all() {
+    for recording in &recordings.all {
         fitted.begin_recording();
         judged.begin_recording();
         recording.each_frame("measuring", |place, frame| {

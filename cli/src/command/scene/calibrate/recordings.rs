@@ -12,8 +12,10 @@ use crate::{output, source};
 
 /// Recordings of one waveform, each cut in two.
 pub struct Recordings {
-    waveform: Waveform,
-    all: Vec<Cut>,
+    /// Waveform of all of them.
+    pub waveform: Waveform,
+    /// The recordings.
+    pub all: Vec<Cut>,
 }
 
 /// Recording whose first frames are used for the fit.
@@ -74,14 +76,6 @@ impl Recordings {
             Some((waveform, _)) => Ok(Recordings { waveform, all }),
             None => bail!("no recording to calibrate by"),
         }
-    }
-
-    pub fn waveform(&self) -> &Waveform {
-        &self.waveform
-    }
-
-    pub fn all(&self) -> &[Cut] {
-        &self.all
     }
 
     pub fn frames_fitted(&self) -> u64 {
