@@ -448,6 +448,27 @@ mod hard_cases {
         told(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
     }
 
+    /// A radar in a metal box saw nothing but the box, without a word. On a box, or under a cover that lets waves through,
+    /// it may stand.
+    #[test]
+    fn a_radar_within_furniture_is_refused() {
+        let furniture = |height_m: f64| {
+            format!(
+                "[[furniture]]\nname = \"chest\"\nposition_m = [0.1, 0.5, 0.0]\nsize_m = [1.0, 1.0, {height_m:?}]\n\
+                 material = \"metal\"\n"
+            )
+        };
+        let scene = |keys: &str, height_m: f64| {
+            parse(&format!("{keys}\n{}", box_keys("plasterboard")), &furniture(height_m), Path::new("a"))
+        };
+        common::assert_refused(scene("solver = \"rays\"", 2.0), &["position_m", "outside the furniture \"chest\""]);
+        common::assert_refused(parse(&plan_keys(&RECTANGLE, ""), &furniture(2.0), Path::new("a")), &["chest"]);
+        assert!(scene("solver = \"rays\"", 1.2).is_ok());
+        assert!(scene("solver = \"rays\"\ntransmission = true", 2.0).is_ok());
+        // Where images are those of the box, furniture is points, which hide nothing.
+        assert!(scene("", 2.0).is_ok());
+    }
+
     /// Rooms that a box cannot represent are not treated as boxes.
     #[test]
     fn a_plan_is_simulated_and_is_no_box() {
