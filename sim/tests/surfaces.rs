@@ -11,7 +11,7 @@ use radome_sim::em::image::Wall;
 use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Owner, Sides, Surfaces};
 use rooms::{
     M, MM, Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_file, gltf, is_flat, is_free, is_inner,
-    is_wedge, obj, parse, room_files, small_triangles, stl, surfaces, triangles,
+    is_seam, is_wedge, obj, parse, room_files, small_triangles, stl, surfaces, triangles,
 };
 
 use crate::common;
@@ -34,7 +34,7 @@ fn angle_rad(edge: &FaceEdge, point: DVec3) -> f64 {
 /// two sheets is a wedge for points outside, and none for points inside.
 fn diffracts_from(edge: &FaceEdge, point: DVec3) -> bool {
     match edge.kind {
-        EdgeKind::Free => true,
+        EdgeKind::Free | EdgeKind::Seam { .. } => true,
         EdgeKind::Wedge { air_rad, .. } => angle_rad(edge, point) < air_rad,
         EdgeKind::Inner | EdgeKind::Flat => false,
     }
@@ -186,14 +186,21 @@ fn openings_take_their_part_of_a_wall_and_have_rims() {
 fn panes_and_shut_doors_close_a_room_again() {
     let tables = format!("{WINDOW}material = \"glass\"\n{DOORWAY}door = {{ hinge = \"to\", material = \"wood\" }}\n");
     let room = surfaces(&plan_keys(&RECTANGLE, &tables), "");
-    assert_eq!((room.faces.len(), diffracting(&room).count(), count(&room, is_free)), (8, 0, 0));
+    // Both faces list a seam: four around the pane, three around the leaf.
+    assert_eq!((room.faces.len(), diffracting(&room).count(), count(&room, is_free)), (8, 14, 0));
     assert!(room.faces.iter().all(|face| face.sides == Sides::One));
     let (pane, of_pane) = face(&room, "pane in wall 2");
+    let (wall, _) = face(&room, "wall 2");
     assert!(matches!(of_pane.wall, Wall::Slab { thickness_m: 0.006, .. }));
-    assert!(room.edges.iter().filter(|edge| edge.face == pane).all(|edge| edge.kind == EdgeKind::Flat));
+    let is_of_wall = |edge: &FaceEdge| edge.kind == EdgeKind::Seam { other: wall };
+    assert!(room.edges.iter().filter(|edge| edge.face == pane).all(is_of_wall));
     let (_, leaf) = face(&room, "door in wall 0");
     assert!((leaf.polygon.normal - DVec3::Y).length() < 1e-12 && (leaf.polygon.area_m2() - 1.8).abs() < 1e-12);
-    assert!(count(&room, is_flat) > 0);
+    assert_eq!((count(&room, is_seam), count(&room, is_flat)), (14, 0));
+    // A pane of what the wall is made of changes nothing for waves.
+    let tables = format!("{WINDOW}material = \"plasterboard\"\nthickness_m = 0.0125\n");
+    let room = surfaces(&plan_keys(&RECTANGLE, &tables), "");
+    assert_eq!((diffracting(&room).count(), count(&room, is_flat)), (0, 8));
 }
 
 #[test]
@@ -439,6 +446,27 @@ mod hard_cases {
         told(&l, shelf, &["furniture", "walls of [room.plan]"]);
         told(&l, "[[seat]]\nposition_m = [4.0, 4.0]\nheading_deg = 0.0\n", &["seat", "walls of [room.plan]"]);
         told(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
+    }
+
+    /// A radar in a metal box saw nothing but the box, without a word. On a box, or under a cover that lets waves through,
+    /// it may stand.
+    #[test]
+    fn a_radar_within_furniture_is_refused() {
+        let furniture = |height_m: f64| {
+            format!(
+                "[[furniture]]\nname = \"chest\"\nposition_m = [0.1, 0.5, 0.0]\nsize_m = [1.0, 1.0, {height_m:?}]\n\
+                 material = \"metal\"\n"
+            )
+        };
+        let scene = |keys: &str, height_m: f64| {
+            parse(&format!("{keys}\n{}", box_keys("plasterboard")), &furniture(height_m), Path::new("a"))
+        };
+        common::assert_refused(scene("solver = \"rays\"", 2.0), &["position_m", "outside the furniture \"chest\""]);
+        common::assert_refused(parse(&plan_keys(&RECTANGLE, ""), &furniture(2.0), Path::new("a")), &["chest"]);
+        assert!(scene("solver = \"rays\"", 1.2).is_ok());
+        assert!(scene("solver = \"rays\"\ntransmission = true", 2.0).is_ok());
+        // Where images are those of the box, furniture is points, which hide nothing.
+        assert!(scene("", 2.0).is_ok());
     }
 
     /// Rooms that a box cannot represent are not treated as boxes.

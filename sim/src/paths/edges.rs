@@ -1,5 +1,5 @@
-//! Diffracting edges: free edges of sheets and outward corners. Inner corners and seams within a plane do not diffract,
-//! because the next facet reflects what the previous one loses.
+//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Inner corners and
+//! seams of one wall do not diffract, because the next facet reflects what the previous one loses.
 
 use glam::DVec3;
 
@@ -13,6 +13,8 @@ pub(super) const SAME_M: f64 = 1e-6;
 const SAME_END_M: f64 = 1e-4;
 /// Sine of the angle up to which two facets are coplanar.
 const FLAT: f64 = 1e-6;
+/// Extent of a facet across a path, over its own, up to which the path sees the facet edge-on.
+const EDGE_ON: f64 = 1e-4;
 
 /// Edge that diffracts.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,6 +62,11 @@ impl SoftEdge {
         let width = |inwards: &DVec3| inwards.dot(across).abs();
         let widest = self.inwards.iter().max_by(|a, b| width(a).total_cmp(&width(b)));
         widest.copied().unwrap_or(DVec3::ZERO)
+    }
+
+    /// Facets of the edge, each with whether it lies on the side to which a unit vector across a path points.
+    pub(super) fn sides_of(&self, outwards: DVec3) -> impl Iterator<Item = (FacetId, bool)> + '_ {
+        self.facets.iter().zip(&self.inwards).map(move |(&facet, inwards)| (facet, inwards.dot(outwards) > EDGE_ON))
     }
 
     /// Returns whether the edge lies on the outline of its facets, seen from a point along a direction. A free edge
@@ -179,7 +186,9 @@ enum Meeting {
     Sheet,
     /// Outward corner.
     Outward,
-    /// Inner corner or seam.
+    /// Seam of two different walls in one plane.
+    Seam,
+    /// Inner corner, or seam of one wall.
     Inner,
 }
 
@@ -188,14 +197,14 @@ fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
         return Meeting::Inner;
     };
     let (rise_b, rise_a) = (b.inwards.dot(of_a.normal), a.inwards.dot(of_b.normal));
+    let is_plane = rise_a.abs() <= FLAT && rise_b.abs() <= FLAT;
+    let is_one_side = a.inwards.dot(b.inwards) > 0.0;
     if rise_a < -FLAT && rise_b < -FLAT {
         Meeting::Outward
-    } else if rise_a.abs() <= FLAT
-        && rise_b.abs() <= FLAT
-        && of_a.normal.dot(of_b.normal) < 0.0
-        && a.inwards.dot(b.inwards) > 0.0
-    {
+    } else if is_plane && is_one_side && of_a.normal.dot(of_b.normal) < 0.0 {
         Meeting::Sheet
+    } else if is_plane && !is_one_side && of_a.facet.wall != of_b.facet.wall {
+        Meeting::Seam
     } else {
         Meeting::Inner
     }
@@ -221,17 +230,17 @@ fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
     if sides.iter().any(|side| side.given.is_some()) {
         return sides.iter().any(|side| side.given == Some(true));
     }
-    let mut has_outward = false;
+    let mut is_soft = false;
     for (i, a) in sides.iter().enumerate() {
         for b in sides.iter().skip(i + 1) {
             match meeting(flats, a, b) {
                 Meeting::Inner => return false,
-                Meeting::Outward => has_outward = true,
+                Meeting::Outward | Meeting::Seam => is_soft = true,
                 Meeting::Sheet => {}
             }
         }
     }
-    has_outward || !stands_on_another(flats, sides)
+    is_soft || !stands_on_another(flats, sides)
 }
 
 pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {

@@ -92,7 +92,10 @@ fn outline(polygon: &PlanarPolygon, edges: &[&FaceEdge]) -> (Vec<DVec3>, Vec<boo
 fn goes_on(before: &EdgeKind, part: &EdgeKind) -> bool {
     match (before, part) {
         (EdgeKind::Wedge { other: a, .. }, EdgeKind::Wedge { other: b, .. }) => a == b,
-        (EdgeKind::Wedge { .. }, _) | (_, EdgeKind::Wedge { .. }) => false,
+        (EdgeKind::Seam { other: a }, EdgeKind::Seam { other: b }) => a == b,
+        (EdgeKind::Wedge { .. } | EdgeKind::Seam { .. }, _) | (_, EdgeKind::Wedge { .. } | EdgeKind::Seam { .. }) => {
+            false
+        }
         (a, b) => (*a == EdgeKind::Free) == (*b == EdgeKind::Free),
     }
 }

@@ -4,8 +4,14 @@
 //! As in [`crate::em::image`] the field is followed in the image's frame, where the direction never changes. Each
 //! reflection multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal mirrored by the later facets.
 //! Each wall that is crossed between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
+//!
+//! An edge divides a path's wave fronts. If `D` is the part that passes it on the other side (Kirchhoff's approximation,
+//! [`super::edge_field`]), the field is `(1 - D) T + D T'`, with the walls `T` that the path crosses and the walls `T'`
+//! that it crosses on the other side of the edge: none beside a free edge, other ones beyond a seam, a hinge or a corner.
+//! It is thus the same from either side where a path meets the edge. The walls `T'` make arrivals of their own.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -13,8 +19,8 @@ use num_complex::Complex64;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edge_field::side_between;
 use super::edges::SoftEdge;
-use super::environment::{Environment, Passing};
-use super::flat::{FacetId, Flat, SEAM_M};
+use super::environment::Environment;
+use super::flat::{FacetId, SEAM_M};
 use crate::em::fresnel::Reflection;
 use crate::em::image::{Element, Illumination};
 use crate::em::{Phasor3, incidence_frame};
@@ -101,10 +107,21 @@ impl Obstruction<'_> {
     }
 }
 
+/// Edge beside a leg, and the walls that paths cross just behind it, where the widest of its facets is, and just beside
+/// it; `None` where nothing passes.
+#[derive(Debug, Clone)]
+struct Beside {
+    edge: u32,
+    /// Unit vector from the edge into the facet that tells behind from beside.
+    inwards: DVec3,
+    behind: Option<Vec<FacetId>>,
+    beside: Option<Vec<FacetId>>,
+}
+
 /// Edges beside the legs of paths to nearly the same place, as found for the first of them. The keys are the numbers of
 /// the sequence and the leg. The same edges remain valid while a person moves by centimetres.
 #[derive(Debug, Clone, Default)]
-pub struct EdgesBeside(HashMap<(u32, u32), Vec<u32>>);
+pub struct EdgesBeside(HashMap<(u32, u32), Vec<Beside>>);
 
 impl EdgesBeside {
     /// Returns whether no edge is beside any leg.
@@ -116,7 +133,17 @@ impl EdgesBeside {
 /// Known edges beside a leg, and the leg's number.
 type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
 
-/// Relative field that arrives by a sequence of facets.
+/// Relative field that passes a leg.
+#[derive(Debug, Clone)]
+struct OnLeg {
+    /// Field by the walls that the leg crosses.
+    kept: Kept,
+    crossed: Vec<FacetId>,
+    /// Parts of the field that pass edges by other walls, and those walls.
+    others: Vec<(Complex64, Vec<FacetId>)>,
+}
+
+/// Relative field that arrives by a sequence of facets, and by certain walls.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
     sequence: &'a [FacetId],
@@ -334,14 +361,17 @@ impl ImagePaths {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
         let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
-        let Some((kept, crossed)) = self.on_leg(&leg, to, on, None) else { return 0.0 };
+        let Some(OnLeg { kept, crossed, others }) = self.on_leg(&leg, to, on, None) else { return 0.0 };
         let through = |&facet: &FacetId| {
-            self.environment.flat(facet).map_or(1.0, |flat| {
+            self.environment.flat(facet).map_or(Complex64::ONE, |flat| {
                 let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
-                (0.5 * (te + tm)).norm()
+                0.5 * (te + tm)
             })
         };
-        kept.field.norm() * crossed.iter().map(through).product::<f64>()
+        let past = |(part, walls): (Complex64, &[FacetId])| part * walls.iter().map(through).product::<Complex64>();
+        let all = others.iter().map(|(part, walls)| (*part, walls.as_slice()));
+        let sum: Complex64 = std::iter::once((kept.field, crossed.as_slice())).chain(all).map(past).sum();
+        sum.norm()
     }
 
     /// Sequences of an image by which a field arrives, with the relative field past facets and edges.
@@ -356,12 +386,12 @@ impl ImagePaths {
         let mut has_whole = false;
         for (number, sequence) in (0u32..).zip(&image.sequences) {
             let known = known.as_deref_mut().map(|known| (known, number));
-            let Some(arrival) = self.arrival(sequence, antenna, point, known) else { continue };
-            let is_whole = arrival.is_whole;
+            let arrivals = self.arrivals(sequence, antenna, point, known);
+            let is_whole = arrivals.iter().any(|arrival| arrival.is_whole);
             // Backwards from the point only one facet is met first: a second free path is the same path on the seam of
             // two.
             if !(is_whole && has_whole) {
-                all.push(arrival);
+                all.extend(arrivals);
             }
             has_whole |= is_whole;
         }
@@ -399,15 +429,27 @@ impl ImagePaths {
         Some(Folded { points, count: count + 2 })
     }
 
-    /// Relative field on the path by a sequence past facets, edges and walls; `None` where nothing is left.
-    fn arrival<'a>(
+    /// Relative fields on the path by a sequence past facets, edges and walls: by the walls that the path crosses, then
+    /// by others. Empty where nothing is left.
+    fn arrivals<'a>(
         &self,
         sequence: &'a [FacetId],
         antenna: DVec3,
         point: DVec3,
+        known: Option<(&mut EdgesBeside, u32)>,
+    ) -> Vec<Arrival<'a>> {
+        let Some(folded) = self.folded(sequence, antenna, point) else { return Vec::new() };
+        self.arrivals_on(sequence, &folded, antenna, known).unwrap_or_default()
+    }
+
+    /// The same for a known path; `None` where nothing is left.
+    fn arrivals_on<'a>(
+        &self,
+        sequence: &'a [FacetId],
+        folded: &Folded,
+        antenna: DVec3,
         mut known: Option<(&mut EdgesBeside, u32)>,
-    ) -> Option<Arrival<'a>> {
-        let folded = self.folded(sequence, antenna, point)?;
+    ) -> Option<Vec<Arrival<'a>>> {
         let points = folded.points();
         let total_m: f64 = points.windows(2).map(|w| w[0].distance(w[1])).sum();
         let leg = |i: usize, before_m: f64| {
@@ -424,7 +466,8 @@ impl ImagePaths {
             weight = weight.and(self.on_facet(facet, &leg, folded.point(i + 1))?);
         }
         let mut before_m = 0.0;
-        let mut crossed = Vec::new();
+        let mut crossed: Vec<(usize, FacetId)> = Vec::new();
+        let mut others: Vec<(Complex64, Vec<(usize, FacetId)>)> = Vec::new();
         let mut is_from_edge = false;
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
@@ -433,11 +476,25 @@ impl ImagePaths {
             is_from_edge = leg.length_m < BEFORE_M;
             let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
             let on = self.ends_on(sequence, i, antenna);
-            let (kept, through) = self.on_leg(&leg, folded.point(i + 1), on, known)?;
+            let on_leg = self.on_leg(&leg, folded.point(i + 1), on, known)?;
+            let kept = on_leg.kept;
+            let with = |before: &[(usize, FacetId)], walls: &[FacetId]| -> Vec<(usize, FacetId)> {
+                before.iter().copied().chain(walls.iter().map(|&facet| (i, facet))).collect()
+            };
+            let mut next: Vec<(Complex64, Vec<(usize, FacetId)>)> = Vec::new();
+            for (part, walls) in &on_leg.others {
+                next.push((weight.field * *part, with(&crossed, walls)));
+                next.extend(others.iter().map(|(before, all)| (*before * *part, with(all, walls))));
+            }
+            next.extend(others.iter().map(|(before, all)| (*before * kept.field, with(all, &on_leg.crossed))));
+            next.retain(|(part, _)| *part != Complex64::ZERO);
+            others = next;
             weight = weight.and(kept);
-            crossed.extend(through.into_iter().map(|facet| (i, facet)));
+            crossed.extend(on_leg.crossed.into_iter().map(|facet| (i, facet)));
         }
-        Some(Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed })
+        let first = Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed };
+        let others = others.into_iter().map(|(part, crossed)| Arrival { sequence, part, is_whole: false, crossed });
+        Some(std::iter::once(first).chain(others).filter(|arrival| arrival.part != Complex64::ZERO).collect())
     }
 
     /// Reflection of a facet relative to that of its infinite plane.
@@ -453,6 +510,8 @@ impl ImagePaths {
         let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
         let mut field = if is_on { Complex64::ONE } else { Complex64::ZERO };
         let mut is_left = is_on;
+        // On an edge, two facets of a seam each reflect their half of the field.
+        let mut is_on_edge = false;
         for &number in &flat.soft {
             let Some(edge) = self.environment.soft_edges().get(number as usize) else { continue };
             // The field that leaves a facet beyond an inner corner meets the next facet, in a separate sequence.
@@ -461,54 +520,66 @@ impl ImagePaths {
             }
             let passage = unfolded.past(edge, edge.inwards(facet), wavelength_m);
             let Some(passage) = passage.filter(|passage| passage.nu < reach) else { continue };
-            let is_over = if passage.clearance_m < UNSURE_ON_FACET_M { is_on } else { passage.is_behind };
+            let is_on_line = passage.clearance_m < UNSURE_ON_FACET_M;
+            is_on_edge |= is_on_line && passage.along[0] <= 0.0 && passage.along[1] >= 0.0;
+            let is_over = if is_on_line { is_on } else { passage.is_behind };
             field += if is_over { -passage.part(reach) } else { passage.part(reach) };
             is_left |= !is_over;
         }
-        is_left.then_some(Kept { field, is_whole: is_on })
+        is_left.then_some(Kept { field, is_whole: is_on && !is_on_edge })
     }
 
     /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses.
-    fn on_leg(
-        &self,
-        leg: &Leg,
-        to: DVec3,
-        on: [Option<FacetId>; 2],
-        known: KnownBeside,
-    ) -> Option<(Kept, Vec<FacetId>)> {
+    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], known: KnownBeside) -> Option<OnLeg> {
         let environment = &*self.environment;
+        let mut others: Vec<(Complex64, Vec<FacetId>)> = Vec::new();
         if leg.length_m < BEFORE_M {
-            return Some((Kept { field: Complex64::ONE, is_whole: true }, Vec::new()));
+            let kept = Kept { field: Complex64::ONE, is_whole: true };
+            return Some(OnLeg { kept, crossed: Vec::new(), others });
         }
         let passing = environment.passing([leg.from, to], on);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
         let found;
-        let beside: &[u32] = match known {
+        let edges: &[Beside] = match known {
             Some((known, number)) => known.0.entry(number).or_insert_with(|| self.edges_beside(leg, to, on, MOVED_M)),
             None => {
                 found = self.edges_beside(leg, to, on, 0.0);
                 &found
             }
         };
-        for edge in beside.iter().filter_map(|&number| environment.soft_edges().get(number as usize)) {
-            let passage = leg.past(edge, edge.widest(leg.direction), environment.wavelength_m());
+        for Beside { edge, inwards, behind, beside } in edges {
+            let Some(edge) = environment.soft_edges().get(*edge as usize) else { continue };
+            let passage = leg.past(edge, *inwards, environment.wavelength_m());
             let Some(passage) = passage else { continue };
             let part = passage.part(environment.edge_reach());
             if part.norm_sqr() < LEAST_PART * LEAST_PART {
                 continue;
             }
-            let screen = self.screen(edge, leg.direction, &passing);
-            let is_behind = if passage.clearance_m < UNSURE_M { screen.is_in_the_way } else { passage.is_behind };
-            field += if is_behind { part * screen.behind } else { -part * screen.beside };
+            let (behind, beside) = (behind.as_deref(), beside.as_deref());
+            let is_as_found = |walls: Option<&[FacetId]>| match walls {
+                Some(walls) => !passing.is_blocked && self.are_alike(walls, &passing.crossed),
+                None => passing.is_blocked,
+            };
+            let by_ray = (passage.clearance_m < UNSURE_M && is_as_found(behind) != is_as_found(beside))
+                .then(|| is_as_found(behind));
+            let part = if by_ray.unwrap_or(passage.is_behind) { part } else { -part };
+            for (walls, part) in [(beside, part), (behind, -part)] {
+                match walls {
+                    Some(walls) if self.are_alike(walls, &passing.crossed) => field += part,
+                    Some(walls) => others.push((part, walls.to_vec())),
+                    None => {}
+                }
+            }
             is_left = true;
         }
-        is_left.then_some((Kept { field, is_whole: !passing.is_blocked }, passing.crossed))
+        let kept = Kept { field, is_whole: !passing.is_blocked };
+        is_left.then_some(OnLeg { kept, crossed: passing.crossed, others })
     }
 
-    /// Diffracting edges beside a leg: on the outline of their facets, within reach (or up to `farther_m` beyond), and
-    /// seen from both ends.
-    fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<u32> {
+    /// Diffracting edges beside a leg: within reach (or up to `farther_m` beyond), seen from both ends, and with other
+    /// walls on one side than on the other. Where no wall transmits, these are edges on the outline of their facets.
+    fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<Beside> {
         let environment = &*self.environment;
         let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
         let wavelength_m = environment.wavelength_m();
@@ -517,45 +588,85 @@ impl ImagePaths {
         let most_nu = environment.edge_reach() * (1.0 + farther_m / reach_m);
         let mut near = Vec::with_capacity(USUALLY_NEAR);
         environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
-        near.retain(|&number| {
-            let Some(edge) = environment.soft_edges().get(number as usize) else { return false };
+        let found = |number: u32| {
+            let edge = environment.soft_edges().get(number as usize)?;
             if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m + farther_m)
                 || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
-                || !edge.is_outline(leg.from, leg.direction)
+                || !(environment.lets_through() || edge.is_outline(leg.from, leg.direction))
             {
-                return false;
+                return None;
             }
-            let passage = leg.past(edge, edge.widest(leg.direction), wavelength_m);
-            let Some(passage) = passage.filter(|passage| passage.nu < most_nu) else { return false };
-            let beside = passage.nearest + passage.outwards * BESIDE_M;
-            !environment.passing([leg.from, beside], [on[0], None]).is_blocked
-                && !environment.passing([beside, to], [None, on[1]]).is_blocked
-        });
-        near
+            let inwards = edge.widest(leg.direction);
+            let passage = leg.past(edge, inwards, wavelength_m).filter(|passage| passage.nu < most_nu)?;
+            let [behind, beside] = self.walls_beside(edge, leg, to, on, &passage);
+            let is_step = match (&behind, &beside) {
+                (None, None) => false,
+                (Some(behind), Some(beside)) => !self.are_alike(behind, beside),
+                _ => true,
+            };
+            is_step.then_some(Beside { edge: number, inwards, behind, beside })
+        };
+        near.into_iter().filter_map(found).collect()
     }
 
-    /// Screen that the facets at an edge form for a path in a direction.
-    fn screen(&self, edge: &SoftEdge, direction: DVec3, passing: &Passing) -> Screen {
-        let opaque = Screen { behind: Complex64::ONE, beside: Complex64::ONE, is_in_the_way: passing.is_blocked };
-        if !self.environment.lets_through() {
-            return opaque;
-        }
-        let flats = || edge.facets().iter().filter_map(|&facet| self.environment.flat(facet));
-        if flats().any(|flat| !flat.transmits) {
-            return opaque;
-        }
-        let is_crossed = |flat: &Flat| {
-            passing.crossed.iter().any(|&facet| self.environment.flat(facet).is_some_and(|f| f.plane == flat.plane))
+    /// Walls that a path crosses just behind an edge, where the widest of its facets is, and just beside it; `None` where
+    /// it is blocked. The edge's own facets are told by their sides, and all others by rays.
+    fn walls_beside(
+        &self,
+        edge: &SoftEdge,
+        leg: &Leg,
+        to: DVec3,
+        on: [Option<FacetId>; 2],
+        passage: &Passage,
+    ) -> [Option<Vec<FacetId>>; 2] {
+        let environment = &*self.environment;
+        let plane = |facet: FacetId| environment.flat(facet).map(|flat| flat.plane);
+        let own = |is_beside: bool| {
+            let mut walls: Vec<FacetId> = Vec::new();
+            for (facet, _) in edge.sides_of(passage.outwards).filter(|(_, beside)| *beside == is_beside) {
+                let transmits = environment.flat(facet).is_some_and(|flat| flat.transmits);
+                if !(environment.lets_through() && transmits) {
+                    return None;
+                }
+                // Both sides of a sheet are one wall.
+                if walls.iter().all(|&other| plane(other) != plane(facet)) {
+                    walls.push(facet);
+                }
+            }
+            Some(walls)
         };
-        let Some(flat) = flats().find(|flat| is_crossed(flat)).or_else(|| flats().next()) else { return opaque };
-        let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
-        let through = 0.5 * (te + tm);
-        // By Babinet's principle a partially transmitting screen diffracts the part that it removes. Where the path
-        // crosses the wall, the whole field is multiplied by the transmitted part afterwards.
-        let taken = 1.0 - through;
-        let is_in_the_way = is_crossed(flat);
-        let behind = if is_in_the_way && through.norm_sqr() > 1e-8 { taken / through } else { taken };
-        Screen { behind, beside: taken, is_in_the_way }
+        let others = |aside_m: f64| {
+            let place = passage.nearest + passage.outwards * aside_m;
+            let first = environment.passing([leg.from, place], [on[0], None]);
+            if first.is_blocked {
+                return None;
+            }
+            let second = environment.passing([place, to], [None, on[1]]);
+            if second.is_blocked {
+                return None;
+            }
+            let mut walls = first.crossed;
+            let again: Vec<FacetId> =
+                second.crossed.into_iter().filter(|&facet| walls.iter().all(|&w| plane(w) != plane(facet))).collect();
+            walls.extend(again);
+            walls.retain(|&facet| plane(facet).is_some_and(|plane| !edge.bounds_plane(plane)));
+            Some(walls)
+        };
+        [(false, -BESIDE_M), (true, BESIDE_M)].map(|(is_beside, aside_m)| {
+            let own = own(is_beside)?;
+            let mut walls = others(aside_m)?;
+            walls.extend(own);
+            Some(walls)
+        })
+    }
+
+    /// Returns whether two lists hold the same walls: as many, each of the plane and the material of one in the other.
+    fn are_alike(&self, some: &[FacetId], others: &[FacetId]) -> bool {
+        let is_like = |a: FacetId, b: FacetId| match (self.environment.flat(a), self.environment.flat(b)) {
+            (Some(a), Some(b)) => a.plane == b.plane && Arc::ptr_eq(&a.table, &b.table),
+            _ => false,
+        };
+        some.len() == others.len() && some.iter().all(|&a| others.iter().any(|&b| is_like(a, b)))
     }
 }
 
@@ -595,13 +706,4 @@ impl Environment {
         }
         field
     }
-}
-
-/// Screen that the facets at an edge form for a path.
-struct Screen {
-    /// Factors of the edge's contribution behind the facets and beside them.
-    behind: Complex64,
-    beside: Complex64,
-    /// Whether rays meet the facets.
-    is_in_the_way: bool,
 }

@@ -200,6 +200,130 @@ fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
     assert!(field(vec![mirror(-4.0, -2.0), mirror(2.0, 6.0)], 1.0) < 0.06 * whole(1.0));
 }
 
+/// Parts of a field on the low and on the high side of an edge that a path passes at a signed clearance, m, at these
+/// distances from its ends, m. The clearance is positive on the high side.
+fn on_either_side(clearance_m: f64, [d1, d2]: [f64; 2]) -> (f64, [Complex64; 2]) {
+    let wavelength_m = std::f64::consts::TAU / K;
+    let nu = clearance_m * (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
+    (nu, [half_plane(-nu), half_plane(nu)])
+}
+
+/// Where the material of a mirror changes, the field goes over from that of the one wall to that of the other as fields
+/// beside half-planes do. It stepped there.
+#[test]
+fn a_mirror_of_two_walls_has_no_step_at_their_seam() {
+    let mirror = |x0: f64, x1: f64, wall: Wall| {
+        let corners = [[x0, -3.0], [x1, -3.0], [x1, 3.0], [x0, 3.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+        Facet::new(corners.to_vec(), wall)
+    };
+    let antenna = Element { polarisation: DVec3::Y, ..isotropic(DVec3::new(-1.0, 0.0, 2.0)) };
+    let field = |facets: Vec<Facet>, x: f64| {
+        let sequences = (0..facets.len() as u32).map(|facet| vec![facet]);
+        let paths = ImagePaths::with_sequences(environment(facets), antenna.position, sequences);
+        let field = paths.illuminate(&antenna, 1, DVec3::new(x, 0.0, 2.0)).field;
+        Complex64::new(field.re.y, field.im.y)
+    };
+    let walls = [Wall::Conductor, slab(0)];
+    let mut compared = 0;
+    for step in -60..=60 {
+        // The point of reflection lies halfway, and on the seam for x = 1.
+        let x = 1.0 + 0.01 * f64::from(step);
+        let (met_m, length_m) = (0.5 * (x - 1.0), 4f64.hypot(x + 1.0));
+        let (sine, cosine) = ((x + 1.0) / length_m, 4.0 / length_m);
+        let d1 = 0.5 * length_m - met_m * sine;
+        let (nu, parts) = on_either_side(met_m * cosine, [d1, length_m - d1]);
+        if nu.abs() > 2.7 {
+            continue;
+        }
+        let [low, high] = walls.map(|wall| field(vec![mirror(-4.0, 6.0, wall)], x));
+        let both = field(vec![mirror(-4.0, 0.0, walls[0]), mirror(0.0, 6.0, walls[1])], x);
+        let expected = low * parts[0] + high * parts[1];
+        assert!((both - expected).norm() < 0.02, "{nu}: {both} {expected}");
+        compared += 1;
+    }
+    assert!(compared > 30, "{compared}");
+}
+
+/// Direct field at (2, y) of an antenna at (-2, 0.1), 1.5 m over the floor, past walls that let waves through.
+fn through(facets: Vec<Facet>, y: f64) -> Complex64 {
+    let antenna = isotropic(DVec3::new(-2.0, 0.1, 1.5));
+    let environment = Environment::new(facets, K).expect("facets").with_transmission(true);
+    let paths = ImagePaths::with_sequences(Arc::new(environment), antenna.position, Vec::<Vec<u32>>::new());
+    let field = paths.illuminate(&antenna, 0, DVec3::new(2.0, y, 1.5)).field;
+    Complex64::new(field.re.z, field.im.z)
+}
+
+fn glass() -> Wall {
+    Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.006 }
+}
+
+/// Behind a pane beside metal, and behind two panes, the field is what each lets through as beside half-planes. Behind
+/// metal it was nothing right up to the pane.
+#[test]
+fn a_wall_of_two_materials_lets_through_without_a_step() {
+    let part = |from: f64, to: f64, wall: Wall| sheet(DVec2::new(0.0, from), DVec2::new(0.0, to), 3.0, wall);
+    for walls in [[Wall::Conductor, glass()], [glass(), Wall::Conductor], [slab(0), glass()], [glass(), slab(0)]] {
+        let mut compared = 0;
+        for step in -100..=60 {
+            let y = 0.005 * f64::from(step);
+            let (met_m, length_m) = (0.5 * (y + 0.1), 4f64.hypot(y - 0.1));
+            let (sine, cosine) = ((y - 0.1) / length_m, 4.0 / length_m);
+            let d1 = 0.5 * length_m - met_m * sine;
+            let (nu, parts) = on_either_side(met_m * cosine, [d1, length_m - d1]);
+            if nu.abs() > 2.7 {
+                continue;
+            }
+            let [low, high] = walls.map(|wall| through(part(-4.0, 4.0, wall).to_vec(), y));
+            let both = through([part(-4.0, 0.0, walls[0]), part(0.0, 4.0, walls[1])].concat(), y);
+            let expected = low * parts[0] + high * parts[1];
+            assert!((both - expected).norm() < 0.02, "{walls:?} {nu}: {both} {expected}");
+            compared += 1;
+        }
+        assert!(compared > 50, "{compared}");
+    }
+}
+
+/// Asserts that a field has no step along a line, whose places are a millimetre apart, and returns its extremes.
+fn assert_no_step(what: &str, from_y: f64, to_y: f64, field: impl Fn(f64) -> Complex64) -> [f64; 2] {
+    let count = ((to_y - from_y) / 0.001).round() as u32;
+    let mut extremes = [f64::INFINITY, 0.0];
+    let mut last: Option<Complex64> = None;
+    for i in 0..=count {
+        let y = from_y + 0.001 * f64::from(i);
+        let now = field(y);
+        assert!(last.is_none_or(|last| (now - last).norm() < 0.03), "{what}: a step at {y}: {last:?} {now}");
+        extremes = [extremes[0].min(now.norm()), extremes[1].max(now.norm())];
+        last = Some(now);
+    }
+    extremes
+}
+
+/// A door leaf that stands open towards the antenna, on a wall of another material: there is no step at the hinge.
+#[test]
+fn a_hinge_gives_no_step() {
+    let wood = Wall::Slab { permittivity: Complex64::new(1.99, -0.11), thickness_m: 0.04 };
+    let hinge = DVec2::ZERO;
+    let wall = sheet(DVec2::new(0.0, -4.0), hinge, 3.0, slab(0));
+    let leaf = sheet(hinge, DVec2::new(-0.64, 0.64), 3.0, wood);
+    // In a floor plan a hinge is a wedge of the air behind it.
+    let all = [wall, leaf].concat().into_iter().map(|facet| Facet { soft_edges: vec![true; 4], ..facet });
+    let facets: Vec<Facet> = all.collect();
+    let [least, most] = assert_no_step("hinge", -0.9, 0.9, |y| through(facets.clone(), y));
+    assert!(least < 0.25 && most > 0.4, "{least} {most}");
+}
+
+/// A box that lets waves through, as a wooden cupboard does: beside it, behind its side and behind its back there are no
+/// steps. Behind a corner the field stepped by what the side leaves.
+#[test]
+fn a_box_that_transmits_gives_no_step() {
+    // Clockwise, so that its faces look outwards.
+    let outline = [[-0.25, -0.3], [-0.25, 0.3], [0.25, 0.3], [0.25, -0.3]].map(DVec2::from_array);
+    let facets: Vec<Facet> =
+        extruded(&outline, 3.0).into_iter().map(|facet| Facet { wall: slab(0), ..facet }).collect();
+    let [least, most] = assert_no_step("box", 0.1, 1.5, |y| through(facets.clone(), y));
+    assert!(least < 0.4 && most > 1.0, "{least} {most}");
+}
+
 /// A thin metal partition shadows the region behind it, and an edge near the path gives no step.
 #[test]
 fn a_partition_shadows_and_mirrors() {

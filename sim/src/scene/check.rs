@@ -98,6 +98,27 @@ pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     ]
 }
 
+/// Refuses a radar within a piece of furniture whose faces hide everything else, before the room's meshes are read. In a
+/// box that lets waves through, such as a cover, it may be.
+pub(super) fn check_radar_outside_furniture(file: &SceneFile) -> Result<(), Fault> {
+    let room = &file.room;
+    let by_rays = room.solver.map_or(room.plan.is_some() || !room.mesh.is_empty(), |s| s == SolverFile::Rays);
+    if !by_rays || room.transmission {
+        return Ok(());
+    }
+    let holds = |furniture: &&FurnitureFile| {
+        let is_solid = furniture.material.as_deref().is_some_and(|material| material != OPEN);
+        let is_within = |i: usize| {
+            let at_m = file.radar.position_m[i] - furniture.position_m[i];
+            at_m > 0.0 && at_m < furniture.size_m[i]
+        };
+        is_solid && (0..3).all(is_within)
+    };
+    file.furniture.iter().find(holds).map_or(Ok(()), |furniture| {
+        fault("position_m", file.radar.position_m, format!("a place outside the furniture {:?}", furniture.name))
+    })
+}
+
 /// Checks the scene's own materials and the materials of the room, before its meshes are read.
 pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     file.materials.iter().try_for_each(|(name, own)| check_own_material(name, own))?;

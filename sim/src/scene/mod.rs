@@ -290,6 +290,7 @@ impl Scene {
         })?;
         let fault = |fault: check::Fault| fault.at(path, text);
         check::check_materials(&file).map_err(fault)?;
+        check::check_radar_outside_furniture(&file).map_err(fault)?;
         plan::fill(&mut file).map_err(fault)?;
         let (mut outlines, meshes) = room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?;
         room::fill_cross_sections(&mut file, waveform.centre_frequency_hz());

@@ -339,7 +339,7 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
             part = part.name,
             tangled_edges = findings.tangled_edges,
             overlaps = findings.overlaps.len(),
-            "the mesh meets itself: faces that lie on each other count twice"
+            "the mesh meets itself: of faces that lie on each other only one counts"
         );
     }
     let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };

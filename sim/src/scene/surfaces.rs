@@ -54,6 +54,12 @@ pub enum EdgeKind {
     Inner,
     /// Another face in the same plane, on each side that has air.
     Flat,
+    /// Another face in the same plane whose wall is a different one, as a pane in a wall. Reflection and transmission
+    /// change there, so that the edge diffracts the difference; both faces list it.
+    Seam {
+        /// Index of the other face.
+        other: usize,
+    },
     /// Another face, with more than 180 degrees of air between. The edge is a wedge, which both faces list.
     Wedge {
         /// Angle of the air, rad: pi to two pi.
@@ -85,7 +91,7 @@ pub struct FaceEdge {
 impl FaceEdge {
     /// Whether the edge diffracts.
     pub fn diffracts(&self) -> bool {
-        matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. })
+        matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. } | EdgeKind::Seam { .. })
     }
 }
 
@@ -179,6 +185,8 @@ impl Surfaces {
         // Angles of the sheets about the edge, from the face towards its normal. Faces that were left out lie within
         // other faces.
         let mut sheets: Vec<(f64, Option<usize>)> = Vec::new();
+        // A face in the same plane that ends here, too, and is another wall.
+        let mut seam = None;
         for sheet in &touch.sheets {
             let other = match sheet.face {
                 Some(draft) => match number.get(draft).copied().flatten() {
@@ -191,9 +199,20 @@ impl Surfaces {
             if angle > STRAIGHT_RAD && angle < TAU - STRAIGHT_RAD {
                 sheets.push((angle, other));
             }
+            if let Some(other) = other
+                && sheet.ends_opposed.is_some()
+                && (angle - PI).abs() <= STRAIGHT_RAD
+                && self.faces.get(other).is_some_and(|other| other.wall != face.wall)
+            {
+                seam = Some(other);
+            }
         }
         sheets.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (kind, is_front) = kind(&sheets, face.sides);
+        let kind = match (kind, seam) {
+            (EdgeKind::Flat, Some(other)) => EdgeKind::Seam { other },
+            (kind, _) => kind,
+        };
         let air = if is_front { normal } else { -normal };
         Some(FaceEdge { face: index, edge, ends, inwards: touch.inwards, air, kind })
     }

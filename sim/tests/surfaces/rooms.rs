@@ -161,7 +161,7 @@ pub fn assert_same(found: &Surfaces, expected: &Surfaces, what: &str) {
     for face in &expected.faces {
         assert_eq!(found.faces.iter().filter(|other| is_same(face, other)).count(), 1, "{what}: {face:?} in {found:?}");
     }
-    for kind in [is_inner, is_flat, is_wedge, is_free] {
+    for kind in [is_inner, is_flat, is_seam, is_wedge, is_free] {
         assert_eq!(count(found, kind), count(expected, kind), "{what}");
     }
     assert_eq!(small_triangles(found), small_triangles(expected), "{what}");
@@ -178,6 +178,10 @@ pub fn is_inner(kind: &EdgeKind) -> bool {
 
 pub fn is_flat(kind: &EdgeKind) -> bool {
     *kind == EdgeKind::Flat
+}
+
+pub fn is_seam(kind: &EdgeKind) -> bool {
+    matches!(kind, EdgeKind::Seam { .. })
 }
 
 pub fn is_wedge(kind: &EdgeKind) -> bool {
