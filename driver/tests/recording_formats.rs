@@ -5,7 +5,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::infineon::InfineonReader;
-use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
+use radome_driver::recording::{Existing, Format, Recording, RecordingError, RecordingWriter, WriteReport, mcap};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
@@ -245,6 +245,23 @@ fn what_a_format_cannot_hold_is_named() {
 
 mod hard_cases {
     use super::*;
+
+    /// Regression test: a recording that is a pipe was waited for without end, and one that a shell substitutes was said to be
+    /// no MCAP file, because its first bytes had been read before.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_refused_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("pipe.mcap");
+        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
+        assert!(made.success());
+        let repaired = mcap::repair(&path, &folder.path().join("out.mcap"), Existing::Refuse);
+        for error in [Recording::open(&path).expect_err("a pipe"), repaired.expect_err("a pipe")] {
+            assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
+            let said = error.to_string();
+            assert!(said.contains("pipe.mcap: not a regular file") && said.contains("hint: "), "{said}");
+        }
+    }
 
     #[test]
     fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
