@@ -9,8 +9,12 @@ use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
+use radome_files::read_text;
 
 use crate::{files, source};
+
+/// Length limit of files of labels, bytes: more than a label for each frame of a day.
+const LIMIT_BYTES: u64 = 64 << 20;
 
 #[derive(Clone, Copy)]
 enum Format {
@@ -35,7 +39,7 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 /// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let format = format(path)?;
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     let read = match format {
         Format::Audacity => label_text::from_audacity(&text),
         Format::Deepcraft => label_text::from_deepcraft(&text),

@@ -78,6 +78,24 @@ fn an_output_that_cannot_be_written_is_named_before_any_work() {
     fails_with(simulate.arg(fixture("scenes/desk.toml")), &["/nonexistent"]);
 }
 
+/// Regression test: files of labels, captures of the empty room and files of angles were read whole, however long they were, and
+/// a pipe was waited for.
+#[test]
+fn files_that_options_name_are_read_up_to_a_limit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fixture("formats/recording.mcap");
+    for (command, option, name) in [
+        ("recording label", "--from", "labels.txt"),
+        ("recording echoes", "--angles", "angles.toml"),
+        ("live", "--background", "empty.json"),
+    ] {
+        // The file has holes only and takes no space.
+        let path = folder.path().join(name);
+        std::fs::File::create(&path).and_then(|file| file.set_len(1 << 40)).expect("writable");
+        fails_with(subcommand(command).arg(&recording).arg(option).arg(&path), &[name, "bytes or more, and at most"]);
+    }
+}
+
 #[test]
 fn a_damaged_model_is_refused_by_its_path() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
 use radome_dsp::{Frame, SourceEvent, Waveform};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -191,8 +192,8 @@ fn calibrate(
 }
 
 fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: AngleFile = radome_files::parse_toml(&text).with_context(|| {
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    let file: AngleFile = parse_toml(&text).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()
