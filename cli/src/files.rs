@@ -1,7 +1,7 @@
 //! Paths of the program's own scenes and models, and atomic writes of files.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -27,13 +27,44 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
     bail!("fixtures/{name} is not here\n\nhint: run radome in its source folder, or name a file of your own")
 }
 
+/// Output that is written under a temporary name. Errors of writing name the output.
+pub struct OutputFile {
+    file: File,
+    target: PathBuf,
+}
+
+impl OutputFile {
+    fn named<T>(&self, written: io::Result<T>) -> io::Result<T> {
+        written.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", self.target.display())))
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes);
+        self.named(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let flushed = self.file.flush();
+        self.named(flushed)
+    }
+}
+
+impl Seek for OutputFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let sought = self.file.seek(to);
+        self.named(sought)
+    }
+}
+
 /// Writes a file atomically; replaces an existing one.
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
 pub fn write_atomically(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     write_output(path, Existing::Replace, write)
 }
@@ -45,7 +76,7 @@ pub fn write_atomically(
 pub fn write_output(
     path: &Path,
     existing: Existing,
-    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let partial = Partial::file(path, existing)?;
     fill(&partial, write)?;
@@ -56,10 +87,13 @@ pub fn write_output(
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
-pub fn fill(partial: &Partial, write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>) -> anyhow::Result<()> {
-    let mut writer = BufWriter::new(partial.open()?);
+pub fn fill(
+    partial: &Partial,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let mut writer = BufWriter::new(OutputFile { file: partial.open()?, target: partial.target().to_owned() });
     write(&mut writer)?;
-    writer.flush().with_context(|| format!("cannot write {}", partial.target().display()))
+    writer.flush().context("cannot write the file")
 }
 
 /// Length of the header of a growing array, bytes. Any number of rows fits, so the header can be completed last.
@@ -80,7 +114,7 @@ fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
-pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
+pub fn write_growing_array<W: Write + Seek>(
     file: &mut W,
     row_shape: &[u64],
     write: impl FnOnce(&mut W) -> anyhow::Result<u64>,
@@ -88,7 +122,7 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     let cannot = "cannot write the array";
     file.write_all(&array_header(0, row_shape)).context(cannot)?;
     let rows = write(file)?;
-    file.seek(std::io::SeekFrom::Start(0)).context(cannot)?;
+    file.seek(SeekFrom::Start(0)).context(cannot)?;
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
