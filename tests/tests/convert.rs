@@ -251,6 +251,18 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: the writer for viewers panicked where the disk was full as a chunk began.
+    #[test]
+    #[cfg(unix)]
+    fn a_full_disk_ends_an_export_for_viewers_by_an_error() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let output = folder.path().join("v.mcap");
+        let input = fixture("formats/judged.mcap");
+        let said = failure(&mut limited(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
+        assert!(said.contains("cannot write the file for viewers") && !said.contains("internal error"), "{said}");
+        assert!(left_over(folder.path()).is_empty());
+    }
+
     #[test]
     fn wrong_inputs_and_outputs_are_refused_and_nothing_is_left() {
         let folder = tempfile::tempdir().expect("a folder");
