@@ -216,6 +216,28 @@ fn host_times_are_kept_to_the_nanosecond() {
     assert!(meta.contains("\"date_captured\": \"2026-01-06T07:16:15+0000\""), "{meta}");
 }
 
+/// Regression test: a host's clock that was set forwards made a recording of a second one of a day.
+#[test]
+fn times_of_a_host_whose_clock_was_set_are_the_boards() {
+    let folder = tempfile::tempdir().expect("folder");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let day_ns: i64 = 86_400_000_000_000;
+    for (name, set_ns) in [("forwards", day_ns), ("backwards", -day_ns)] {
+        let path = folder.path().join(name);
+        let mut frames = simulated(&waveform, 4, 1);
+        for frame in &mut frames {
+            frame.time_ns += 7 * frame.sequence;
+            let at_ns = 1_767_683_775_000_000_000 + frame.time_ns;
+            frame.host_time_ns = if frame.sequence < 2 { at_ns } else { at_ns.saturating_add_signed(set_ns) };
+        }
+        let report = write(&path, Format::Infineon, &waveform, &frames);
+        assert!(report.omitted.iter().any(|what| what.contains("the host's clock")), "{name}: {:?}", report.omitted);
+        let (_, back) = read(&path);
+        let times = |frames: &[Frame]| frames.iter().map(|frame| frame.time_ns).collect::<Vec<_>>();
+        assert_eq!(times(&back), times(&frames), "{name}");
+    }
+}
+
 #[test]
 fn what_a_format_cannot_hold_is_named() {
     let folder = tempfile::tempdir().expect("folder");
