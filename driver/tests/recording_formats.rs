@@ -319,6 +319,19 @@ mod hard_cases {
         assert!(path.join("thesis.tex").exists());
     }
 
+    /// Regression test: it was refused by the words "Not a directory", when all frames had been converted.
+    #[test]
+    fn a_file_in_the_place_of_a_folder_is_refused_before_any_frame() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("mine");
+        std::fs::write(&path, "x").expect("writes");
+        let header = RecordingHeader::new(waveform(&[1], 2, 8, 0.1));
+        let error = RecordingWriter::create(&path, Format::Infineon, &header).err().expect("refused");
+        assert!(matches!(error, RecordingError::Occupied { .. }), "{error}");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"x");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
     #[test]
     fn a_text_file_cut_or_damaged_names_the_place() {
         let folder = tempfile::tempdir().expect("folder");

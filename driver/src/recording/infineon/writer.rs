@@ -57,10 +57,11 @@ impl InfineonWriter {
     /// Starts a folder. One that exists must be empty.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] or [`RecordingError::Locked`] if the folder cannot be taken;
+    /// [`RecordingError::Occupied`] if a file or a folder with content has the name, [`RecordingError::Locked`] if another writer
+    /// has it;
     /// [`RecordingError::Io`].
     pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
-        if path.exists() && std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()) {
+        if path.exists() && !std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none()) {
             return Err(RecordingError::Occupied { path: path.to_owned() });
         }
         let partial = Partial::folder(path)?;
