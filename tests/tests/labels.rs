@@ -7,7 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
-    failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
+    convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -58,6 +58,12 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("the label from 1 to 2 s is empty"), "{said}");
     let said = failure(&mut label("run.mcap", &["--propose", "truth", "--who", "me"]));
     assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
+    // Files of labels hold no author, which was dropped without a word.
+    convert(&path("run.mcap"), &path("run.txt"));
+    for (name, output) in [("run.txt", &[][..]), ("run.mcap", &["-o", file.as_str()][..])] {
+        let said = failure(label(name, &["--span", "0:1=empty", "--who", "me"]).args(output));
+        assert!(said.contains("--who has no effect") && !path("run.label").exists(), "{name}: {said}");
+    }
 
     let header = Recording::open(&path("run.mcap")).expect("opens").header();
     RecordingWriter::create(&path("none.mcap"), Format::Mcap, &header)
