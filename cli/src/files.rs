@@ -129,9 +129,12 @@ pub fn write_growing_array<W: Write + Seek>(
 /// Fails early if the folder of an output file is missing.
 ///
 /// # Errors
-/// The folder does not exist.
+/// The folder does not exist, or is a file.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if parent.exists() && !parent.is_dir() {
+        bail!("{} is a file, and no folder for {}\n\nhint: name another place", parent.display(), path.display());
+    }
     if !parent.is_dir() {
         bail!("folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
     }
@@ -141,6 +144,19 @@ pub fn check_parent(path: &Path) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The hint was to make the folder, which a file prevents.
+    #[test]
+    fn a_file_in_the_place_of_the_outputs_folder_is_told_as_such() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("night.mcap");
+        std::fs::write(&file, "").expect("writes");
+        let said = check_parent(&file.join("maps.npy")).expect_err("refused").to_string();
+        assert!(said.contains("night.mcap is a file") && !said.contains("mkdir"), "{said}");
+        let said = check_parent(&folder.path().join("new/maps.npy")).expect_err("refused").to_string();
+        assert!(said.contains("mkdir -p"), "{said}");
+        check_parent(&file).expect("a folder");
+    }
 
     #[test]
     fn a_growing_array_reads_back_as_what_was_written() {
