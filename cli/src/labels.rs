@@ -88,9 +88,18 @@ pub fn tell_left_behind(source: &Path) {
     }
 }
 
-/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
+/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside `NAME` or `NAME.txt`.
 pub fn name_beside(recording: &Path) -> PathBuf {
-    if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
+    if recording.is_dir() {
+        return recording.join("radome.label");
+    }
+    // Recordings of the vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
+    if recording.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt")) {
+        return recording.with_extension("label");
+    }
+    let mut name = recording.as_os_str().to_owned();
+    name.push(".label");
+    name.into()
 }
 
 /// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a

@@ -73,6 +73,23 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
 }
 
+/// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
+/// gives its recordings no ending.
+#[test]
+fn labels_beside_a_recording_are_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 20", &path("run.mcap"));
+    for name in ["walk_0.5m", "walk_0.7m", "walk.txt"] {
+        success(subcommand("recording convert --to text").args([path("run.mcap"), path(name)]));
+    }
+    for (name, labels) in [("walk_0.5m", "walk_0.5m.label"), ("walk.txt", "walk.label")] {
+        success(subcommand("recording label --span 0:1=two").arg(path(name)));
+        assert!(path(labels).exists() && labels_of(&path(name)).len() == 1, "{name}");
+    }
+    assert!(labels_of(&path("walk_0.7m")).is_empty());
+}
+
 /// Asserts that labels that the page reports as saved are in the file, even if the program is killed.
 #[test]
 fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
