@@ -1,7 +1,7 @@
 //! Paths of the program's own scenes and models, and atomic writes of files.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -27,13 +27,44 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
     bail!("fixtures/{name} is not here\n\nhint: run radome in its source folder, or name a file of your own")
 }
 
+/// Output that is written under a temporary name. Errors of writing name the output.
+pub struct OutputFile {
+    file: File,
+    target: PathBuf,
+}
+
+impl OutputFile {
+    fn named<T>(&self, written: io::Result<T>) -> io::Result<T> {
+        written.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", self.target.display())))
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes);
+        self.named(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let flushed = self.file.flush();
+        self.named(flushed)
+    }
+}
+
+impl Seek for OutputFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let sought = self.file.seek(to);
+        self.named(sought)
+    }
+}
+
 /// Writes a file atomically; replaces an existing one.
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
 pub fn write_atomically(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     write_output(path, Existing::Replace, write)
 }
@@ -45,7 +76,7 @@ pub fn write_atomically(
 pub fn write_output(
     path: &Path,
     existing: Existing,
-    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let partial = Partial::file(path, existing)?;
     fill(&partial, write)?;
@@ -56,10 +87,13 @@ pub fn write_output(
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
-pub fn fill(partial: &Partial, write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>) -> anyhow::Result<()> {
-    let mut writer = BufWriter::new(partial.open()?);
+pub fn fill(
+    partial: &Partial,
+    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let mut writer = BufWriter::new(OutputFile { file: partial.open()?, target: partial.target().to_owned() });
     write(&mut writer)?;
-    writer.flush().with_context(|| format!("cannot write {}", partial.target().display()))
+    writer.flush().context("cannot write the file")
 }
 
 /// Length of the header of a growing array, bytes. Any number of rows fits, so the header can be completed last.
@@ -80,7 +114,7 @@ fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
-pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
+pub fn write_growing_array<W: Write + Seek>(
     file: &mut W,
     row_shape: &[u64],
     write: impl FnOnce(&mut W) -> anyhow::Result<u64>,
@@ -88,16 +122,22 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     let cannot = "cannot write the array";
     file.write_all(&array_header(0, row_shape)).context(cannot)?;
     let rows = write(file)?;
-    file.seek(std::io::SeekFrom::Start(0)).context(cannot)?;
+    file.seek(SeekFrom::Start(0)).context(cannot)?;
     file.write_all(&array_header(rows, row_shape)).context(cannot)
 }
 
 /// Fails early if the folder of an output file is missing.
 ///
 /// # Errors
-/// The folder does not exist.
+/// The folder does not exist, or is a file.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    ensure!(
+        parent.is_dir() || !parent.exists(),
+        "{} is a file, and no folder for {}\n\nhint: name another place",
+        parent.display(),
+        path.display()
+    );
     ensure!(parent.is_dir(), "folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
     Ok(())
 }
@@ -105,6 +145,19 @@ pub fn check_parent(path: &Path) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The hint was to make the folder, which a file prevents.
+    #[test]
+    fn a_file_in_the_place_of_the_outputs_folder_is_told_as_such() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("night.mcap");
+        std::fs::write(&file, "").expect("writes");
+        let said = check_parent(&file.join("maps.npy")).expect_err("refused").to_string();
+        assert!(said.contains("night.mcap is a file") && !said.contains("mkdir"), "{said}");
+        let said = check_parent(&folder.path().join("new/maps.npy")).expect_err("refused").to_string();
+        assert!(said.contains("mkdir -p"), "{said}");
+        check_parent(&file).expect("a folder");
+    }
 
     #[test]
     fn a_growing_array_reads_back_as_what_was_written() {

@@ -9,8 +9,12 @@ use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
+use radome_files::read_text;
 
 use crate::{files, source};
+
+/// Length limit of files of labels, bytes: more than a label for each frame of a day.
+const LIMIT_BYTES: u64 = 64 << 20;
 
 #[derive(Clone, Copy)]
 enum Format {
@@ -35,7 +39,7 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 /// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let format = format(path)?;
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     let read = match format {
         Format::Audacity => label_text::from_audacity(&text),
         Format::Deepcraft => label_text::from_deepcraft(&text),
@@ -84,9 +88,18 @@ pub fn tell_left_behind(source: &Path) {
     }
 }
 
-/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
+/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside `NAME` or `NAME.txt`.
 pub fn name_beside(recording: &Path) -> PathBuf {
-    if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
+    if recording.is_dir() {
+        return recording.join("radome.label");
+    }
+    // Recordings of the vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
+    if recording.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt")) {
+        return recording.with_extension("label");
+    }
+    let mut name = recording.as_os_str().to_owned();
+    name.push(".label");
+    name.into()
 }
 
 /// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a

@@ -83,6 +83,7 @@ impl SourceArgs {
             ("--waveform", self.waveform.is_some(), is_recording, "a recording has its own"),
             ("--seed", self.seed.is_some(), is_recording || is_board, of_simulations),
             ("--people", self.people.is_some(), is_recording || is_board, of_simulations),
+            ("--speed", self.speed.is_some(), is_board, "a board has its own pace"),
         ] {
             if is_given && is_unused {
                 bail!("{option} has no effect on {}: {why}\n\nhint: leave it away", self.source);

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::infineon::InfineonReader;
-use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
+use radome_driver::recording::{Existing, Format, Recording, RecordingError, RecordingWriter, WriteReport, mcap};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
@@ -210,6 +210,28 @@ fn host_times_are_kept_to_the_nanosecond() {
     assert!(meta.contains("\"date_captured\": \"2026-01-06T07:16:15+0000\""), "{meta}");
 }
 
+/// Regression test: a host's clock that was set forwards made a recording of a second one of a day.
+#[test]
+fn times_of_a_host_whose_clock_was_set_are_the_boards() {
+    let folder = tempfile::tempdir().expect("folder");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let day_ns: i64 = 86_400_000_000_000;
+    for (name, set_ns) in [("forwards", day_ns), ("backwards", -day_ns)] {
+        let path = folder.path().join(name);
+        let mut frames = simulated(&waveform, 4, 1);
+        for frame in &mut frames {
+            frame.time_ns += 7 * frame.sequence;
+            let at_ns = 1_767_683_775_000_000_000 + frame.time_ns;
+            frame.host_time_ns = if frame.sequence < 2 { at_ns } else { at_ns.saturating_add_signed(set_ns) };
+        }
+        let report = write(&path, Format::Infineon, &waveform, &frames);
+        assert!(report.omitted.iter().any(|what| what.contains("the host's clock")), "{name}: {:?}", report.omitted);
+        let (_, back) = read(&path);
+        let times = |frames: &[Frame]| frames.iter().map(|frame| frame.time_ns).collect::<Vec<_>>();
+        assert_eq!(times(&back), times(&frames), "{name}");
+    }
+}
+
 #[test]
 fn what_a_format_cannot_hold_is_named() {
     let folder = tempfile::tempdir().expect("folder");
@@ -239,6 +261,23 @@ fn what_a_format_cannot_hold_is_named() {
 
 mod hard_cases {
     use super::*;
+
+    /// Regression test: a recording that is a pipe was waited for without end, and one that a shell substitutes was said to be
+    /// no MCAP file, because its first bytes had been read before.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_refused_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("pipe.mcap");
+        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
+        assert!(made.success());
+        let repaired = mcap::repair(&path, &folder.path().join("out.mcap"), Existing::Refuse);
+        for error in [Recording::open(&path).expect_err("a pipe"), repaired.expect_err("a pipe")] {
+            assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
+            let said = error.to_string();
+            assert!(said.contains("pipe.mcap: not a regular file") && said.contains("hint: "), "{said}");
+        }
+    }
 
     #[test]
     fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
@@ -271,6 +310,19 @@ mod hard_cases {
         let error = RecordingWriter::create(&path, Format::Infineon, &header).err().expect("refused").to_string();
         assert!(error.contains("mine") && error.contains("not empty"), "{error}");
         assert!(path.join("thesis.tex").exists());
+    }
+
+    /// Regression test: it was refused by the words "Not a directory", when all frames had been converted.
+    #[test]
+    fn a_file_in_the_place_of_a_folder_is_refused_before_any_frame() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("mine");
+        std::fs::write(&path, "x").expect("writes");
+        let header = RecordingHeader::new(waveform(&[1], 2, 8, 0.1));
+        let error = RecordingWriter::create(&path, Format::Infineon, &header).err().expect("refused");
+        assert!(matches!(error, RecordingError::Occupied { .. }), "{error}");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"x");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 
     #[test]

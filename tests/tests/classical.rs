@@ -78,6 +78,16 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
     }
 }
 
+/// Regression test: without `--frames` the echoes of a recording ended after 100 frames, without a word.
+#[test]
+fn echoes_of_a_recording_go_on_to_its_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("long.mcap");
+    simulate(&fixture("scenes/desk.toml"), "--frames 110", &path);
+    let frames = json_lines(subcommand("recording echoes --json").arg(&path));
+    assert_eq!((frames.len(), &frames[109]["sequence"]), (110, &Value::from(109)));
+}
+
 /// Asserts phase offsets near zero: the simulator's receivers are equal and the reflector's position is known. The
 /// written file can be read again.
 #[test]

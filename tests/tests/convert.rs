@@ -216,7 +216,7 @@ mod hard_cases {
         assert_eq!(labels_of(&at("z.mcap")).len(), 1);
     }
 
-    /// A text recording or a folder that is cut was said to be finished.
+    /// A text recording or a folder that is cut was said to be finished, and a folder to have the frames that it lacks.
     #[test]
     fn recordings_of_other_formats_that_are_cut_are_not_finished() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -224,14 +224,19 @@ mod hard_cases {
         simulated(&at("x.mcap"), "4");
         for (name, samples) in [("y.txt", "y.txt"), ("session", "session/RadarIfxAvian_00/radar.npy")] {
             convert(&at("x.mcap"), &at(name));
-            let finished = || {
+            let info = || {
                 let info = json_lines_of(subcommand("recording info --json").arg(at(name)), &[0]).remove(0);
-                info["finished"].clone()
+                (info["finished"].as_bool(), info["frames"].as_u64())
             };
-            assert_eq!(finished(), true, "{name}");
+            assert_eq!(info(), (Some(true), Some(4)), "{name}");
             let bytes = std::fs::read(at(samples)).expect("reads");
             std::fs::write(at(samples), &bytes[..bytes.len() - 100]).expect("writes");
-            assert_eq!(finished(), false, "{name}");
+            assert_eq!(info(), (Some(false), Some(3)), "{name}");
+            // Nothing is converted by halves, but the frames before the cut are not lost.
+            let mut cut = subcommand("recording convert");
+            fails_with(cut.args([at(name), at("z.mcap")]), &["cut short", "hint: radome record"]);
+            failure(subcommand("record --overwrite -o").arg(at("kept.mcap")).arg(at(name)));
+            assert_eq!(read(&at("kept.mcap")).0.len(), 3, "{name}");
         }
     }
 
@@ -249,6 +254,18 @@ mod hard_cases {
             fails_with(&mut convert, &[name, "cannot be"]);
             assert!(left_over(folder.path()).is_empty());
         }
+    }
+
+    /// Regression test: the writer for viewers panicked where the disk was full as a chunk began.
+    #[test]
+    #[cfg(unix)]
+    fn a_full_disk_ends_an_export_for_viewers_by_an_error() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let output = folder.path().join("v.mcap");
+        let input = fixture("formats/judged.mcap");
+        let said = failure(&mut limited(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
+        assert!(said.contains("cannot write the file for viewers") && !said.contains("internal error"), "{said}");
+        assert!(left_over(folder.path()).is_empty());
     }
 
     #[test]

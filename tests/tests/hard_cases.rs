@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, npy, radome, subcommand};
+use radome_tests::{fails_with, failure, fixture, json_lines, limited, npy, radome, subcommand};
 use serde_json::json;
 
 /// Shape of the made-up recording: frames, channels, chirps, samples.
@@ -76,6 +76,43 @@ fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
 fn an_output_that_cannot_be_written_is_named_before_any_work() {
     let mut simulate = subcommand("scene simulate --frames 2 -o /nonexistent/run.mcap");
     fails_with(simulate.arg(fixture("scenes/desk.toml")), &["/nonexistent"]);
+}
+
+/// Regression test: files of labels, captures of the empty room and files of angles were read whole, however long they were, and
+/// a pipe was waited for.
+#[test]
+fn files_that_options_name_are_read_up_to_a_limit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fixture("formats/recording.mcap");
+    for (command, option, name) in [
+        ("recording label", "--from", "labels.txt"),
+        ("recording echoes", "--angles", "angles.toml"),
+        ("live", "--background", "empty.json"),
+    ] {
+        // The file has holes only and takes no space.
+        let path = folder.path().join(name);
+        std::fs::File::create(&path).and_then(|file| file.set_len(1 << 40)).expect("writable");
+        fails_with(subcommand(command).arg(&recording).arg(option).arg(&path), &[name, "bytes or more, and at most"]);
+    }
+}
+
+/// Regression test: of a full disk only the system's words were left, without the file.
+#[cfg(unix)]
+#[test]
+fn an_output_that_does_not_fit_on_the_disk_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (command, input, name) in [
+        ("recording maps", "formats/judged.mcap", "maps.npy"),
+        ("recording answers", "formats/judged.mcap", "answers.csv"),
+        ("recording label", "formats/judged.mcap", "labels.txt"),
+        ("model export", "models/room-cnn.safetensors", "cnn.onnx"),
+    ] {
+        let output = folder.path().join(name);
+        let mut on_full_disk = limited(0, subcommand(command).arg(fixture(input)).arg("-o").arg(&output));
+        let named = format!("{}: ", output.display());
+        fails_with(&mut on_full_disk, &[named.as_str(), "os error"]);
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 0);
 }
 
 #[test]

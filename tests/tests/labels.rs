@@ -7,7 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
-    failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
+    convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -61,6 +61,12 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("no class, such as 'three'"), "{said}");
     let said = failure(&mut label("run.mcap", &["--propose", "truth", "--who", "me"]));
     assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
+    // Files of labels hold no author, which was dropped without a word.
+    convert(&path("run.mcap"), &path("run.txt"));
+    for (name, output) in [("run.txt", &[][..]), ("run.mcap", &["-o", file.as_str()][..])] {
+        let said = failure(label(name, &["--span", "0:1=empty", "--who", "me"]).args(output));
+        assert!(said.contains("--who has no effect") && !path("run.label").exists(), "{name}: {said}");
+    }
 
     let header = Recording::open(&path("run.mcap")).expect("opens").header();
     RecordingWriter::create(&path("none.mcap"), Format::Mcap, &header)
@@ -68,6 +74,23 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
         .expect("writes");
     let said = failure(&mut label("none.mcap", &["--span", "0:1=empty"]));
     assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
+}
+
+/// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
+/// gives its recordings no ending.
+#[test]
+fn labels_beside_a_recording_are_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 20", &path("run.mcap"));
+    for name in ["walk_0.5m", "walk_0.7m", "walk.txt"] {
+        success(subcommand("recording convert --to text").args([path("run.mcap"), path(name)]));
+    }
+    for (name, labels) in [("walk_0.5m", "walk_0.5m.label"), ("walk.txt", "walk.label")] {
+        success(subcommand("recording label --span 0:1=two").arg(path(name)));
+        assert!(path(labels).exists() && labels_of(&path(name)).len() == 1, "{name}");
+    }
+    assert!(labels_of(&path("walk_0.7m")).is_empty());
 }
 
 /// Asserts that labels that the page reports as saved are in the file, even if the program is killed.

@@ -70,6 +70,11 @@ fn an_array_on_stdout_is_the_file() {
         assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
         assert!(!picture.exists(), "{wrong:?}");
     }
+    // Messages had the program's own index in place of the number that was given.
+    for rx in ["0", "4"] {
+        let said = failure(subcommand("recording maps --rx").arg(rx).arg(&input).arg("--png").arg(&picture));
+        assert!(said.contains(&format!("--rx {rx}: frames have 2 receive channels")), "{said}");
+    }
     // An array is no picture, and a picture no array.
     let mut array_as_picture = subcommand("recording maps");
     fails_with(array_as_picture.arg(&input).arg("-o").arg(&picture), &["map.png", "--png writes a picture"]);

@@ -78,6 +78,7 @@ mod hard_cases {
             (&*emulated, "--people", "1"),
             (board, "--seed", "3"),
             (board, "--people", "1"),
+            (board, "--speed", "2"),
         ] {
             for command in [&["recording", "echoes"][..], &["live", "--model", model]] {
                 let said = failure(radome().args(command).args([source, option, value]));

@@ -7,11 +7,14 @@ use anyhow::{Context, bail, ensure};
 use radome_driver::Judge;
 use radome_driver::recording::Existing;
 use radome_dsp::{Rdm, Waveform};
+use radome_files::read;
 use serde::{Deserialize, Serialize};
 
 use crate::files;
 
 const FORMAT: u32 = 1;
+/// Length limit of captures, bytes: the largest maps have millions of cells.
+const LIMIT_BYTES: u64 = 64 << 20;
 /// Least number of frames of a capture: about ten seconds at ten per second.
 pub const LEAST_FRAMES: usize = 90;
 /// Factor on the largest excess in the part of the capture that was not used for the level. It gives the threshold
@@ -121,7 +124,7 @@ impl Background {
     /// The file cannot be read or was captured with another model.
     pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
         let named = || format!("{} is no capture of an empty room", path.display());
-        let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         let background: Background = serde_json::from_slice(&text).with_context(named)?;
         if background.format != FORMAT {
             bail!("{}: format {}, this program reads {FORMAT}", path.display(), background.format);

@@ -63,7 +63,7 @@ impl Canvas {
                 true => svg::write(writer, self.size, self.paper, &self.marks),
                 false => raster::write(writer, self.size, self.paper, &self.marks),
             };
-            written.with_context(|| format!("cannot write {}", path.display()))
+            written.context("cannot write the picture")
         })
     }
 }

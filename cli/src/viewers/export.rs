@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Seek, Write};
 use std::iter::{Flatten, Peekable};
+use std::mem::ManuallyDrop;
 
 use anyhow::Context;
 use mcap::WriteOptions;
@@ -66,7 +67,8 @@ struct Topics {
 }
 
 struct Export<W: Write + Seek> {
-    mcap: mcap::Writer<W>,
+    /// Dropped only where nothing has failed: its `Drop` finishes the file, and panics after some errors.
+    mcap: ManuallyDrop<mcap::Writer<W>>,
     topics: Topics,
     /// Number of messages so far.
     messages: u32,
@@ -96,7 +98,7 @@ impl<W: Write + Seek> Export<W> {
             .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
             .compression_level(COMPRESSION_LEVEL)
             .compression_threads(0);
-        let mut mcap = options.create(out).context(CANNOT)?;
+        let mut mcap = ManuallyDrop::new(options.create(out).context(CANNOT)?);
         let mut channel = |topic: &str, message_type: &MessageType| -> anyhow::Result<u16> {
             let schema = mcap.add_schema(&message_type.full_name(), "protobuf", &message_type.descriptor_set());
             let schema = schema.context(CANNOT)?;
@@ -249,7 +251,7 @@ impl<W: Write + Seek> Export<W> {
         let metadata = BTreeMap::from([("waveform".to_owned(), waveform), ("map".to_owned(), map.to_string())]);
         self.mcap.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).context(CANNOT)?;
         self.mcap.finish().context(CANNOT)?;
-        self.report.bytes = self.mcap.into_inner().stream_position().context(CANNOT)?;
+        self.report.bytes = ManuallyDrop::into_inner(self.mcap).into_inner().stream_position().context(CANNOT)?;
         Ok(self.report)
     }
 }

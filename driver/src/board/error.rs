@@ -82,6 +82,12 @@ pub enum BoardError {
         "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml"
     )]
     WaveformUnknown { path: PathBuf },
+    /// The waveform that the board states cannot be used.
+    #[error(
+        "{path}: the board states a waveform that cannot be used: {reason}\n\nhint: mend the firmware's line `Waveform: {{...}}`, or name the \
+         waveform that it was built for, with --waveform FILE.toml"
+    )]
+    WaveformStated { path: PathBuf, reason: String },
     /// An error that only DEEPCRAFT boards have.
     #[error("{path}: {source}")]
     Deepcraft { path: PathBuf, source: DeepcraftError },
@@ -127,6 +133,7 @@ impl BoardError {
             | BoardError::Chip(_)
             | BoardError::Line { .. }
             | BoardError::WaveformUnknown { .. }
+            | BoardError::WaveformStated { .. }
             | BoardError::Stopped => false,
         }
     }

@@ -1,7 +1,8 @@
 //! Emulated debug probe: the commands of [`crate::protocol::cmsis_dap`], and a target that counts its resets.
 
 use std::fs::OpenOptions;
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -58,16 +59,48 @@ impl EmulatedProbe {
     /// Serves a HID gadget's node, such as `/dev/hidg0`, until it fails. `ready` is called when the node is open.
     ///
     /// # Errors
-    /// Error of the system if the node cannot be opened, read or written.
+    /// Error of the system if the node cannot be opened, read or written, or has ended; [`ErrorKind::InvalidInput`] if it is no
+    /// device.
     pub fn serve_hid(&mut self, gadget: &Path, ready: impl FnOnce()) -> io::Result<()> {
         let mut gadget = OpenOptions::new().read(true).write(true).open(gadget)?;
+        // Answers would overwrite the content of a file.
+        if !gadget.metadata()?.file_type().is_char_device() {
+            let what = "it is no device, expected a HID gadget's node such as /dev/hidg0";
+            return Err(io::Error::new(ErrorKind::InvalidInput, what));
+        }
         ready();
         let mut report = [0; HID_PACKET];
         loop {
             let count = gadget.read(&mut report)?;
+            if count == 0 {
+                return Err(ErrorKind::UnexpectedEof.into());
+            }
             let mut answer = self.answer(report.get(..count).unwrap_or(&[]));
             answer.resize(HID_PACKET, 0);
             gadget.write_all(&answer)?;
         }
+    }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::*;
+
+    /// Regression test: a recording that was named as the node was overwritten, and then grew until the disk was full.
+    #[test]
+    fn a_file_in_the_place_of_the_node_is_refused_and_keeps_its_content() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        std::fs::write(&path, [7u8; 300]).expect("writes");
+        let error = EmulatedProbe::default().serve_hid(&path, || panic!("ready")).expect_err("no device");
+        assert!(error.kind() == ErrorKind::InvalidInput && error.to_string().contains("/dev/hidg0"), "{error}");
+        assert_eq!(std::fs::read(&path).expect("reads"), [7u8; 300]);
+    }
+
+    /// Regression test: a node at its end kept a processor busy.
+    #[test]
+    fn a_node_that_has_ended_is_an_error() {
+        let error = EmulatedProbe::default().serve_hid(Path::new("/dev/null"), || {}).expect_err("its end");
+        assert_eq!(error.kind(), ErrorKind::UnexpectedEof);
     }
 }

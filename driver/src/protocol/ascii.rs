@@ -54,7 +54,9 @@ pub enum LineError {
     )]
     Length { number: u64, got: usize, expected: usize },
     /// Line longer than any frame.
-    #[error("a line of more than {limit} bytes; skipped to the next")]
+    #[error(
+        "a line of more than {limit} bytes, longer than any frame of the waveform\n\nhint: name the waveform that the firmware is built for"
+    )]
     TooLong { limit: usize },
 }
 

@@ -38,6 +38,12 @@ pub enum RecordingError {
          vendor's text file with its _config.json beside it"
     )]
     Unknown { path: PathBuf },
+    /// The path names a pipe, a device, or a folder in the place of a file.
+    #[error(
+        "{path}: not a regular file, but a folder, a pipe or a device\n\nhint: name a file; what a pipe brings has to be written to one \
+         first"
+    )]
+    NotRegular { path: PathBuf },
     /// The content breaks the format's rules.
     #[error("{path}: at byte {offset}: {reason}")]
     Corrupt { path: PathBuf, offset: u64, reason: String },

@@ -5,6 +5,7 @@
 mod disk;
 mod error;
 pub mod infineon;
+mod input;
 pub mod label_text;
 mod lock;
 pub mod mcap;

@@ -1,12 +1,12 @@
 //! Recordings of any kind as one type, with seeking, labels and results.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use super::infineon::InfineonReader;
+use super::input::open_file;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
 use super::{Extent, RecordingError};
@@ -53,14 +53,14 @@ impl Recording {
     /// Opens a recording; its content decides the format.
     ///
     /// # Errors
-    /// [`RecordingError`] if the path cannot be read or is not a recording.
+    /// [`RecordingError`] if the path cannot be read or is not a recording; [`RecordingError::NotRegular`] for a pipe.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let metadata = std::fs::metadata(path).map_err(RecordingError::io(path, "cannot be opened"))?;
         if metadata.is_dir() {
             return Ok(Recording::Infineon(Box::new(InfineonReader::open(path)?)));
         }
         let mut magic = [0; 8];
-        let mut file = File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
+        let mut file = open_file(path)?;
         if file.read_exact(&mut magic).is_ok() && magic == *::mcap::MAGIC {
             return Ok(Recording::Mcap(Box::new(McapReader::open(path)?)));
         }

@@ -180,7 +180,7 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
             Err(error) => {
                 let hint = match source {
                     Recording::Mcap(_) => REPAIR_HINT,
-                    _ => "",
+                    _ => "\n\nhint: radome record RECORDING -o FILE.mcap keeps the frames before that place",
                 };
                 bail!("{}{hint}", output::chain(&anyhow::Error::from_boxed(error)));
             }

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
 use radome_dsp::{Frame, SourceEvent, Waveform};
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::output_file::Overwrite;
-use crate::source::{self, SourceArgs, SourceOptions};
+use crate::source::{self, SourceArgs};
 use crate::{files, output};
 
 /// Time over which frames are compared to find people who sit or stand, s.
@@ -21,8 +22,8 @@ const REFLECTOR_M: f64 = 0.3;
 /// Number of frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
-/// Default number of frames.
-const FRAMES: u64 = 100;
+/// Number of frames of a simulation without --frames: a scene has no end.
+const SIMULATED_FRAMES: u64 = 100;
 
 /// `radome recording echoes`
 #[derive(clap::Args)]
@@ -86,8 +87,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
-    let frames = arguments.source.frames.unwrap_or(FRAMES);
-    let options = SourceOptions { frames: Some(frames), ..arguments.source.options()? };
+    let frames = arguments.source.frames.unwrap_or(u64::MAX);
+    let mut options = arguments.source.options()?;
+    options.frames.get_or_insert(SIMULATED_FRAMES);
     let mut source = source::open(&arguments.source.source, &options)?.frames;
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
@@ -194,8 +196,8 @@ fn calibrate(
 }
 
 fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: AngleFile = radome_files::parse_toml(&text).with_context(|| {
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    let file: AngleFile = parse_toml(&text).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()

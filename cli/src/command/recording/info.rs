@@ -28,7 +28,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut recording = Recording::open(path)?;
     let header = recording.header();
     let waveform = &header.waveform;
-    let frames = recording.frame_count();
+    let frames = match &recording {
+        // The header of an array that is cut short promises more.
+        Recording::Infineon(reader) => Some(reader.whole_frames()),
+        other => other.frame_count(),
+    };
     let duration_s = recording
         .extent()?
         .map_or(0.0, |extent| extent.last.time_s() - extent.first.time_s() + waveform.frame_interval_s());

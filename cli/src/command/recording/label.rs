@@ -38,7 +38,7 @@ pub struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Author of the labels of --span and --from, stored with them; those of --propose name the proposer
+    /// Author of the labels of --span and --from, stored with them in an MCAP recording; those of --propose name the proposer
     #[arg(long, requires = "what")]
     who: Option<String>,
     /// Print a JSON list of objects
@@ -76,6 +76,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bail!(
             "--who names the author of labels by --span and --from, and there are none\n\nhint: leave it out; labels of --propose name the \
              proposer"
+        );
+    }
+    let holds_authors = || match &arguments.output {
+        Some(_) => Ok(false),
+        None => Recording::open(&arguments.recording).map(|recording| matches!(recording, Recording::Mcap(_))),
+    };
+    if arguments.who.is_some() && !holds_authors()? {
+        bail!(
+            "--who has no effect: files of labels hold no authors\n\nhint: leave it out; labels in an MCAP recording hold them"
         );
     }
     let mut spans = arguments.span.clone();

@@ -84,7 +84,11 @@ impl Arguments {
     fn spec(&self, waveform: &Waveform) -> anyhow::Result<RdmSpec> {
         let mut spec = self.preset.spec(waveform);
         if let Some(rx) = self.rx {
-            spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
+            let channels = waveform.shape().rx;
+            let index = rx.checked_sub(1).filter(|index| *index < channels);
+            let index =
+                index.with_context(|| format!("--rx {rx}: frames have {channels} receive channels, from 1 on"))?;
+            spec.channels = Channels::One(index);
         }
         if self.incoherent {
             spec.channels = Channels::IncoherentSum;

@@ -43,7 +43,8 @@ impl Esp32Stream {
     ///
     /// # Errors
     /// [`BoardError::Open`], [`BoardError::Busy`] or [`BoardError::PermissionDenied`] if the port cannot be opened;
-    /// [`BoardError::WaveformUnknown`] if no waveform is given and the firmware states none.
+    /// [`BoardError::WaveformUnknown`] if no waveform is given and the firmware states none,
+    /// [`BoardError::WaveformStated`] if it states one that cannot be used.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
         Esp32Stream::listen(path, open_port(path)?, Vec::new(), waveform)
     }
@@ -91,21 +92,20 @@ impl Esp32Stream {
 
 /// Listens until the firmware states its waveform; appends all bytes to `heard`.
 fn read_waveform_line(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
-    let untold = || BoardError::WaveformUnknown { path: path.to_owned() };
     let began = Instant::now();
     let mut begin = 0;
     loop {
         while let Some(length) = heard.get(begin..).unwrap_or(&[]).iter().position(|b| *b == b'\n') {
             let line = heard.get(begin..begin + length).unwrap_or(&[]);
             begin += length + 1;
-            match ascii::decode_waveform(line.strip_suffix(b"\r").unwrap_or(line)).map(|r| r.map(Waveform::realise)) {
-                None => {}
-                Some(Ok(Ok(waveform))) => return Ok(waveform),
-                Some(_) => return Err(untold()),
+            if let Some(request) = ascii::decode_waveform(line.strip_suffix(b"\r").unwrap_or(line)) {
+                let unusable = |reason: String| BoardError::WaveformStated { path: path.to_owned(), reason };
+                let request = request.map_err(|error| unusable(error.to_string()))?;
+                return Waveform::realise(request).map_err(|error| unusable(error.to_string()));
             }
         }
         if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MAX_HEARD_BYTES {
-            return Err(untold());
+            return Err(BoardError::WaveformUnknown { path: path.to_owned() });
         }
         read_more(port, heard).map_err(lost(path))?;
     }
@@ -184,5 +184,27 @@ impl Reconnectable for Esp32Stream {
 
     fn recovery(&mut self) -> &mut Recovery {
         &mut self.recovery
+    }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use radome_dsp::WaveformRequest;
+
+    use super::*;
+
+    /// Regression test: firmware that stated a waveform with a wrong key or value was said to state none.
+    #[test]
+    fn a_stated_waveform_that_cannot_be_used_is_told_with_its_reason() {
+        let mut impossible = Vec::new();
+        let request = WaveformRequest { if_gain_db: 7.0, ..WaveformRequest::paper() };
+        ascii::encode_waveform(&request, &mut impossible);
+        let wrong_key = b"I (312) main: radar started\r\nWaveform: {\"start_hz\": 60e9}\r\n".to_vec();
+        for (heard, reason) in [(impossible, "if_gain_db is 7"), (wrong_key, "start_hz")] {
+            let (_firmware, port) = TTYPort::pair().expect("a pty");
+            let error = Esp32Stream::listen(Path::new("port"), port, heard, None).err().expect("refused");
+            assert!(matches!(&error, BoardError::WaveformStated { reason: r, .. } if r.contains(reason)), "{error}");
+            assert!(!error.is_passing() && error.to_string().contains("--waveform"), "{error}");
+        }
     }
 }

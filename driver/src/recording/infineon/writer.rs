@@ -16,6 +16,10 @@ use crate::recording::{RecordingError, Tally, WriteReport, disk, utc};
 /// Length of the vendor's headers, bytes: any number of frames fits, so that the header can be filled in last.
 const HEADER_BYTES: usize = 1024;
 
+/// Difference between the steps of the board's and the host's clock above which the host's was set between two frames, ns.
+/// Clocks drift apart by less, and frames are not held up for so long.
+const CLOCK_SET_NS: u64 = 10_000_000_000;
+
 /// Header of an NPY file, padded as the vendor pads it.
 fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
@@ -30,7 +34,8 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
 /// Writer of a session's folder with one radar. The folder appears under its name when [`InfineonWriter::finish`] has
 /// completed it, and not at all otherwise.
 ///
-/// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures.
+/// The format holds codes, times (of one clock: the host's if all frames have it and nobody set it, else the board's) and
+/// temperatures.
 /// The numbers of frames do not include gaps, and the format holds neither labels nor truth.
 #[derive(Debug)]
 pub(in crate::recording) struct InfineonWriter {
@@ -52,10 +57,11 @@ impl InfineonWriter {
     /// Starts a folder. One that exists must be empty.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] or [`RecordingError::Locked`] if the folder cannot be taken;
+    /// [`RecordingError::Occupied`] if a file or a folder with content has the name, [`RecordingError::Locked`] if another writer
+    /// has it;
     /// [`RecordingError::Io`].
     pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
-        if path.exists() && std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()) {
+        if path.exists() && !std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none()) {
             return Err(RecordingError::Occupied { path: path.to_owned() });
         }
         let partial = Partial::folder(path)?;
@@ -132,7 +138,7 @@ impl InfineonWriter {
         let board: Vec<u64> = self.times_ns.iter().map(|t| t.0).collect();
         let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
         let has_host = host.iter().any(|t| *t > 0);
-        if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() {
+        if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() && !self.was_host_clock_set() {
             let first = host.first().copied().unwrap_or(0);
             if host.iter().zip(&board).any(|(host, board)| host - first != *board) {
                 omitted.push("times by the board's clock (the host's are kept)".into());
@@ -140,7 +146,7 @@ impl InfineonWriter {
             return Some(host);
         }
         if has_host {
-            omitted.push("times by the host's clock, absent from some frames or going backwards".into());
+            omitted.push("times by the host's clock, absent from some frames or set while they were taken".into());
         }
         if !board.is_sorted() || board.iter().any(|t| *t >= FIRST_UNIX_NS) {
             omitted.push("times by the board's clock, which go backwards".into());
@@ -148,6 +154,15 @@ impl InfineonWriter {
         }
         let nominal = |(index, time): (usize, &u64)| self.header.waveform.frame_time_ns(index as u64) == *time;
         (!self.temperatures.is_empty() || !board.iter().enumerate().all(nominal)).then_some(board)
+    }
+
+    /// Returns whether the host's clock has jumped against the board's, as where a computer without a battery for its clock hears
+    /// the time from the network.
+    fn was_host_clock_set(&self) -> bool {
+        self.times_ns.windows(2).any(|pair| {
+            let &[(board, host), (next_board, next_host)] = pair else { return false };
+            next_host.abs_diff(host).abs_diff(next_board.abs_diff(board)) > CLOCK_SET_NS
+        })
     }
 
     fn write_temperatures(&self, stamps_ns: &[u64]) -> Result<(), RecordingError> {

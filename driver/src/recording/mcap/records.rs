@@ -11,6 +11,7 @@ use radome_dsp::Waveform;
 use super::lengths::{parse_record, strings_fit};
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RESULTS, RecordingHeader};
 use crate::recording::RecordingError;
+use crate::recording::input::open_file;
 
 /// Longest record that is accepted, bytes: chunks are a few megabytes.
 pub(super) const MAX_RECORD: u64 = 1 << 28;
@@ -52,7 +53,7 @@ pub(super) enum Next {
 
 impl Records {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let file = File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
+        let file = open_file(path)?;
         let length = file.metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
         let mut records = Records { path: path.to_owned(), file: BufReader::new(file), length, offset: 0 };
         let mut magic = [0; 8];
