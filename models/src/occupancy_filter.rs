@@ -25,9 +25,8 @@ const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 // The keys of `SmoothingFile` that are no longer read are not offered.
 #[schemars(!from, default, deny_unknown_fields)]
 pub struct Smoothing {
-    /// Mean time that nobody or two people stay, s: how long the filter holds on to its answer. One person stays half of it, whom
-    /// another can join or who can leave. Wrong frames last, which the model of the filter does not know, so the best value is
-    /// shorter than people stay.
+    /// Mean time that a number of people stays what it is, s: how long the filter holds on to its answer. Wrong frames last, which
+    /// the model of the filter does not know, so the best value is shorter than people stay.
     pub dwell_s: f64,
     /// Weight of one frame's evidence in (0, 1], whatever the frame interval: of models from before `independent_s`, and absent
     /// where that is given. 1 takes each frame at its word.
@@ -128,11 +127,12 @@ impl Smoothing {
         }
     }
 
-    /// Transition rates between numbers of people, 1/s: one person comes or goes at a time, and each change is as frequent as its
-    /// reverse. Without evidence, all numbers are equally likely.
+    /// Transition rates between numbers of people, 1/s: one person comes or goes at a time. From one person, both are equally likely.
+    ///
+    /// Without evidence, one person is as likely as none and two together.
     fn rates(&self) -> Matrix {
         let rate = 1.0 / self.dwell_s;
-        [[-rate, rate, 0.0], [rate, -2.0 * rate, rate], [0.0, rate, -rate]]
+        [[-rate, 0.5 * rate, 0.0], [rate, -rate, rate], [0.0, 0.5 * rate, -rate]]
     }
 }
 
