@@ -572,6 +572,8 @@ mod tests {
     /// Noise in which each cell is repeated along an axis, as on axes of twice the resolution; then cell by cell.
     #[test]
     fn the_noise_tells_the_resolution() {
+        /// Three standard deviations of a correlation over a thousand cells, some of which are compared twice.
+        const SPREAD: f64 = 0.12;
         let cells = noise(64, 64, 6);
         let repeated = |rows: usize, columns: usize| -> Vec<f32> {
             (0..64 * 64).map(|k| cells[k / 64 / rows * 64 + k % 64 / columns]).collect()
@@ -581,8 +583,8 @@ mod tests {
         {
             let found = describe(&repeated(rows, columns), 64);
             for (axis, expected) in expected.into_iter().enumerate() {
-                near("one bin apart", found[NOISE + 2 * axis], expected, 0.07);
-                near("two bins apart", found[NOISE + 2 * axis + 1], 0.0, 0.07);
+                near("one bin apart", found[NOISE + 2 * axis], expected, SPREAD);
+                near("two bins apart", found[NOISE + 2 * axis + 1], 0.0, SPREAD);
             }
         }
         // An echo, its range bins and bins without noise change nothing but the number of pairs.
@@ -590,7 +592,7 @@ mod tests {
         map[..5 * 64].fill(3.0);
         (0..64).for_each(|column| map[30 * 64 + column] += 40.0);
         let found = describe(&map, 64);
-        near("beside an echo", found[NOISE], 0.5, 0.07);
+        near("beside an echo", found[NOISE], 0.5, SPREAD);
         let is_noise = |row: usize, column: usize| {
             row >= 5 && row != 30 && !(31..=33).contains(&column) && (1e-9..=10.0).contains(&map[row * 64 + column])
         };
