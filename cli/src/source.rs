@@ -16,6 +16,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::chip::RegisterList;
+use radome_driver::recording::mcap::RecordingHeader;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
@@ -162,8 +163,10 @@ pub struct Source {
     pub is_live: bool,
     /// One-line description.
     pub description: String,
-    /// Board of the source, if there is one.
+    /// Board of the source, if there is one; of a recording the board that made it.
     pub board: Option<BoardIdentity>,
+    /// Whether the frames are those of a recording, so that the board is not at work now.
+    pub is_recording: bool,
     pub registers: RegisterList,
     /// Whether the board is away. Frames that are lost when the source is stopped meanwhile are no gap of the source.
     pub outage: Outage,
@@ -178,10 +181,18 @@ impl Source {
             is_live: false,
             description,
             board: None,
+            is_recording: false,
             registers: RegisterList::new(),
             outage: Outage::default(),
             playback: None,
         }
+    }
+
+    /// Frames of a recording, whose board is the one that made it.
+    fn of_recording(frames: Box<dyn FrameSource>, path: &Path, header: RecordingHeader) -> Self {
+        let RecordingHeader { board, registers, .. } = header;
+        let source = Source::without_board(frames, format!("recording {}", path.display()));
+        Source { board, registers, is_recording: true, ..source }
     }
 
     fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
@@ -276,8 +287,9 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
         Source::without_board(frames, description)
     } else {
-        let frames = Box::new(Recording::open(path)?);
-        Source::without_board(frames, format!("recording {}", path.display()))
+        let recording = Recording::open(path)?;
+        let header = recording.header();
+        Source::of_recording(Box::new(recording), path, header)
     };
     if let Some(speed) = options.speed.filter(|speed| *speed > 0.0) {
         source.frames = Box::new(RealTime::new(source.frames, speed));
@@ -338,14 +350,13 @@ fn simulation_in(
     Ok(Box::new(simulator))
 }
 
-/// Opens a recording for playback; its board is the one that recorded it.
+/// Opens a recording for playback.
 fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();
     let Some(player) = Player::new(recording, speed)? else { bail!("{}: no frame", path.display()) };
     let playback = Playback { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
-    let source = Source::without_board(Box::new(player), format!("recording {}", path.display()));
-    Ok(Source { board: header.board, registers: header.registers, playback: Some(playback), ..source })
+    Ok(Source { playback: Some(playback), ..Source::of_recording(Box::new(player), path, header) })
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {

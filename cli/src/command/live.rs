@@ -111,7 +111,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut integrations = Integrations::open(&arguments.integrations, &arguments.view.access, &header, started)?;
+    // A recording must not speak as the board that made it: the broker would drop that board's own connection.
+    let board = source.board.as_ref().filter(|_| !source.is_recording);
+    let mut integrations =
+        Integrations::open(&arguments.integrations, &arguments.view.access, &header, board, started)?;
     let screen = Screen::new(arguments.json, source.is_live)?;
 
     let mut pipeline = Pipeline::new();

@@ -1,9 +1,10 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
 use radome_driver::Outage;
+use radome_driver::recording::Recording;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
@@ -57,6 +58,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
+    tell_answers_left_behind(arguments.source.input());
     let header = RecordingHeader {
         waveform: source.frames.waveform().clone(),
         board: source.board.clone(),
@@ -90,6 +92,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
+}
+
+/// Says whose answers in a recording are not taken over with its frames.
+fn tell_answers_left_behind(source: &Path) {
+    if let Some(judge) = Recording::open(source).ok().and_then(|recording| recording.header().judge) {
+        message!(
+            "the answers of {} in {} are not carried over; radome recording convert copies them",
+            judge.model,
+            source.display()
+        );
+    }
 }
 
 /// Numbers of recorded and lost frames.

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
-use radome_driver::RecordingHeader;
+use radome_driver::{BoardIdentity, RecordingHeader};
 use radome_dsp::Occupancy;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{SignalKind, signal};
@@ -76,7 +76,8 @@ pub struct Integrations {
 }
 
 impl Integrations {
-    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port.
+    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port, and `board`
+    /// the one at work, as which the broker knows this radar.
     ///
     /// # Errors
     /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
@@ -84,6 +85,7 @@ impl Integrations {
         arguments: &Arguments,
         access: &access::Arguments,
         header: &RecordingHeader,
+        board: Option<&BoardIdentity>,
         started: Instant,
     ) -> anyhow::Result<Self> {
         let (stop, stopped) = watch::channel(false);
@@ -115,7 +117,7 @@ impl Integrations {
         if let Some(broker) = arguments.broker.broker()? {
             check_prefix(&arguments.mqtt_discovery_prefix)?;
             let name = arguments.mqtt_name.as_deref();
-            let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
+            let device = Device::new(board, name, &arguments.mqtt_discovery_prefix, reports.is_some());
             let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
             let mqtt = mqtt::Mqtt { broker, options, device, latest: latest.clone(), reports: reports.clone() };
             integrations.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
