@@ -396,7 +396,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn stamps_with_an_exponent_are_read_and_nonsense_is_not() {
+    fn stamps_with_an_exponent_are_read_and_nonsense_leaves_the_times_of_the_frame_interval() {
         let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 2, 1);
@@ -406,9 +406,15 @@ mod hard_cases {
         assert_eq!(std::fs::read_to_string(&stamps).expect("reads"), "0.000000005\n0.100000000\n");
         std::fs::write(&stamps, "1e-1\n+2.5\n").expect("writes");
         assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [100_000_000, 2_500_000_000]);
+        std::fs::write(&stamps, "1\n\nnoon\n").expect("writes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        assert!(reader.left_out()[0].contains("line 3: 'noon'"), "{:?}", reader.left_out());
         for wrong in ["1\n0\n", "-1\n2\n", "nan\n2\n", "1\n", "1\n2\n3\n", "1\n99999999999999999999\n", "..\n2\n"] {
             std::fs::write(&stamps, wrong).expect("writes");
-            assert!(InfineonReader::open(&path).is_err(), "{wrong}");
+            let reader = InfineonReader::open(&path).expect("opens");
+            let [reason] = reader.left_out() else { panic!("{wrong}: {:?}", reader.left_out()) };
+            assert!(reason.contains("radar_timestamp.csv"), "{reason}");
+            assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [0, 100_000_000], "{wrong}");
         }
     }
 }
