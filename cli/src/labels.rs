@@ -74,7 +74,7 @@ pub fn rewrite_beside(
     file: &Path,
     change: impl FnOnce(Vec<LabelSpan>) -> anyhow::Result<Vec<LabelSpan>>,
 ) -> anyhow::Result<()> {
-    let partial = Partial::file(file, Existing::Replace)?;
+    let partial = Partial::labels(file)?;
     let text = text(file, &change(of(recording)?)?)?;
     files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
     Ok(partial.finish()?)
