@@ -10,6 +10,7 @@
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
+use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -309,6 +310,17 @@ fn is_device(_: &Path) -> bool {
     false
 }
 
+/// Name of a recording or scene: that of the folder, or of the file without the ending of its format. Recordings of the
+/// vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
+pub fn name_of(path: &Path) -> OsString {
+    let is_known = |ending: &OsStr| ["mcap", "txt", "toml"].iter().any(|known| ending.eq_ignore_ascii_case(known));
+    let name = match !path.is_dir() && path.extension().is_some_and(is_known) {
+        true => path.file_stem(),
+        false => path.file_name(),
+    };
+    name.unwrap_or_default().to_owned()
+}
+
 fn is_scene(path: &Path) -> bool {
     path.extension().is_some_and(|e| e == "toml")
 }
@@ -475,4 +487,25 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     })?;
     let request = parse_toml(&text).with_context(|| format!("{spec} is no waveform"))?;
     Waveform::realise(request).with_context(|| format!("{spec} is no waveform of this chip"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_ends_with_the_format_and_not_at_any_dot() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let session = folder.path().join("walk_0.5m");
+        std::fs::create_dir(&session).expect("a folder");
+        assert_eq!(name_of(&session), "walk_0.5m");
+        for (path, name) in [
+            ("a/night.mcap", "night"),
+            ("walk_0.7m.TXT", "walk_0.7m"),
+            ("walk_0.7m", "walk_0.7m"),
+            ("hall.toml", "hall"),
+        ] {
+            assert_eq!(name_of(Path::new(path)), name, "{path}");
+        }
+    }
 }
