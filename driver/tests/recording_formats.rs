@@ -279,6 +279,37 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: a recorder waited for the reader of a pipe, and heard no signal meanwhile.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_recorded_to_if_somebody_reads_it_and_else_refused_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let (path, copy) = (folder.path().join("pipe.mcap"), folder.path().join("copy.mcap"));
+        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
+        assert!(made.success());
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let header = RecordingHeader::new(waveform.clone());
+        let error = Recorder::create(&path, &header).err().expect("nobody reads");
+        assert!(matches!(error, RecordingError::NoReader { .. }), "{error}");
+        assert!(error.to_string().contains("hint: "), "{error}");
+        let frames = simulated(&waveform, 3, 1);
+        let reader = {
+            let path = path.clone();
+            std::thread::spawn(move || std::fs::read(path))
+        };
+        let mut recorder = loop {
+            match Recorder::create(&path, &header) {
+                // The reader has not opened it yet.
+                Err(RecordingError::NoReader { .. }) => std::thread::yield_now(),
+                created => break created.expect("creates"),
+            }
+        };
+        frames.iter().for_each(|frame| recorder.frame(frame).expect("writes"));
+        recorder.finish().expect("finishes");
+        std::fs::write(&copy, reader.join().expect("no panic").expect("reads")).expect("writes");
+        assert_eq!(read(&copy).1.len(), 3);
+    }
+
     #[test]
     fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
         let folder = tempfile::tempdir().expect("folder");
