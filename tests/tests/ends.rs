@@ -317,6 +317,15 @@ fn wrong_use_ends_with_2() {
         let (status, _, said) = outcome(radome().args(["live", "x.mcap"]).args(arguments));
         assert!(status == Some(2) && said.contains("required"), "{arguments:?}: {said}");
     }
+    // Options of the broker are checked before the source is opened, which may be a board.
+    for (arguments, reason) in [
+        (&["--mqtt", "http://x"][..], "does not begin with mqtt://"),
+        (&["--mqtt", "mqtt://x", "--mqtt-discovery-prefix", "#"], "--mqtt-discovery-prefix"),
+        (&["--mqtt", "mqtt://x", "--mqtt-ca", "x.pem"], "--mqtt-ca is for"),
+    ] {
+        let (status, _, said) = outcome(radome().args(["live", "serial:/dev/no-such-port"]).args(arguments));
+        assert!(status == Some(2) && said.contains(reason) && said.contains("hint:"), "{arguments:?}: {said}");
+    }
     for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
         for value in ["nan", "inf", "-3"] {
             let argument = format!("{option}={value}");

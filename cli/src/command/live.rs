@@ -77,6 +77,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
         bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
     }
+    arguments.integrations.check()?;
     let output = arguments.output.as_deref().map(NewRecording::named);
     if let Some(path) = output.as_ref().map(NewRecording::path) {
         output_file::check_is_mcap(path)?;
