@@ -185,7 +185,12 @@ fn write_all(
             // A silent board may never come back, so its frames are flushed to the disk.
             Err(RecvTimeoutError::Timeout) if std::mem::take(&mut is_unflushed) => recorder.flush()?,
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
+            // The end is known even if it could not be delivered in time.
+            Err(RecvTimeoutError::Disconnected) => {
+                let Some(end) = inlet.end.get() else { return Err(Failure::without_a_word().into()) };
+                let end = write(Item::End(end.clone()), recorder, tally, &mut next_sequence)?;
+                return Ok(end.and_then(Result::err));
+            }
         }
     }
     let waiting = inlet.receiver.len();
@@ -269,6 +274,22 @@ mod tests {
         let error = error.expect("an error");
         assert!(error.contains("panics.rs:") && error.contains("frame 3 cannot be made"), "{error}");
         assert_eq!((tally.frames, is_finished), (3, false));
+    }
+
+    /// Regression test: a disk that took no frame for ten seconds at the end left the recording unfinished.
+    #[test]
+    fn an_end_that_could_not_be_delivered_in_time_finishes_the_recording() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.mcap");
+        let header = RecordingHeader::new(panicking_after(0).waveform().clone());
+        let recorder = Recorder::create(&path, &header).expect("a file");
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
+        inlet.end.set(Ok(())).expect("no end yet");
+        drop(pipeline);
+        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
+        end.expect("an end");
+        assert!(McapReader::open(&path).expect("a file that opens").is_complete());
     }
 
     #[test]

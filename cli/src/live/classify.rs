@@ -11,7 +11,7 @@ use super::answer::{Answer, Latency, Summary};
 use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
-use super::pipeline::{Failure, Inlet, Item};
+use super::pipeline::{Inlet, Item};
 use super::sink::{Moment, Sink};
 use crate::judge::{Delays, Judge, Model, Prediction};
 use crate::{output, panics};
@@ -235,7 +235,10 @@ fn judge_all(
         let delivery = match inlet.receiver.recv_timeout(patience) {
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
-            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
+            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => {
+                missed.note(u64::MAX, judge, sinks)?;
+                return inlet.closed().map_err(anyhow::Error::from);
+            }
         };
         match delivery.item {
             Item::Frame(frame) => {
@@ -342,6 +345,16 @@ mod tests {
         drop(pipeline);
         let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
         assert!(error.to_string().contains("without a word"), "{error}");
+    }
+
+    /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.
+    #[test]
+    fn an_end_that_could_not_be_delivered_in_time_is_an_end() {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
+        inlet.end.set(Ok(())).expect("no end yet");
+        drop(pipeline);
+        run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect("an end");
     }
 
     #[test]

@@ -114,6 +114,14 @@ pub struct Inlet {
     pub end: Arc<OnceLock<End>>,
 }
 
+impl Inlet {
+    /// Result of a stream whose queue is closed and empty. It is known even where the last item could not be delivered in
+    /// time, because the consumer took none.
+    pub fn closed(&self) -> End {
+        self.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))
+    }
+}
+
 /// Consumers that are registered before the reader starts.
 pub struct Pipeline {
     outlets: Vec<Outlet>,
@@ -223,9 +231,8 @@ impl Items {
                 }
                 Ok(delivery) => return Ok(delivery.item),
                 Err(RecvTimeoutError::Timeout) => {}
-                // The end is known even if it could not be delivered in time.
                 Err(RecvTimeoutError::Disconnected) => {
-                    self.inlet.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))?;
+                    self.inlet.closed()?;
                     break;
                 }
             }
