@@ -29,6 +29,12 @@ impl Ended {
     }
 }
 
+/// Error of an option whose value the program checks itself, such as one that must not be quoted. Its exit status is that
+/// of wrong use.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct WrongUse(pub anyhow::Error);
+
 /// Prints the error of a failed command on stderr; returns the exit status.
 pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
     match outcome {
@@ -38,7 +44,7 @@ pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
         Err(error) if output::is_closed_stdout(error) => ExitCode::SUCCESS,
         Err(error) => {
             message!("error: {}", output::chain(error));
-            ExitCode::FAILURE
+            if error.is::<WrongUse>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -62,6 +68,7 @@ mod tests {
         assert!(is(report(&Ok(Ended::with_loss(true))), 3));
         assert!(is(report(&Err(anyhow::anyhow!("no such board"))), 1));
         let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
+        assert!(is(report(&Err(WrongUse(anyhow::anyhow!("no such option")).into())), 2));
         assert!(is(report(&closed), 0));
         assert!(is(report(&closed.context("cannot say it")), 0));
     }

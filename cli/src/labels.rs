@@ -11,6 +11,7 @@ use radome_driver::recording::{Existing, Partial, Recording, label_text};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
 use radome_files::read_text;
 
+use crate::output::on_one_line;
 use crate::{files, source};
 
 /// Length limit of files of labels, bytes: more than a label for each frame of a day.
@@ -74,7 +75,7 @@ pub fn rewrite_beside(
     file: &Path,
     change: impl FnOnce(Vec<LabelSpan>) -> anyhow::Result<Vec<LabelSpan>>,
 ) -> anyhow::Result<()> {
-    let partial = Partial::file(file, Existing::Replace)?;
+    let partial = Partial::labels(file)?;
     let text = text(file, &change(of(recording)?)?)?;
     files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
     Ok(partial.finish()?)
@@ -175,12 +176,14 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
         if label.is_empty() {
             message!("the label from {start_s} to {end_s} s is empty");
         } else if let Some(class) = classes.find(|class| class != label && class.eq_ignore_ascii_case(label)) {
+            let label = on_one_line(label);
             message!("the label '{label}' is kept as free text; the class is written '{class}'");
         }
     }
     let is_near = |label: &str| Occupancy::ALL.into_iter().any(|class| class.name().eq_ignore_ascii_case(label));
     let mut labels = spans.iter().map(|span| span.label.as_str());
     if let Some(label) = labels.find(|label| !label.is_empty() && !is_near(label)) {
+        let label = on_one_line(label);
         message!(
             "labels that are no class, such as '{label}', are kept as free text: their frames count as not labelled"
         );

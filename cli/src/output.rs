@@ -28,6 +28,17 @@ pub fn text_line(line: &str) -> anyhow::Result<()> {
     text(&format!("{line}\n"))
 }
 
+/// Text for one line of a table: line ends and other control characters are escaped.
+pub fn on_one_line(text: &str) -> String {
+    text.chars().fold(String::new(), |mut line, character| {
+        match character.is_control() {
+            true => line.extend(character.escape_default()),
+            false => line.push(character),
+        }
+        line
+    })
+}
+
 /// Writes text, and flushes it.
 ///
 /// # Errors

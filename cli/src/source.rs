@@ -10,12 +10,14 @@
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
+use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::chip::RegisterList;
+use radome_driver::recording::mcap::RecordingHeader;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
@@ -162,8 +164,10 @@ pub struct Source {
     pub is_live: bool,
     /// One-line description.
     pub description: String,
-    /// Board of the source, if there is one.
+    /// Board of the source, if there is one; of a recording the board that made it.
     pub board: Option<BoardIdentity>,
+    /// Whether the frames are those of a recording, so that the board is not at work now.
+    pub is_recording: bool,
     pub registers: RegisterList,
     /// Whether the board is away. Frames that are lost when the source is stopped meanwhile are no gap of the source.
     pub outage: Outage,
@@ -178,10 +182,18 @@ impl Source {
             is_live: false,
             description,
             board: None,
+            is_recording: false,
             registers: RegisterList::new(),
             outage: Outage::default(),
             playback: None,
         }
+    }
+
+    /// Frames of a recording, whose board is the one that made it.
+    fn of_recording(frames: Box<dyn FrameSource>, path: &Path, header: RecordingHeader) -> Self {
+        let RecordingHeader { board, registers, .. } = header;
+        let source = Source::without_board(frames, format!("recording {}", path.display()));
+        Source { board, registers, is_recording: true, ..source }
     }
 
     fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
@@ -276,8 +288,9 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
         Source::without_board(frames, description)
     } else {
-        let frames = Box::new(Recording::open(path)?);
-        Source::without_board(frames, format!("recording {}", path.display()))
+        let recording = Recording::open(path)?;
+        let header = recording.header();
+        Source::of_recording(Box::new(recording), path, header)
     };
     if let Some(speed) = options.speed.filter(|speed| *speed > 0.0) {
         source.frames = Box::new(RealTime::new(source.frames, speed));
@@ -295,6 +308,17 @@ fn is_device(path: &Path) -> bool {
 #[cfg(not(unix))]
 fn is_device(_: &Path) -> bool {
     false
+}
+
+/// Name of a recording or scene: that of the folder, or of the file without the ending of its format. Recordings of the
+/// vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
+pub fn name_of(path: &Path) -> OsString {
+    let is_known = |ending: &OsStr| ["mcap", "txt", "toml"].iter().any(|known| ending.eq_ignore_ascii_case(known));
+    let name = match !path.is_dir() && path.extension().is_some_and(is_known) {
+        true => path.file_stem(),
+        false => path.file_name(),
+    };
+    name.unwrap_or_default().to_owned()
 }
 
 fn is_scene(path: &Path) -> bool {
@@ -338,14 +362,13 @@ fn simulation_in(
     Ok(Box::new(simulator))
 }
 
-/// Opens a recording for playback; its board is the one that recorded it.
+/// Opens a recording for playback.
 fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();
     let Some(player) = Player::new(recording, speed)? else { bail!("{}: no frame", path.display()) };
     let playback = Playback { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
-    let source = Source::without_board(Box::new(player), format!("recording {}", path.display()));
-    Ok(Source { board: header.board, registers: header.registers, playback: Some(playback), ..source })
+    Ok(Source { playback: Some(playback), ..Source::of_recording(Box::new(player), path, header) })
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
@@ -464,4 +487,25 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     })?;
     let request = parse_toml(&text).with_context(|| format!("{spec} is no waveform"))?;
     Waveform::realise(request).with_context(|| format!("{spec} is no waveform of this chip"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_ends_with_the_format_and_not_at_any_dot() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let session = folder.path().join("walk_0.5m");
+        std::fs::create_dir(&session).expect("a folder");
+        assert_eq!(name_of(&session), "walk_0.5m");
+        for (path, name) in [
+            ("a/night.mcap", "night"),
+            ("walk_0.7m.TXT", "walk_0.7m"),
+            ("walk_0.7m", "walk_0.7m"),
+            ("hall.toml", "hall"),
+        ] {
+            assert_eq!(name_of(Path::new(path)), name, "{path}");
+        }
+    }
 }

@@ -8,7 +8,8 @@ use radome_driver::protocol::deepcraft::{
     Answer, CapabilitiesRequest, Command, MAX_RESPONSE, MessageParser, Preset, Request, Response, device_status,
 };
 use radome_driver::{
-    BoardError, DeepcraftBoard, DeepcraftError, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace,
+    BoardError, DeepcraftBoard, DeepcraftError, DeepcraftStream, EmulatedBoard, EmulatorError, EmulatorOptions, Fault,
+    Feed, Kind, Pace,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
@@ -66,6 +67,24 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
         assert!(stream.registers().is_empty(), "the firmware has its own");
         assert!(read(&mut stream, 60).is_empty());
     }
+}
+
+/// Regression test: the board said to be set to a waveform that its firmware cannot have, and no client could start it.
+#[test]
+fn a_source_whose_frames_the_firmware_cannot_hold_is_refused_or_measured_in_a_preset() {
+    let large = waveform(&[1, 2, 3], 128, 256, 0.1);
+    let pattern = || Box::new(Pattern::new(large.clone(), u64::MAX));
+    let error = EmulatedBoard::spawn(pattern(), options(Kind::Deepcraft, &[])).err().expect("a refusal");
+    assert!(matches!(error, EmulatorError::Frame { codes: 98_304 }), "{error}");
+    assert!(error.to_string().contains("hint:"), "{error}");
+    let any = Feed::of_any_waveform(pattern(), |waveform, _| Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))));
+    let board = EmulatedBoard::spawn(any, options(Kind::Deepcraft, &[])).expect("spawns");
+    let client = DeepcraftBoard::open(board.path()).expect("opens");
+    let configured = client.configured_waveform().expect("a waveform");
+    assert_eq!(Preset::of(&configured), Some(Preset::Default));
+    assert!(read(&mut client.start(&configured).expect("starts"), 30).is_empty());
+    let other = waveform(&[1, 2, 3], 8, 64, 0.1);
+    assert!(read(&mut start(&board, &other), 30).is_empty());
 }
 
 /// Compares the emulated board's answer with bytes written by hand from the rules of protobuf and the captured

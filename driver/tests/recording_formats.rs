@@ -279,6 +279,37 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: a recorder waited for the reader of a pipe, and heard no signal meanwhile.
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_is_recorded_to_if_somebody_reads_it_and_else_refused_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let (path, copy) = (folder.path().join("pipe.mcap"), folder.path().join("copy.mcap"));
+        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
+        assert!(made.success());
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let header = RecordingHeader::new(waveform.clone());
+        let error = Recorder::create(&path, &header).err().expect("nobody reads");
+        assert!(matches!(error, RecordingError::NoReader { .. }), "{error}");
+        assert!(error.to_string().contains("hint: "), "{error}");
+        let frames = simulated(&waveform, 3, 1);
+        let reader = {
+            let path = path.clone();
+            std::thread::spawn(move || std::fs::read(path))
+        };
+        let mut recorder = loop {
+            match Recorder::create(&path, &header) {
+                // The reader has not opened it yet.
+                Err(RecordingError::NoReader { .. }) => std::thread::yield_now(),
+                created => break created.expect("creates"),
+            }
+        };
+        frames.iter().for_each(|frame| recorder.frame(frame).expect("writes"));
+        recorder.finish().expect("finishes");
+        std::fs::write(&copy, reader.join().expect("no panic").expect("reads")).expect("writes");
+        assert_eq!(read(&copy).1.len(), 3);
+    }
+
     #[test]
     fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
         let folder = tempfile::tempdir().expect("folder");
@@ -396,7 +427,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn stamps_with_an_exponent_are_read_and_nonsense_is_not() {
+    fn stamps_with_an_exponent_are_read_and_nonsense_leaves_the_times_of_the_frame_interval() {
         let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 2, 1);
@@ -406,9 +437,15 @@ mod hard_cases {
         assert_eq!(std::fs::read_to_string(&stamps).expect("reads"), "0.000000005\n0.100000000\n");
         std::fs::write(&stamps, "1e-1\n+2.5\n").expect("writes");
         assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [100_000_000, 2_500_000_000]);
+        std::fs::write(&stamps, "1\n\nnoon\n").expect("writes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        assert!(reader.left_out()[0].contains("line 3: 'noon'"), "{:?}", reader.left_out());
         for wrong in ["1\n0\n", "-1\n2\n", "nan\n2\n", "1\n", "1\n2\n3\n", "1\n99999999999999999999\n", "..\n2\n"] {
             std::fs::write(&stamps, wrong).expect("writes");
-            assert!(InfineonReader::open(&path).is_err(), "{wrong}");
+            let reader = InfineonReader::open(&path).expect("opens");
+            let [reason] = reader.left_out() else { panic!("{wrong}: {:?}", reader.left_out()) };
+            assert!(reason.contains("radar_timestamp.csv"), "{reason}");
+            assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [0, 100_000_000], "{wrong}");
         }
     }
 }

@@ -8,7 +8,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{convert, fails_with, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{convert, fails_with, failure, fixture, json_lines, radome, simulate, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -102,6 +102,19 @@ fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
 
 mod hard_cases {
     use super::*;
+
+    /// Regression test: each line was told, several a second, until the deadline.
+    #[test]
+    fn lines_of_another_waveform_are_told_once() {
+        let (folder, fed) = fed(60);
+        let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
+        let (_, other) = other_waveform(folder.path());
+        let mut record = radome();
+        record.args(["record", &format!("serial:{port}"), "--waveform"]).arg(&other);
+        let said = failure(record.arg("-o").arg(folder.path().join("none.mcap")));
+        assert!(said.contains("no frame among its lines") && said.contains("hint: name the waveform"), "{said}");
+        assert_eq!(said.matches("WARN").count(), 1, "{said}");
+    }
 
     #[test]
     fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {

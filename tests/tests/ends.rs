@@ -141,6 +141,39 @@ fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3
     }
 }
 
+/// Regression test: commands that took frames where signals are answered heard none until the search for the board ended,
+/// and then failed without their file.
+#[test]
+fn a_stop_while_the_board_is_away_keeps_what_was_taken_by_every_command() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let written = |name: &str| std::fs::metadata(at(name)).is_ok_and(|file| file.len() > 100_000);
+    for (command, output, status) in [
+        ("recording maps", Some("maps.npy"), 0),
+        ("recording echoes", None, 0),
+        // A second of frames is too short for a background.
+        ("model background", Some("empty.json"), 1),
+    ] {
+        let (board, port) = emulate(folder.path(), "mcu7-4");
+        let mut arguments = subcommand(command);
+        arguments.arg(format!("serial:{port}")).args(["--give-up-after-s", "600", "--json"]);
+        if let Some(output) = output {
+            arguments.arg("-o").arg(at(output));
+        }
+        let mut run = Running::start(&mut arguments);
+        wait_for("some frames", || match command {
+            "recording maps" => written(".maps.npy.partial").then_some(()),
+            "recording echoes" => (run.stdout.all().len() >= 5).then_some(()),
+            _ => run.stderr.all().iter().any(|line| line.contains("nobody should be")).then_some(()),
+        });
+        board.signal("KILL");
+        run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
+        run.signal("TERM");
+        assert_eq!(run.wait().code(), Some(status), "{command}: {:?}", run.stderr.all());
+    }
+    assert!(written("maps.npy") && !at("empty.json").exists());
+}
+
 #[test]
 fn a_port_that_is_not_there_is_a_failure() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -283,6 +316,15 @@ fn wrong_use_ends_with_2() {
     ] {
         let (status, _, said) = outcome(radome().args(["live", "x.mcap"]).args(arguments));
         assert!(status == Some(2) && said.contains("required"), "{arguments:?}: {said}");
+    }
+    // Options of the broker are checked before the source is opened, which may be a board.
+    for (arguments, reason) in [
+        (&["--mqtt", "http://x"][..], "does not begin with mqtt://"),
+        (&["--mqtt", "mqtt://x", "--mqtt-discovery-prefix", "#"], "--mqtt-discovery-prefix"),
+        (&["--mqtt", "mqtt://x", "--mqtt-ca", "x.pem"], "--mqtt-ca is for"),
+    ] {
+        let (status, _, said) = outcome(radome().args(["live", "serial:/dev/no-such-port"]).args(arguments));
+        assert!(status == Some(2) && said.contains(reason) && said.contains("hint:"), "{arguments:?}: {said}");
     }
     for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
         for value in ["nan", "inf", "-3"] {

@@ -641,13 +641,18 @@ mod hard_cases {
     #[test]
     fn addresses_that_are_none_and_ports_that_are_taken_are_named() {
         let said = |options: &[&str]| radome_tests::failure(watch().args(options));
-        let text = said(&["--mqtt", "http://hub"]);
+        let wrong = |options: &[&str]| {
+            let (status, _, text) = radome_tests::outcome(watch().args(options));
+            assert_eq!(status, Some(2), "{options:?}: {text}");
+            text
+        };
+        let text = wrong(&["--mqtt", "http://hub"]);
         // The address is not repeated in the error, since it may hold a password.
         assert!(text.contains("does not begin with mqtt://") && text.contains("hint:"), "{text}");
-        let text = said(&["--mqtt", "mqtt://:secret@hub:bad"]);
+        let text = wrong(&["--mqtt", "mqtt://:secret@hub:bad"]);
         assert!(!text.contains("secret") && text.contains("hint:"), "{text}");
         for prefix in ["", "/", "home/#", "+/home"] {
-            let text = said(&["--mqtt", "mqtt://127.0.0.1:1", "--mqtt-discovery-prefix", prefix]);
+            let text = wrong(&["--mqtt", "mqtt://127.0.0.1:1", "--mqtt-discovery-prefix", prefix]);
             assert!(text.contains("--mqtt-discovery-prefix") && text.contains("hint:"), "{text}");
         }
         let taken = TcpListener::bind("127.0.0.1:0").expect("a port");

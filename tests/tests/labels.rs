@@ -93,6 +93,20 @@ fn labels_beside_a_recording_are_its_own() {
     assert!(labels_of(&path("walk_0.7m")).is_empty());
 }
 
+/// Regression test: the rest of such a label was a line of its own.
+#[test]
+fn a_label_with_a_line_end_is_one_line_of_the_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.mcap");
+    simulate(&fixture("scenes/desk.toml"), "--frames 20", &path);
+    success(subcommand("recording label").arg(&path).args(["--span", "0:1=two\npeople\x1b[2J"]));
+    assert_eq!(labels_of(&path)[0]["label"], "two\npeople\x1b[2J");
+    let (table, _) = success(subcommand("recording label").arg(&path));
+    assert!(table.lines().count() == 1 && table.contains(r"two\npeople\u{1b}[2J"), "{table}");
+    let (info, _) = success(subcommand("recording info").arg(&path));
+    assert!(info.contains(r"two\npeople\u{1b}[2J 1.0 s"), "{info}");
+}
+
 /// Asserts that labels that the page reports as saved are in the file, even if the program is killed.
 #[test]
 fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {

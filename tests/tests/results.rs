@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use radome_driver::McapReader;
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    convert, emulated_corridor, fails_with, failure, json_lines, live_command, skip, subcommand, success,
+    convert, emulated_corridor, fails_with, failure, json_lines, live_command, radome, skip, subcommand, success,
 };
 use serde_json::Value;
 
@@ -38,6 +39,17 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
 
     convert(&at("night.mcap"), &at("copy.mcap"));
     assert_eq!(results(&at("copy.mcap")), kept);
+    // Frames that are recorded again keep their board, and the answers are said to stay behind.
+    let (_, said) = success(radome().arg("record").arg(at("night.mcap")).arg("-o").arg(at("again.mcap")));
+    assert!(said.contains("answers of") && said.contains("recording convert"), "{said}");
+    json_lines(&mut live_command(at("night.mcap"), &format!("--json -o {}", at("judged.mcap").display())));
+    let header = |name: &str| McapReader::open(&at(name)).expect("a recording").header().clone();
+    let first = header("night.mcap");
+    assert!(first.board.is_some() && !first.registers.is_empty());
+    for name in ["again.mcap", "judged.mcap"] {
+        let header = header(name);
+        assert_eq!((&header.board, &header.registers), (&first.board, &first.registers), "{name}");
+    }
     json_lines(subcommand("recording repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
     assert_eq!(results(&at("fixed.mcap")), kept);
     let track = at("track.txt");

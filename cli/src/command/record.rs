@@ -1,9 +1,10 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
 use radome_driver::Outage;
+use radome_driver::recording::Recording;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
@@ -57,6 +58,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
+    tell_answers_left_behind(arguments.source.input());
     let header = RecordingHeader {
         waveform: source.frames.waveform().clone(),
         board: source.board.clone(),
@@ -90,6 +92,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
+}
+
+/// Says whose answers in a recording are not taken over with its frames.
+fn tell_answers_left_behind(source: &Path) {
+    if let Some(judge) = Recording::open(source).ok().and_then(|recording| recording.header().judge) {
+        message!(
+            "the answers of {} in {} are not carried over; radome recording convert copies them",
+            judge.model,
+            source.display()
+        );
+    }
 }
 
 /// Numbers of recorded and lost frames.
@@ -172,7 +185,12 @@ fn write_all(
             // A silent board may never come back, so its frames are flushed to the disk.
             Err(RecvTimeoutError::Timeout) if std::mem::take(&mut is_unflushed) => recorder.flush()?,
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
+            // The end is known even if it could not be delivered in time.
+            Err(RecvTimeoutError::Disconnected) => {
+                let Some(end) = inlet.end.get() else { return Err(Failure::without_a_word().into()) };
+                let end = write(Item::End(end.clone()), recorder, tally, &mut next_sequence)?;
+                return Ok(end.and_then(Result::err));
+            }
         }
     }
     let waiting = inlet.receiver.len();
@@ -256,6 +274,22 @@ mod tests {
         let error = error.expect("an error");
         assert!(error.contains("panics.rs:") && error.contains("frame 3 cannot be made"), "{error}");
         assert_eq!((tally.frames, is_finished), (3, false));
+    }
+
+    /// Regression test: a disk that took no frame for ten seconds at the end left the recording unfinished.
+    #[test]
+    fn an_end_that_could_not_be_delivered_in_time_finishes_the_recording() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.mcap");
+        let header = RecordingHeader::new(panicking_after(0).waveform().clone());
+        let recorder = Recorder::create(&path, &header).expect("a file");
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
+        inlet.end.set(Ok(())).expect("no end yet");
+        drop(pipeline);
+        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
+        end.expect("an end");
+        assert!(McapReader::open(&path).expect("a file that opens").is_complete());
     }
 
     #[test]

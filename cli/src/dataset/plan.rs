@@ -18,6 +18,7 @@ use super::fingerprints::Fingerprints;
 use super::folders::{self, Found, Reading, Rules};
 use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::shard::Shard;
+use crate::source;
 
 /// Format version of `plan.json`.
 const FORMAT: u32 = 1;
@@ -229,7 +230,7 @@ impl List<'_> {
     fn recorded(&mut self, base: &Path, source: &Recorded) -> anyhow::Result<()> {
         if let Some(recording) = &source.recording {
             let path = named(base, recording)?;
-            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let name = source::name_of(&path).to_string_lossy().into_owned();
             let found = Found { path, session: name.clone(), name };
             let label_file = source.label_file.as_ref().map(|file| named(base, file)).transpose()?;
             if let Some(file) = &source.label_file {

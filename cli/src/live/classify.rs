@@ -11,10 +11,13 @@ use super::answer::{Answer, Latency, Summary};
 use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
-use super::pipeline::{Failure, Inlet, Item};
+use super::pipeline::{Inlet, Item};
 use super::sink::{Moment, Sink};
 use crate::judge::{Delays, Judge, Model, Prediction};
 use crate::{output, panics};
+
+/// Longest time without frames over which earlier ones say anything of the present, s.
+const LONGEST_MEMORY_S: f64 = 5.0;
 
 /// Classifies frames one after the other.
 pub struct FrameClassifier {
@@ -26,6 +29,8 @@ pub struct FrameClassifier {
     smoothing: Smoothing,
     /// Time span of the frames of a map, s.
     map_s: f64,
+    /// Time without frames after which it begins anew, s.
+    forgets_after_s: f64,
     last_time_s: Option<f64>,
     /// Counters of the run so far.
     pub health: Health,
@@ -54,6 +59,10 @@ impl FrameClassifier {
             delays,
             smoothing,
             map_s,
+            // At few frames a second some may be missing, too. Who holds a count for minutes holds it over a gap.
+            forgets_after_s: (smoothing.dwell_s.min(LONGEST_MEMORY_S))
+                .max(3.0 * waveform.frame_interval_s())
+                .max(delays.off_s),
             last_time_s: None,
             health: Health::new(started),
             transition_frames: 0,
@@ -92,8 +101,8 @@ impl FrameClassifier {
     /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
-        if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
-            // After a backward seek in a recording, the filter's state is invalid.
+        if self.last_time_s.is_some_and(|last_s| time_s < last_s || time_s - last_s > self.forgets_after_s) {
+            // The state is of another time, after a seek in a recording or a long gap: people may have come or gone.
             self.filter.reset();
             self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
             self.judge.reset();
@@ -124,7 +133,6 @@ impl FrameClassifier {
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);
                 self.people.update(answer.time_s, label);
-                answer.is_settled = self.people.is_settled();
                 self.health.labels[label.index()] += 1;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {
@@ -136,6 +144,7 @@ impl FrameClassifier {
         // Frames without a label contain no information about people, so that the previous state persists.
         answer.people = self.people.people();
         answer.occupied = answer.people > 0;
+        answer.is_settled = self.people.is_settled();
         self.health.temperature_millicelsius = frame.temperature_millicelsius;
         let latency = arrived.elapsed();
         self.health.frame(arrived, latency);
@@ -226,7 +235,10 @@ fn judge_all(
         let delivery = match inlet.receiver.recv_timeout(patience) {
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
-            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
+            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => {
+                missed.note(u64::MAX, judge, sinks)?;
+                return inlet.closed().map_err(anyhow::Error::from);
+            }
         };
         match delivery.item {
             Item::Frame(frame) => {
@@ -333,6 +345,16 @@ mod tests {
         drop(pipeline);
         let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
         assert!(error.to_string().contains("without a word"), "{error}");
+    }
+
+    /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.
+    #[test]
+    fn an_end_that_could_not_be_delivered_in_time_is_an_end() {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
+        inlet.end.set(Ok(())).expect("no end yet");
+        drop(pipeline);
+        run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect("an end");
     }
 
     #[test]

@@ -6,10 +6,11 @@ use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use radome_driver::BoardError;
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent};
 
+use crate::output;
 use crate::panics::{Panicked, caught};
 
 /// Item that a consumer receives.
@@ -113,6 +114,14 @@ pub struct Inlet {
     pub end: Arc<OnceLock<End>>,
 }
 
+impl Inlet {
+    /// Result of a stream whose queue is closed and empty. It is known even where the last item could not be delivered in
+    /// time, because the consumer took none.
+    pub fn closed(&self) -> End {
+        self.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))
+    }
+}
+
 /// Consumers that are registered before the reader starts.
 pub struct Pipeline {
     outlets: Vec<Outlet>,
@@ -190,6 +199,45 @@ impl Drop for Reader {
         if let Some(thread) = self.thread.take().filter(JoinHandle::is_finished) {
             let _ = thread.join();
         }
+    }
+}
+
+/// Items of a source for a single consumer, which is waited for. They are read on a thread of their own, so that a signal
+/// ends the wait for a board that is away.
+pub struct Items {
+    inlet: Inlet,
+    /// Dropped behind the inlet, whose end lets it go.
+    _reader: Reader,
+}
+
+impl Items {
+    /// Starts to read a source. `limit` ends the items after this number of frames.
+    pub fn of(source: Box<dyn FrameSource>, limit: Option<u64>) -> Self {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("command", 16, Policy::Wait);
+        Items { inlet, _reader: pipeline.start(source, limit) }
+    }
+
+    /// Waits for the next item. It is an end, too, if the user has stopped the program.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn next_item(&self) -> anyhow::Result<Item> {
+        while !output::interrupted() {
+            match self.inlet.receiver.recv_timeout(Duration::from_millis(100)) {
+                Ok(Delivery { item: Item::End(end), .. }) => {
+                    end?;
+                    break;
+                }
+                Ok(delivery) => return Ok(delivery.item),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.inlet.closed()?;
+                    break;
+                }
+            }
+        }
+        Ok(Item::End(Ok(())))
     }
 }
 
@@ -395,6 +443,24 @@ mod tests {
         assert!(stalled.is_left_behind.load(Ordering::SeqCst));
         // What was sent before remains, without an end: the consumer must not take it for all.
         assert_eq!(stalled.receiver.iter().count(), 2);
+    }
+
+    #[test]
+    fn items_of_one_consumer_end_with_the_source_its_limit_or_its_error() {
+        for (limit, frames, gaps) in [(None, 49, 1), (Some(3), 3, 0), (Some(0), 0, 0)] {
+            let items = Items::of(counter(50), limit);
+            let (mut seen, mut missing) = (0, 0);
+            loop {
+                match items.next_item().expect("no error") {
+                    Item::Frame(_) => seen += 1,
+                    Item::Gap(_) => missing += 1,
+                    Item::End(_) => break,
+                }
+            }
+            assert_eq!((seen, missing), (frames, gaps), "{limit:?}");
+        }
+        let items = Items::of(crate::panics::tests::failing_after(0, |_| "chunk 3 is damaged".into()), None);
+        assert_eq!(items.next_item().err().map(|error| error.to_string()).as_deref(), Some("chunk 3 is damaged"));
     }
 
     mod hard_cases {

@@ -2,9 +2,11 @@
 
 use std::path::PathBuf;
 
+use radome_dsp::WaveformError;
 use thiserror::Error;
 
 use crate::chip::ChipError;
+use crate::protocol::deepcraft::RING_CODES;
 
 /// Error of starting an emulated board.
 #[derive(Debug, Error)]
@@ -34,6 +36,15 @@ pub enum EmulatorError {
     /// The chip cannot hold the waveform of the source.
     #[error(transparent)]
     Chip(#[from] ChipError),
+    /// DEEPCRAFT firmware cannot hold a frame of the source, which has no other frames.
+    #[error(
+        "emulator: a frame of the source has {codes} codes, DEEPCRAFT firmware sends even numbers up to {RING_CODES}\n\n\
+         hint: give it frames of fewer chirps or samples, or emulate another protocol"
+    )]
+    Frame { codes: usize },
+    /// A preset of the firmware cannot be realised.
+    #[error(transparent)]
+    Waveform(#[from] WaveformError),
     /// The speed is not a positive number.
     #[error("emulator: speed is {speed}, it must be a positive number")]
     Speed { speed: f64 },

@@ -44,6 +44,9 @@ pub enum RecordingError {
          first"
     )]
     NotRegular { path: PathBuf },
+    /// An output is a pipe that nobody reads.
+    #[error("{path}: a pipe that nobody reads\n\nhint: start its reader first, or name a file")]
+    NoReader { path: PathBuf },
     /// The content breaks the format's rules.
     #[error("{path}: at byte {offset}: {reason}")]
     Corrupt { path: PathBuf, offset: u64, reason: String },

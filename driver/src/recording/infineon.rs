@@ -15,7 +15,7 @@ use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEv
 
 use super::vendor_config::read_waveform;
 use super::vendor_fields::read_text;
-use super::{Extent, Position, RecordingError, first_index, time_ns};
+use super::{Extent, Position, RecordingError, first_index, time_ns, warn_once};
 
 pub(super) use writer::InfineonWriter;
 
@@ -43,10 +43,12 @@ pub struct InfineonReader {
     timestamps_ns: Option<Vec<u64>>,
     /// Time on the same clock, ns, and temperature, degrees Celsius.
     temperatures: Vec<(u64, f64)>,
+    left_out: Vec<String>,
 }
 
 impl InfineonReader {
-    /// Opens a session's folder (its first radar is read) or a radar's own folder.
+    /// Opens a session's folder (its first radar is read) or a radar's own folder. Times and temperatures that cannot be used
+    /// are left out with a warning: [`InfineonReader::left_out`].
     ///
     /// # Errors
     /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
@@ -76,9 +78,20 @@ impl InfineonReader {
             let got = format!("{rx} rx x {chirps} chirps x {samples} samples");
             return Err(RecordingError::Shape { data, got, config, expected: shape.to_string() });
         }
+        let mut left_out = Vec::new();
+        let timestamps_ns = read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames), &mut left_out)?;
+        for reason in &left_out {
+            warn_once(format!("{reason}; the times of all frames are made of the frame interval"));
+        }
+        let of_times = left_out.len();
+        let temperatures = read_temperatures(&folder, &mut left_out)?;
+        for reason in left_out.iter().skip(of_times) {
+            warn_once(format!("{reason}; the temperatures are left out"));
+        }
         Ok(InfineonReader {
-            timestamps_ns: read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames))?,
-            temperatures: read_temperatures(&folder)?,
+            timestamps_ns,
+            temperatures,
+            left_out,
             bytes: vec![0; shape.codes() * 2],
             available: length.saturating_sub(header.data_offset),
             data_offset: header.data_offset,
@@ -94,6 +107,12 @@ impl InfineonReader {
     /// Returns the radar's own folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// Why times or temperatures of the folder are left out, with file and line. Without them the times are made of the frame
+    /// interval.
+    pub fn left_out(&self) -> &[String] {
+        &self.left_out
     }
 
     /// Number of whole frames in the file; less than [`FrameSource::frame_count`] if the file was cut short.
@@ -272,35 +291,45 @@ impl NpyHeader {
     }
 }
 
-/// Reads one time in seconds per line; returns nanoseconds.
-fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<u64>>, RecordingError> {
+/// Reads one time in seconds per line; returns nanoseconds. If one of them cannot be used, none is: `left_out` then says
+/// why.
+fn read_timestamps(
+    path: &Path,
+    expected: Option<u64>,
+    left_out: &mut Vec<String>,
+) -> Result<Option<Vec<u64>>, RecordingError> {
     let text = match read_text(path) {
         Ok(text) => text,
         Err(RecordingError::Missing { .. }) => return Ok(None),
+        Err(error @ RecordingError::Corrupt { .. }) => {
+            left_out.push(error.to_string());
+            return Ok(None);
+        }
         Err(error) => return Err(error),
     };
-    let mut stamps = Vec::new();
-    let mut offset = 0;
-    for line in text.split_inclusive('\n') {
-        let line_text = line.trim();
-        if !line_text.is_empty() {
-            let stamp = parse_time_ns(line_text).filter(|stamp| stamps.last().is_none_or(|last| last <= stamp));
-            let Some(stamp) = stamp else {
-                let shown: String = line_text.chars().take(20).collect();
-                let reason = format!("'{shown}' is no time, expected seconds that never decrease");
-                return Err(RecordingError::Corrupt { path: path.to_owned(), offset, reason });
-            };
-            stamps.push(stamp);
-        }
-        offset += line.len() as u64;
+    let reason = match parse_timestamps(&text) {
+        Ok(stamps) => match expected.filter(|expected| *expected != stamps.len() as u64) {
+            None => return Ok(Some(stamps)),
+            Some(expected) => format!("{} time stamps for {expected} frames", stamps.len()),
+        },
+        Err(reason) => reason,
+    };
+    left_out.push(format!("{}: {reason}", path.display()));
+    Ok(None)
+}
+
+/// Parses one time in seconds per line to nanoseconds; the error names the line.
+fn parse_timestamps(text: &str) -> Result<Vec<u64>, String> {
+    let mut stamps: Vec<u64> = Vec::new();
+    for (index, line) in text.lines().map(str::trim).enumerate().filter(|(_, line)| !line.is_empty()) {
+        let stamp = parse_time_ns(line).filter(|stamp| stamps.last().is_none_or(|last| last <= stamp));
+        let Some(stamp) = stamp else {
+            let shown: String = line.chars().take(20).collect();
+            return Err(format!("line {}: '{shown}' is no time, expected seconds that never decrease", index + 1));
+        };
+        stamps.push(stamp);
     }
-    if let Some(expected) = expected
-        && stamps.len() as u64 != expected
-    {
-        let reason = format!("{} time stamps for {expected} frames", stamps.len());
-        return Err(RecordingError::Corrupt { path: path.into(), offset, reason });
-    }
-    Ok(Some(stamps))
+    Ok(stamps)
 }
 
 /// Parses decimal seconds to nanoseconds, exactly: an f64 resolves a Unix time to a quarter of a microsecond only.
@@ -317,9 +346,10 @@ fn parse_time_ns(text: &str) -> Option<u64> {
     whole.parse::<u64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
 }
 
-fn read_temperatures(folder: &Path) -> Result<Vec<(u64, f64)>, RecordingError> {
+fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u64, f64)>, RecordingError> {
     let path = folder.join("temperature.npy");
-    let Some(times) = read_timestamps(&folder.join("temperature_timestamp.csv"), None)? else { return Ok(Vec::new()) };
+    let times = read_timestamps(&folder.join("temperature_timestamp.csv"), None, left_out)?;
+    let Some(times) = times else { return Ok(Vec::new()) };
     if !path.exists() {
         return Ok(Vec::new());
     }
@@ -336,8 +366,9 @@ fn read_temperatures(folder: &Path) -> Result<Vec<(u64, f64)>, RecordingError> {
         }
     };
     if values.len() != times.len() {
-        let reason = format!("{} temperatures, but {} time stamps for them", values.len(), times.len());
-        return Err(RecordingError::Corrupt { path, offset: header.data_offset, reason });
+        let (path, values, times) = (path.display(), values.len(), times.len());
+        left_out.push(format!("{path}: {values} temperatures, but {times} time stamps for them"));
+        return Ok(Vec::new());
     }
     Ok(times.into_iter().zip(values).collect())
 }

@@ -7,6 +7,10 @@ use std::time::Duration;
 
 use super::RecordingError;
 
+/// Longest wait of a program that changes labels for another writer. One that changes labels has finished by then; one that
+/// records has not.
+pub(super) const LABELS_PATIENCE: Duration = Duration::from_secs(2);
+
 /// Open file that is locked against other processes and other parts of this one.
 #[derive(Debug)]
 pub(super) struct Locked(File);

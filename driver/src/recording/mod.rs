@@ -21,6 +21,9 @@ mod vendor_fields;
 mod vendor_scene;
 mod writer;
 
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
 pub use error::RecordingError;
 pub use opened::Recording;
 pub use partial::{Existing, Partial, rename_synced};
@@ -29,3 +32,13 @@ use position::{first_index, time_ns};
 pub use report::WriteReport;
 use report::{Tally, check_frame};
 pub use writer::{Format, RecordingWriter};
+
+/// Warns once a process: a command opens a recording several times.
+fn warn_once(message: String) {
+    static WARNED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let mut warned = WARNED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !warned.contains(&message) {
+        tracing::warn!("{message}");
+        warned.insert(message);
+    }
+}

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::lock::{Locked, lock};
+use super::lock::{LABELS_PATIENCE, Locked, lock};
 use super::{RecordingError, disk};
 
 /// Policy for an output whose file exists already.
@@ -39,10 +39,23 @@ impl Partial {
     /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
     /// writer has or creates it, and [`RecordingError::Io`].
     pub fn file(target: &Path, existing: Existing) -> Result<Self, RecordingError> {
+        Self::file_within(Duration::ZERO, target, existing)
+    }
+
+    /// Starts a file of labels beside a recording, which replaces an earlier one. Waits for another writer as long as
+    /// [`LabelEditor::open`](super::mcap::LabelEditor::open) does.
+    ///
+    /// # Errors
+    /// Those of [`Partial::file`].
+    pub fn labels(target: &Path) -> Result<Self, RecordingError> {
+        Self::file_within(LABELS_PATIENCE, target, Existing::Replace)
+    }
+
+    fn file_within(patience: Duration, target: &Path, existing: Existing) -> Result<Self, RecordingError> {
         let partial = hidden(target, ".partial")?;
-        let replaced = claim(target, existing)?;
+        let replaced = claim(target, existing, patience)?;
         let open = || File::options().read(true).write(true).create(true).truncate(false).open(&partial);
-        let locked = lock(&partial, Duration::ZERO, open).map_err(about(target))?;
+        let locked = lock(&partial, patience, open).map_err(about(target))?;
         let file = locked.file();
         #[cfg(test)]
         disk::trial::before(&partial, || disk::trial::Change::Create {
@@ -178,7 +191,7 @@ pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingEr
 }
 
 /// Locks a file that will be replaced, if there is one.
-fn claim(target: &Path, existing: Existing) -> Result<Option<Locked>, RecordingError> {
+fn claim(target: &Path, existing: Existing, patience: Duration) -> Result<Option<Locked>, RecordingError> {
     let not_a_file = |what: &str| {
         let source = io::Error::new(io::ErrorKind::InvalidInput, format!("it is {what}, expected a file"));
         RecordingError::cannot_write(target)(source)
@@ -198,7 +211,7 @@ fn claim(target: &Path, existing: Existing) -> Result<Option<Locked>, RecordingE
     if existing == Existing::Refuse {
         return Err(RecordingError::Occupied { path: target.to_owned() });
     }
-    match lock(target, Duration::ZERO, || File::open(target)) {
+    match lock(target, patience, || File::open(target)) {
         // A file that may not be read may still be replaced.
         Err(RecordingError::Io { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => Ok(None),
         locked => locked.map(Some),

@@ -10,6 +10,7 @@ mod wire;
 use std::path::{Path, PathBuf};
 
 use make::{GAP, HOST_NS, code, frames, header, judge, labels, results, waveform};
+use radome_driver::recording::infineon::InfineonReader;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
 use radome_driver::recording::mcap::{repair, set_labels};
 use radome_driver::recording::{Existing, Recording};
@@ -317,6 +318,16 @@ mod hard_cases {
                 for cut in 0..bytes.len() {
                     std::fs::write(folder.path().join(file), &bytes[..cut]).expect("writes");
                     let (frames, error) = said(folder.path(), recording);
+                    // Times and temperatures that cannot be used are left out, and that is said.
+                    let has_left_out = || {
+                        let reader = InfineonReader::open(&folder.path().join(recording));
+                        reader.is_ok_and(|reader| !reader.left_out().is_empty())
+                    };
+                    if recording == "infineon" && has_left_out() {
+                        let codes = |frames: &[Frame]| frames.iter().map(|f| f.codes.clone()).collect::<Vec<_>>();
+                        assert_eq!((codes(&frames), error), (codes(&whole), None), "{file} cut at {cut}");
+                        continue;
+                    }
                     assert!(whole.starts_with(&frames), "{file} cut at {cut}");
                     // Missing spaces at the end of a text are no loss. Missing decimals of the last time, or missing
                     // whole frames of a text, cannot be detected. An MCAP file states that it was not finished.

@@ -1,11 +1,11 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use radome_dsp::{Frame, SourceEvent};
 use serde_json::json;
 
 use crate::judge::{BUILT_IN, Model, Prediction};
 use crate::live::background::{Background, Capture};
+use crate::live::pipeline::{Item, Items};
 use crate::output;
 use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs, not_negative};
@@ -44,19 +44,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
-    let mut source = source::open(&arguments.source.source, &options)?;
+    let source = source::open(&arguments.source.source, &options)?;
     message!("{}; nobody should be in the room", source.description);
-    let mut at_work = model.judge(source.frames.waveform())?;
-    let mut frame = Frame::zeroed(source.frames.waveform().shape());
+    let waveform = source.frames.waveform().clone();
+    let mut at_work = model.judge(&waveform)?;
     let mut capture = Capture::new();
     let mut start_s = None;
-    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
-    while frames_left > 0 && !output::interrupted() {
-        match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => at_work.reset(),
-            SourceEvent::Frame => {
-                frames_left -= 1;
+    let items = Items::of(source.frames, arguments.source.frames);
+    loop {
+        match items.next_item()? {
+            Item::End(_) => break,
+            Item::Gap(_) => at_work.reset(),
+            Item::Frame(frame) => {
                 if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > arguments.seconds {
                     break;
                 }
@@ -66,9 +65,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
-    let background: Background = capture
-        .finish(&judge, source.frames.waveform())
-        .with_context(|| format!("{} is not captured", arguments.source.source))?;
+    let background: Background =
+        capture.finish(&judge, &waveform).with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;
     let file = arguments.output.display().to_string();
     if arguments.json {

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
-use radome_dsp::{Frame, SourceEvent, Waveform};
+use radome_dsp::{Frame, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use crate::live::pipeline::{Item, Items};
 use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
@@ -87,10 +88,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
-    let frames = arguments.source.frames.unwrap_or(u64::MAX);
+    let frames = arguments.source.frames;
     let mut options = arguments.source.options()?;
     options.frames.get_or_insert(SIMULATED_FRAMES);
-    let mut source = source::open(&arguments.source.source, &options)?.frames;
+    let source = source::open(&arguments.source.source, &options)?.frames;
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {
@@ -101,17 +102,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut detector = Detector::new(&waveform, &receivers.baselines());
     let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
     let (wanted, most) = match &arguments.reflector {
-        Some(_) => (frames.min(REFLECTOR_FRAMES), REFLECTOR_FRAMES as usize),
+        Some(_) => (Some(frames.unwrap_or(u64::MAX).min(REFLECTOR_FRAMES)), REFLECTOR_FRAMES as usize),
         None => (frames, window),
     };
     let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(most + 1);
-    let mut frame = Frame::zeroed(waveform.shape());
-    let (mut looked, mut found) = (0, 0);
-    while looked < wanted && !output::interrupted() {
-        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => profiles.clear(),
-            SourceEvent::Frame => {
+    let items = Items::of(source, wanted);
+    let (mut looked, mut found) = (0u64, 0);
+    loop {
+        match items.next_item()? {
+            Item::End(_) => break,
+            Item::Gap(_) => profiles.clear(),
+            Item::Frame(frame) => {
                 let (mut echoes, profile) = detector.detect_moving(&frame)?;
                 if profiles.len() == most {
                     profiles.pop_front();

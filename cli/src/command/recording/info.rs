@@ -69,7 +69,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "model": model,
         }));
     }
-    let labels: Vec<String> = labelled_s.iter().map(|(label, seconds)| format!("{label} {seconds:.1} s")).collect();
+    let labels: Vec<String> =
+        labelled_s.iter().map(|(label, seconds)| format!("{} {seconds:.1} s", output::on_one_line(label))).collect();
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".to_owned());
     for (name, value) in [
         ("format", format.to_owned()),

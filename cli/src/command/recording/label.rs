@@ -128,6 +128,7 @@ fn print(spans: &[LabelSpan], as_json: bool) -> anyhow::Result<()> {
     }
     for LabelSpan { start_s, end_s, label, confidence, .. } in spans {
         let confidence = confidence.map_or_else(String::new, |c| format!("{c:.2}"));
+        let label = output::on_one_line(label);
         output::text_line(&format!("{start_s:10.3} s  {end_s:10.3} s  {label}  {confidence}"))?;
     }
     Ok(())

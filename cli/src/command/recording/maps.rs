@@ -3,9 +3,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
-use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Waveform};
+use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
 use serde_json::json;
 
+use crate::live::pipeline::{Item, Items};
 use crate::map_preset::MapPreset;
 use crate::output_file::{Overwrite, check_ending, is_stdout};
 use crate::picture::plot;
@@ -121,23 +122,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.check_outputs()?;
     let mut options = arguments.source.options()?;
     options.frames.get_or_insert(SIMULATED_FRAMES);
-    let mut source = source::open(&arguments.source.source, &options)?;
-    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
+    let source = source::open(&arguments.source.source, &options)?;
     let waveform = source.frames.waveform().clone();
     let mut processor = RdmProcessor::new(&arguments.spec(&waveform)?, &waveform)?;
     let mut map = processor.empty_map();
     let row_shape = map_shape(&map);
-    let mut frame = Frame::zeroed(waveform.shape());
     let (mut counts, mut pictured, mut frames) = (Counts::default(), false, 0u64);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
+    let items = Items::of(source.frames, arguments.source.frames);
     // The array is written map by map, since the maps of a night do not fit in memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
-        while frames_left > 0 && !output::interrupted() {
-            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => processor.reset(),
-                SourceEvent::Frame => {
-                    frames_left -= 1;
+        loop {
+            match items.next_item()? {
+                Item::End(_) => break,
+                Item::Gap(_) => processor.reset(),
+                Item::Frame(frame) => {
                     frames += 1;
                     bar.inc(1);
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {

@@ -154,7 +154,7 @@ const MIRROR: &str = "mirror.toml";
 const TRACK: &str = "track.jsonl";
 
 fn stem(path: &Path) -> String {
-    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    source::name_of(path).to_string_lossy().into_owned()
 }
 
 /// Opens the source to be mirrored, which must be finite.

@@ -9,12 +9,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use percent_encoding::percent_decode_str;
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
+
+use crate::exit::WrongUse;
 
 const GRAMMAR: &str = "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password comes from \
                        --mqtt-password-file FILE or RADOME_MQTT_PASSWORD";
@@ -53,7 +55,7 @@ impl BrokerArguments {
             Some(path) => Some(read_password(path)?),
             None => variable(PASSWORD_VARIABLE)?.map(Secret),
         };
-        Broker::parse(url, variable(USER_VARIABLE)?, password).map(Some)
+        Ok(Some(Broker::parse(url, variable(USER_VARIABLE)?, password).map_err(WrongUse)?))
     }
 }
 
@@ -187,7 +189,8 @@ impl Broker {
         if self.is_encrypted {
             options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(tls(authorities)?))));
         } else if authorities.is_some() {
-            bail!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
+            let error = anyhow!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
+            return Err(WrongUse(error).into());
         }
         Ok(options)
     }

@@ -29,7 +29,7 @@ impl Said {
 /// Newest state of a run.
 #[derive(Debug, Clone)]
 pub struct Newest {
-    /// Newest answer; `None` until the first settled one.
+    /// Newest answer; `None` until the first settled one, and again after a long gap.
     pub said: Option<Said>,
     /// Time at which the last frame with a signal was classified, labelled or not.
     pub judged: Option<Instant>,
@@ -122,6 +122,9 @@ impl Sink for LatestSink {
             newest.judged = Some(Instant::now());
         }
         // Other programs act on a room that becomes empty: an unsettled count is unknown to them.
+        if !answer.is_settled {
+            newest.said = None;
+        }
         let Some(probabilities) = answer.probabilities.filter(|_| answer.is_settled) else { return Ok(()) };
         let said = Said { probabilities: probabilities.values(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
@@ -135,5 +138,43 @@ impl Sink for LatestSink {
     fn gap(&mut self, _gap: &Gap, health: &Health) -> anyhow::Result<()> {
         self.0.lock().health.copy_from(health);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::{Frame, Waveform, WaveformRequest};
+
+    use super::*;
+    use crate::judge::{Delays, Model};
+    use crate::live::classify::FrameClassifier;
+
+    /// Regression test: when a board came back, the count from before its outage was told until the delays were over.
+    #[test]
+    fn after_a_long_gap_the_count_is_unknown_until_it_is_settled_again() {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
+        let started = Instant::now();
+        let mut judge = FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), started).expect("a judge");
+        let latest = Latest::new(started, Duration::from_secs(600));
+        let mut sink = LatestSink(latest.clone());
+        let mut noise = 1u32;
+        let mut is_known_at = |time_s: f64| {
+            let mut frame = Frame::zeroed(waveform.shape());
+            (frame.sequence, frame.time_ns) = ((time_s * 10.0).round() as u64, (time_s * 1e9) as u64);
+            for code in &mut frame.codes {
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *code = 2000 + (noise >> 26) as u16;
+            }
+            let frame = Arc::new(frame);
+            let answer = judge.frame(&frame, Instant::now()).expect("an answer");
+            let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
+            sink.answer(&moment).expect("told");
+            latest.said().is_some()
+        };
+        for first_s in [0.0, 12.5] {
+            let known: Vec<bool> = (0..=35).map(|tenth| is_known_at(first_s + 0.1 * f64::from(tenth))).collect();
+            assert!(!known[0] && known[35], "from {first_s} s on: {known:?}");
+            assert!(is_known_at(first_s + 4.5), "a second without frames changes nothing");
+        }
     }
 }

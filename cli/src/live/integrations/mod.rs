@@ -15,8 +15,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail, ensure};
-use radome_driver::RecordingHeader;
+use anyhow::{Context, anyhow, ensure};
+use radome_driver::{BoardIdentity, RecordingHeader};
 use radome_dsp::Occupancy;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{SignalKind, signal};
@@ -29,6 +29,7 @@ use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
 use super::access::{self, Access};
 use super::sink::Sink;
+use crate::exit::WrongUse;
 
 /// Options of the connections to other programs.
 #[derive(clap::Args, Default)]
@@ -57,6 +58,16 @@ impl Arguments {
     pub fn has_metrics(&self) -> bool {
         self.metrics.is_some()
     }
+
+    /// Refuses options of the broker that cannot be used, before any source is opened.
+    ///
+    /// # Errors
+    /// [`WrongUse`] for an option that is wrong; a file of the password or of certificates cannot be read.
+    pub fn check(&self) -> anyhow::Result<()> {
+        let Some(broker) = self.broker.broker()? else { return Ok(()) };
+        check_prefix(&self.mqtt_discovery_prefix)?;
+        broker.options("radome", self.mqtt_ca.as_deref()).map(drop)
+    }
 }
 
 /// Longest time to close connections.
@@ -76,7 +87,8 @@ pub struct Integrations {
 }
 
 impl Integrations {
-    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port.
+    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port, and `board`
+    /// the one at work, as which the broker knows this radar.
     ///
     /// # Errors
     /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
@@ -84,6 +96,7 @@ impl Integrations {
         arguments: &Arguments,
         access: &access::Arguments,
         header: &RecordingHeader,
+        board: Option<&BoardIdentity>,
         started: Instant,
     ) -> anyhow::Result<Self> {
         let (stop, stopped) = watch::channel(false);
@@ -113,9 +126,8 @@ impl Integrations {
             serve_metrics(&runtime, address, access, latest.clone(), reports.clone())?;
         }
         if let Some(broker) = arguments.broker.broker()? {
-            check_prefix(&arguments.mqtt_discovery_prefix)?;
             let name = arguments.mqtt_name.as_deref();
-            let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
+            let device = Device::new(board, name, &arguments.mqtt_discovery_prefix, reports.is_some());
             let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
             let mqtt = mqtt::Mqtt { broker, options, device, latest: latest.clone(), reports: reports.clone() };
             integrations.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
@@ -147,9 +159,10 @@ impl Integrations {
 /// Fails for a prefix that is not valid in a topic.
 fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     if prefix.trim_matches('/').is_empty() || prefix.contains(['#', '+', '\0']) {
-        bail!(
+        let error = anyhow!(
             "--mqtt-discovery-prefix {prefix:?}: expected a topic without # and +\n\nhint: Home Assistant's own is homeassistant"
         );
+        return Err(WrongUse(error).into());
     }
     Ok(())
 }

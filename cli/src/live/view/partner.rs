@@ -8,7 +8,7 @@ use radome_files::read_text;
 use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::source::{DEFAULT_SEED, Playback};
+use crate::source::{self, DEFAULT_SEED, Playback};
 
 /// Simulation that mirrors a recording.
 pub struct Partner {
@@ -88,8 +88,26 @@ impl Partner {
 
 /// Returns `NAME-pair` beside `NAME.mcap` or the folder `NAME`.
 fn beside(recording: &Path) -> Option<PathBuf> {
-    let mut name = recording.file_stem()?.to_owned();
+    let mut name = source::name_of(recording);
     name.push("-pair");
     let folder = recording.with_file_name(name);
     folder.join("mirror.toml").is_file().then_some(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pair_of_a_folder_has_its_whole_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        for name in ["walk_0.5m", "walk_0-pair", "walk_0.5m-pair"] {
+            std::fs::create_dir(at(name)).expect("a folder");
+        }
+        std::fs::write(at("walk_0-pair/mirror.toml"), "").expect("a file");
+        assert_eq!(beside(&at("walk_0.5m")), None, "the pair of another recording");
+        std::fs::write(at("walk_0.5m-pair/mirror.toml"), "").expect("a file");
+        assert_eq!(beside(&at("walk_0.5m")), Some(at("walk_0.5m-pair")));
+    }
 }

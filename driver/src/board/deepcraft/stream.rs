@@ -12,8 +12,8 @@ use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
-    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, RING_CODES,
-    StartRequest,
+    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
+    holds_frames_of,
 };
 use crate::transport::trace;
 
@@ -63,7 +63,7 @@ impl DeepcraftBoard {
     /// the waveform; else an error of the connection or of the board.
     pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
         let codes = waveform.shape().codes();
-        if codes > RING_CODES || !codes.is_multiple_of(2) {
+        if !holds_frames_of(codes) {
             return Err(self.link.wrong(DeepcraftError::Frame { codes }));
         }
         let setting = self.setting(waveform)?;

@@ -32,6 +32,8 @@ pub struct Esp32Stream {
     parser: LineParser,
     buffer: Vec<u8>,
     resequencer: Resequencer,
+    /// Whether a line that is no frame has been told since the last frame.
+    is_unfit_told: bool,
     /// Longest silence, from the frame interval and the duration of a line.
     deadline: Duration,
     waveform: Waveform,
@@ -71,6 +73,7 @@ impl Esp32Stream {
             parser,
             buffer: vec![0; BUFFER],
             resequencer: Resequencer::new(&waveform),
+            is_unfit_told: false,
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             recovery: Recovery::default(),
@@ -134,6 +137,7 @@ impl Reconnectable for Esp32Stream {
             match self.parser.next_line() {
                 Some(Ok(Line::Frame { number, codes })) => {
                     self.resequencer.take(number, codes, Instant::now());
+                    self.is_unfit_told = false;
                     continue;
                 }
                 Some(Ok(Line::Log(text))) => {
@@ -141,7 +145,10 @@ impl Reconnectable for Esp32Stream {
                     continue;
                 }
                 Some(Err(error)) => {
-                    tracing::warn!("{}: {error}", self.path.display());
+                    // Of another waveform, no line is a frame.
+                    if !std::mem::replace(&mut self.is_unfit_told, true) {
+                        tracing::warn!("{}: {error}", self.path.display());
+                    }
                     self.resequencer.damaged = true;
                     unfit = Some(error);
                     continue;

@@ -13,7 +13,8 @@ use crate::protocol::deepcraft::{
     Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureRequest, ConfigureResponse,
     Custom, Device, DeviceOption, Dimension, ErrorCode, ErrorResponse, FIFO_LEVEL_CODES, ITEMS, MAX_REQUEST,
     MessageParser, OptionBlob, OptionKind, OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response,
-    StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction, stated_frequency_hz,
+    StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction, holds_frames_of,
+    stated_frequency_hz,
 };
 
 /// Time without a watchdog reset after which the firmware stops, ms.
@@ -60,9 +61,21 @@ impl Requests {
                 _ => {}
             }
         }
+        let codes = source.shape().codes();
         let power_up = match Preset::of(source) {
             Some(preset) => (preset as i32, Vec::new()),
-            None => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
+            None if holds_frames_of(codes) => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
+            // As the board is sold. A client may program another waveform.
+            None if chip.check_source(&Preset::Default.waveform()?).is_ok() => {
+                let preset = Preset::Default;
+                tracing::warn!(
+                    "a frame of the source has {codes} codes, which this firmware cannot hold: the board begins with its preset \
+                     {}; name another waveform with --waveform where you read it",
+                    preset.name()
+                );
+                (preset as i32, Vec::new())
+            }
+            None => return Err(EmulatorError::Frame { codes }),
         };
         let mut requests = Requests {
             chip,

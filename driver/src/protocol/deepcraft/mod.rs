@@ -45,3 +45,8 @@ pub const CUSTOM_DATA: i32 = 2;
 pub const MAX_REQUEST: usize = 4096;
 /// Codes that the firmware's ring holds: larger frames never become whole there.
 pub const RING_CODES: usize = 65_536;
+
+/// Returns whether the firmware can send frames of this number of codes.
+pub fn holds_frames_of(codes: usize) -> bool {
+    codes <= RING_CODES && codes.is_multiple_of(2)
+}

@@ -1,14 +1,13 @@
 //! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 use mcap::records::{Record, op};
 
 use super::lengths::parse_record;
 use super::records::{Next, RECORD_HEADER, Records, Topic, read_chunk};
-use crate::recording::{Position, RecordingError};
+use crate::recording::{Position, RecordingError, warn_once};
 
 /// Chunks at the end of a file that may not have reached the disk: seconds of frames.
 const UNSYNCED_CHUNKS: usize = 8;
@@ -189,15 +188,12 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
     }
 }
 
-/// Warns that a recording has no end, once a process: a command opens a recording several times.
+/// Warns that a recording has no end.
 fn warn_of_missing_end(path: &Path) {
-    static WARNED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-    if WARNED.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned()) {
-        tracing::warn!(
-            "{}: not finished, or still being recorded: it is read up to its last whole chunk; radome recording repair makes a finished one",
-            path.display()
-        );
-    }
+    warn_once(format!(
+        "{}: not finished, or still being recorded: it is read up to its last whole chunk; radome recording repair makes a finished one",
+        path.display()
+    ));
 }
 
 fn warn_of_end(records: &Records, offset: u64, reason: &str) {

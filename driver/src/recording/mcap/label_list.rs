@@ -4,7 +4,6 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use mcap::records::{MessageHeader, Record, Statistics, op};
 
@@ -14,13 +13,11 @@ use super::lengths::parse_record;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
 use super::staged::{self, End};
 use super::{LABELS, LabelSpan, McapReader};
-use crate::recording::lock::{Locked, lock};
+use crate::recording::lock::{LABELS_PATIENCE, Locked, lock};
 use crate::recording::{RecordingError, disk};
 
 /// DATA_END: opcode, length, CRC.
 const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
-/// Longest wait for another writer. A program that changes labels has finished by then; one that records has not.
-const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Editor of the labels of a finished recording, which it locks against other writers.
 #[derive(Debug)]
@@ -37,7 +34,7 @@ impl LabelEditor {
     /// never finished, and another [`RecordingError`] if the file cannot be read.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let open = || File::options().read(true).write(true).open(path);
-        let locked = lock(path, PATIENCE, open)?;
+        let locked = lock(path, LABELS_PATIENCE, open)?;
         // Completes a write that a power cut has interrupted.
         if let Some(end) = staged::read(path)?.and_then(|staged| staged.end) {
             staged::apply(locked.file(), path, &end).map_err(RecordingError::cannot_write(path))?;

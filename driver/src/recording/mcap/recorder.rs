@@ -172,15 +172,14 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
-    /// writer has it, and [`RecordingError::Io`].
+    /// writer has it, [`RecordingError::NoReader`] for a pipe that nobody reads, and [`RecordingError::Io`].
     pub fn with_options(
         path: &Path,
         header: &RecordingHeader,
         options: &RecorderOptions,
     ) -> Result<Self, RecordingError> {
         if std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
-            let device = File::options().write(true).open(path).map_err(RecordingError::cannot_write(path))?;
-            return Self::start(device, path, header, None);
+            return Self::start(open_device(path)?, path, header, None);
         }
         Self::in_partial(Partial::file(path, options.existing)?, header, options.sync)
     }
@@ -542,6 +541,38 @@ impl Drop for Recorder {
             tracing::error!(%error, path = %self.path.display(), "the last chunk of a recording is lost");
         }
     }
+}
+
+/// Opens a device or a pipe to write to. A pipe without a reader is refused: opening it would wait for one, and hear no
+/// signal meanwhile.
+#[cfg(unix)]
+fn open_device(path: &Path) -> Result<File, RecordingError> {
+    use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+
+    use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+    use rustix::io::Errno;
+
+    let mut options = File::options();
+    options.write(true);
+    if !std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_fifo()) {
+        return options.open(path).map_err(RecordingError::cannot_write(path));
+    }
+    let pipe = match options.custom_flags(OFlags::NONBLOCK.bits() as i32).open(path) {
+        Err(error) if error.raw_os_error() == Some(Errno::NXIO.raw_os_error()) => {
+            return Err(RecordingError::NoReader { path: path.to_owned() });
+        }
+        opened => opened.map_err(RecordingError::cannot_write(path))?,
+    };
+    // Writes wait for the reader.
+    fcntl_getfl(&pipe)
+        .and_then(|flags| fcntl_setfl(&pipe, flags.difference(OFlags::NONBLOCK)))
+        .map_err(|error| RecordingError::cannot_write(path)(error.into()))?;
+    Ok(pipe)
+}
+
+#[cfg(not(unix))]
+fn open_device(path: &Path) -> Result<File, RecordingError> {
+    File::options().write(true).open(path).map_err(RecordingError::cannot_write(path))
 }
 
 #[cfg(test)]

@@ -100,7 +100,7 @@ impl Recordings {
 
 impl Cut {
     pub fn name(&self) -> String {
-        self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+        source::name_of(&self.path).to_string_lossy().into_owned()
     }
 
     /// Reads the recording once more, across its gaps.
