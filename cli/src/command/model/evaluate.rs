@@ -47,7 +47,8 @@ pub struct Arguments {
     #[arg(long, value_enum)]
     split: Option<Split>,
     /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
-    /// dB
+    /// dB. Samples with noise are rounded and cut off at the ends of the ADC's range, as by a board: where they reach the ends,
+    /// there is less noise than the ratio says, and less than by the `raw_snr_db` of a dataset
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...", value_parser = thermal::snr_db)]
     thermal_snr_db: Vec<f64>,
     /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
