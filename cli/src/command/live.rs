@@ -104,7 +104,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let recording = output.as_ref().map(NewRecording::path);
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording)?;
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),

@@ -35,7 +35,7 @@ use super::sink::Sink;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in Home Assistant; also its identity if the board has none
+    /// Name of the radar in Home Assistant and in the title of its page; also its identity if the board has none
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
@@ -56,6 +56,11 @@ impl Arguments {
     /// Returns whether metrics are served.
     pub fn has_metrics(&self) -> bool {
         self.metrics.is_some()
+    }
+
+    /// Returns the name of the radar, if the user gave one.
+    pub fn name(&self) -> Option<&str> {
+        self.mqtt_name.as_deref()
     }
 }
 
