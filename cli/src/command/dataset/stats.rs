@@ -27,7 +27,7 @@ pub struct Arguments {
     #[arg(long, requires = "features", value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     frames: Vec<String>,
     /// With --features: file of measured values; fixtures/features/walking.toml if absent
-    #[arg(long, requires = "features", value_name = "FILE")]
+    #[arg(long, requires = "features", value_name = "FILE.toml")]
     measured: Option<PathBuf>,
     /// Print a JSON list of objects
     #[arg(long)]

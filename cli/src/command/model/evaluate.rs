@@ -57,7 +57,7 @@ pub struct Arguments {
     ablate: bool,
     /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
     /// from training data in one way. Frames in which someone enters or leaves are left out
-    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
+    #[arg(long, value_name = "DIR|FILE.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
     ladder: Option<PathBuf>,
     /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]

@@ -28,7 +28,7 @@ pub struct Arguments {
     /// TOML file with the networks, seeds, shares of labels and noise to compare
     spec: PathBuf,
     /// Folder for results, report, times and plots. The study resumes with the results that it contains
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Dataset folder. Without it, the study builds one from the spec's `dataset`
     #[arg(long)]

@@ -15,18 +15,18 @@ pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
     /// Model file to write
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.safetensors")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
     /// TOML file with the settings of the training; absent settings have defaults
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     spec: Option<PathBuf>,
     /// Network, as `radome model list` names it; descriptor_linear and descriptor_hqnn need `reference.over_noise` in the spec
     #[arg(long)]
     network: Option<String>,
     /// torchvision's weights to start from, for resnet18, efficientnet_b0 and efficientnet_b0_rgb: its .pth as safetensors
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
     /// Passes over the training split
     #[arg(long)]
@@ -37,8 +37,8 @@ pub struct Arguments {
     /// The only recording (sequence) of the test split
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
-    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: OUTPUT.checkpoint
-    #[arg(long)]
+    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: FILE.safetensors.checkpoint
+    #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Print one JSON object per epoch and one at the end
     #[arg(long)]
