@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Passes over the training split
     #[arg(long)]
     epochs: Option<usize>,
-    /// Seed of initial weights and order
+    /// Seed of initial weights, order and augmentation
     #[arg(long)]
     seed: Option<u64>,
     /// The only recording (sequence) of the test split
