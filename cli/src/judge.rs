@@ -348,7 +348,7 @@ impl Judge {
             }
         }
         // Every frame gives a map, so that displays of maps have the newest one.
-        let prediction = self.judge(changed)?;
+        let prediction = self.judge(received, changed)?;
         if dead < receivers {
             return Ok(prediction);
         }
@@ -357,14 +357,14 @@ impl Judge {
         Ok(Prediction::NoSignal)
     }
 
-    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
+    fn judge(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         match &mut self.0 {
-            Kind::Network { classifier, processor, map } => match processor.process(frame, map)? {
+            Kind::Network { classifier, processor, map } => match processor.process_changed(received, changed, map)? {
                 MapStatus::WarmingUp { have, need } => Ok(Prediction::WarmingUp { have, need }),
                 MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
             },
             Kind::Cfar(counter) => {
-                let seen = counter.observe(frame)?;
+                let seen = counter.observe(changed)?;
                 Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
             }
         }

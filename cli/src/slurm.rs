@@ -10,7 +10,7 @@ use crate::shell;
 #[derive(clap::Args)]
 pub struct Array {
     /// Folder for the shards, on a file system that all nodes share
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
     /// Tasks of the array
     #[arg(long, default_value_t = 8)]

@@ -1,31 +1,78 @@
 //! Atomic writing of files: a file is complete or absent.
 
+use std::ffi::OsStr;
+use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. A kill or a power cut leaves the old file
-/// or the new one.
+/// or the new one, and a temporary file, which the next writer of `path` removes.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     static WRITTEN: AtomicU64 = AtomicU64::new(0);
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".partial-");
+    remove_leftovers(folder, &name);
     // Another process or thread may write the same file; the last to finish wins. Processes in containers have the same
     // number, so a random one tells them apart.
     let random = RandomState::new().hash_one(WRITTEN.fetch_add(1, Ordering::Relaxed));
-    name.push(format!(".partial-{}-{random:x}", std::process::id()));
+    name.push(format!("{}-{random:x}", std::process::id()));
     let temporary = path.with_file_name(name);
     let attempt = || {
-        let mut file = std::fs::File::create_new(&temporary)?;
+        let mut file = File::create_new(&temporary)?;
+        // The lock shows that its writer lives. A file system without locks keeps what killed writers leave.
+        let _ = file.lock();
         file.write_all(bytes)?;
         file.sync_all()?;
         std::fs::rename(&temporary, path)?;
-        sync_folder(path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+        sync_folder(folder)
     };
     attempt().inspect_err(|_| drop(std::fs::remove_file(&temporary)))
 }
 
+/// Removes the temporary files of writers that were killed: files whose names begin with `prefix`, and which nobody has locked. A
+/// file that cannot be removed does no harm.
+fn remove_leftovers(folder: &Path, prefix: &OsStr) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let is_temporary = entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes());
+        if !is_temporary || !entry.file_type().is_ok_and(|kind| kind.is_file()) {
+            continue;
+        }
+        let Ok(file) = File::options().write(true).open(entry.path()) else { continue };
+        // The writer of an empty file may be about to lock it.
+        if file.try_lock().is_ok() && file.metadata().is_ok_and(|metadata| metadata.len() > 0) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// Syncs the names in a folder to the disk, on systems that can open folders.
 pub(crate) fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    if cfg!(unix) { std::fs::File::open(folder)?.sync_all() } else { Ok(()) }
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::*;
+
+    /// A kill while a checkpoint was written left a file of its size for ever.
+    #[test]
+    fn what_a_killed_writer_left_is_removed_by_the_next() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        for name in ["a.partial-1-2f", "a.partial-1-3f", "ab.partial-1-2f", "a.partial"] {
+            std::fs::write(at(name), "half").expect("written");
+        }
+        // An open file with a lock stands for a writer that lives.
+        let living = File::options().write(true).open(at("a.partial-1-3f")).expect("opens");
+        living.try_lock().expect("locked");
+        write(&at("a"), b"whole").expect("written");
+        assert_eq!(std::fs::read(at("a")).expect("read"), b"whole");
+        let names = std::fs::read_dir(folder.path()).expect("a folder").flatten();
+        let mut names: Vec<_> = names.map(|entry| entry.file_name().into_string().expect("text")).collect();
+        names.sort();
+        assert_eq!(names, ["a", "a.partial", "a.partial-1-3f", "ab.partial-1-2f"]);
+    }
 }

@@ -373,6 +373,16 @@ mod hard_cases {
         assert!(error.contains("none: reading failed"), "{error}");
     }
 
+    /// The error was that all cells are equal, and its hint spoke of simulations without noise.
+    #[test]
+    fn skipping_every_range_bin_is_refused_as_such() {
+        let (set, spec) = brief();
+        let reference = MapReference::OverNoise { skip_range_bins: 16, most_db: None };
+        let error = train(&set, &TrainSpec { reference, ..spec }, &mut |_| {}).err().expect("refused");
+        assert!(matches!(error, TrainError::AllSkipped { skipped: 16, range: 16 }), "{error}");
+        assert!(error.to_string().contains("skip_range_bins") && error.to_string().contains("hint: "), "{error}");
+    }
+
     /// A flipped bit in a number gave other answers, and nothing was said.
     #[test]
     fn a_flipped_bit_in_the_numbers_is_noticed() {

@@ -69,7 +69,8 @@ def train(
         its ``transform`` is not used
     :param settings: keys of a training that differ from the defaults, or a TOML file with them
     :param network: name of a network, as :func:`networks` lists them
-    :param checkpoint: file that holds the training after each epoch; a training that was stopped goes on from it
+    :param checkpoint: file that holds the training after each epoch; a training that was stopped goes on from it. One training
+        at a time may use it
     :param report: is called with a dict after each epoch; an exception of it ends the training
 
     >>> trained = radome.train("dataset", {"epochs": 10, "seed": 3}, report=print)

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use radome_files::{named_by_spec, parse_toml};
-use radome_models::{EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
+use radome_models::{CheckpointLock, EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
 use crate::dataset::Dataset;
@@ -67,6 +67,7 @@ pub fn train<'py>(
     let dataset = &dataset.get().inner;
     let outcome = detached(py, || {
         fork::check_pools("training")?;
+        let _held = checkpoint.as_deref().map(CheckpointLock::new).transpose()?;
         let run = || {
             train_with_checkpoint(dataset, &spec, checkpoint.as_deref(), &mut |epoch| {
                 let told = Python::attach(|py| tell(py, &epoch, report.as_ref()));

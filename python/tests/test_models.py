@@ -1,5 +1,6 @@
 """Models, datasets, training and the quantum layer."""
 
+import fcntl
 import multiprocessing
 import pickle
 import threading
@@ -131,6 +132,11 @@ def test_a_training_is_a_function_of_its_settings(tmp_path, dataset_path):
     checkpoint = tmp_path / "half.checkpoint"
     with pytest.raises(Enough):
         train(dataset_path, checkpoint=checkpoint, report=stop)
+    # Another training with this checkpoint, which also went on from it and removed it.
+    with open(tmp_path / "half.checkpoint.lock", "w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(radome.RadomeError, match="another process is at work"):
+            train(dataset_path, checkpoint=checkpoint)
     again = train(dataset_path, checkpoint=checkpoint)
     first.model.save(tmp_path / "first.safetensors")
     again.model.save(tmp_path / "again.safetensors")

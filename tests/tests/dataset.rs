@@ -218,6 +218,35 @@ fn a_zero_sigma_is_not_hidden() {
     fails_with(subcommand("dataset verify").arg(folder.path().join("flat")), &["1 groups of duplicates"]);
 }
 
+/// Statistics of all maps were refused where a sequence is in two splits, and those of a split did not say how the maps were divided.
+#[test]
+fn statistics_ask_for_splits_only_where_one_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let set = folder.path().join("set");
+    json_lines(&mut build(&spec(folder.path(), 4, ""), &set));
+    let stats = |more: &[&str]| {
+        let mut command = subcommand("dataset stats");
+        command.arg("--json").arg(&set).args(more);
+        command
+    };
+    let rule =
+        "no split of their own: their sequences are divided by the default rule of trainings, 15 % for validation";
+    assert!(success(&mut stats(&["--split", "train"])).1.contains(rule));
+    let (all, said) = success(&mut stats(&[]));
+    assert!(!said.contains("split"), "{said}");
+    // The first two maps are of one run.
+    let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("reads");
+    let with_split = |(index, line): (usize, &str)| {
+        let mut row: serde_json::Value = serde_json::from_str(line).expect("JSON");
+        row["split"] = if index == 0 { "train".into() } else { "test".into() };
+        format!("{row}\n")
+    };
+    let leaking: String = manifest.lines().enumerate().map(with_split).collect();
+    std::fs::write(set.join("manifest.jsonl"), leaking).expect("writable");
+    assert_eq!(success(&mut stats(&[])).0, all);
+    fails_with(&mut stats(&["--split", "train"]), &["is in two splits"]);
+}
+
 /// Writes a session with a few simulated frames in the format of Radar Fusion GUI.
 fn session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));

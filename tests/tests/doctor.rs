@@ -248,11 +248,18 @@ fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
         |name: &str| std::fs::read_to_string(radome_tests::root().join("packaging").join(name)).expect("packaged");
     let (printed, _) = success(subcommand("board list").arg("--udev-rules"));
     assert_eq!(printed.trim(), read("udev/70-radome.rules").trim());
-    let unit = read("systemd/radome.service");
+    let unit = read("systemd/radome@.service");
     let help = help("live");
     let options: Vec<&str> = unit.split_whitespace().map(|word| word.trim_start_matches("RADOME_OPTIONS=")).collect();
     let options: Vec<&str> =
         options.into_iter().filter(|word| word.starts_with("--m") || word.starts_with("--keep")).collect();
     assert!(options.len() >= 4 && options.iter().all(|option| help.contains(option)), "{options:?}");
     assert!(unit.contains("Type=notify") && unit.contains("WatchdogSec="));
+    // Two radars on one machine have settings and folders of their own.
+    let settings = unit.lines().filter(|line| !line.starts_with('#'));
+    for line in
+        settings.filter(|line| line.contains("/etc/") || line.contains("StateDirectory=") || line.contains("/var/"))
+    {
+        assert!(line.split_whitespace().all(|place| place.contains("%i")), "{line}");
+    }
 }

@@ -254,6 +254,40 @@ fn examples_in_helps_are_commands_of_the_program() {
     }
 }
 
+/// Names of commands as the program takes them, without groups.
+fn all_commands() -> BTreeSet<String> {
+    let mut known = BTreeSet::from(["bench".to_owned()]);
+    for command in subcommands(&help("")) {
+        let below = if GROUPS.contains(&command) { help(command) } else { String::new() };
+        match subcommands(&below).as_slice() {
+            [] => known.extend([command.to_owned()]),
+            names => known.extend(names.iter().map(|name| format!("{command} {name}"))),
+        }
+    }
+    known
+}
+
+/// Values of options were called by the option, by a unit, OUTPUT or a kind of file.
+#[test]
+fn values_of_options_are_named_by_unit_or_kind_of_file() {
+    let units = [("-s", "SECONDS"), ("-ms", "MS"), ("-db", "DB"), ("-m", "METRES"), ("-deg", "DEGREES"), ("-hz", "HZ")];
+    for command in all_commands() {
+        let text = help(&command);
+        for line in text.lines().filter(|line| line.trim_start().starts_with('-')) {
+            let Some((option, value)) = line.split_once(" <").and_then(|(o, v)| Some((o, v.split_once('>')?.0))) else {
+                continue;
+            };
+            let place = format!("{command}: {}<{value}>", option.trim_start());
+            for (_, unit) in units.iter().filter(|(ending, _)| option.ends_with(*ending)) {
+                assert!(value.split(',').next() == Some(*unit), "{place}");
+            }
+            let is_output = option.ends_with("--output");
+            assert!(!is_output || value.starts_with("FILE") || value.starts_with("DIR"), "{place}");
+            assert!(!["FOLDER", "PNG", "SCENE", "SPEC"].contains(&value), "{place}");
+        }
+    }
+}
+
 #[test]
 fn the_table_of_commands_is_that_of_the_program() {
     let page = page("docs/commands.md");
@@ -267,15 +301,7 @@ fn the_table_of_commands_is_that_of_the_program() {
         .filter(|name| !name.is_empty())
         .map(str::to_owned)
         .collect();
-    let mut known = BTreeSet::from(["bench".to_owned()]);
-    for command in subcommands(&help("")) {
-        let below = if GROUPS.contains(&command) { help(command) } else { String::new() };
-        match subcommands(&below).as_slice() {
-            [] => known.extend([command.to_owned()]),
-            names => known.extend(names.iter().map(|name| format!("{command} {name}"))),
-        }
-    }
-    assert_eq!(listed, known);
+    assert_eq!(listed, all_commands());
 }
 
 #[test]

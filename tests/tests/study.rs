@@ -312,7 +312,7 @@ mod hard_cases {
         place.add_conditions(&few, NOISE);
         json_lines(&mut place.study("study"));
         place.add_conditions(&few, &NOISE.replace("raw_snr_db = 0.0", "raw_snr_db = 3.0"));
-        fails_with(&mut place.study("study"), &["noise_+0_dB", "built from other settings"]);
+        fails_with(&mut place.study("study"), &["noise_+0_dB", "made from another spec", "hint: "]);
     }
 
     /// Asserts that a second run in a folder fails with a message, while reports are still possible.
@@ -346,5 +346,25 @@ mod hard_cases {
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         }
         assert_eq!(progress(&place.at("study")), [9, 0]);
+    }
+
+    /// A study took the dataset that it had built, whatever its spec had become.
+    #[test]
+    fn a_dataset_whose_spec_was_edited_is_refused() {
+        let place = Place::new(&few().replace("none.toml", "maps.toml"));
+        let spec = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
+        std::fs::write(place.at("maps.toml"), &spec).expect("writable");
+        let study = || {
+            let mut command = subcommand("model study");
+            command.arg(place.at("study.toml")).args(["--json", "-o"]).arg(place.at("study"));
+            command
+        };
+        let told = json_lines(&mut study());
+        std::fs::write(place.at("maps.toml"), spec.replace("seeds = [1, 8]", "seeds = [1, 9]")).expect("writable");
+        fails_with(&mut study(), &["study/dataset was made from another spec", "hint: undo the change"]);
+        // The report on what was done is still to be had.
+        assert_eq!(json_lines(study().arg("--report-only")).last(), told.last());
+        std::fs::write(place.at("maps.toml"), spec).expect("writable");
+        assert_eq!(json_lines(&mut study()).last(), told.last());
     }
 }

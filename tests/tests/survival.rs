@@ -108,7 +108,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
 
 /// Command line that systemd makes from the packaged unit.
 fn service(source: &Path, options: &[&str]) -> Command {
-    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
+    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome@.service")).expect("packaged");
     let line = unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("a command");
     let mut command = radome();
     for word in line.split_whitespace().skip(1) {
@@ -185,7 +185,7 @@ fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
 
 #[test]
 fn the_watchdog_waits_longer_than_a_lost_board_is_looked_for() {
-    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
+    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome@.service")).expect("packaged");
     let seconds = unit.lines().find_map(|line| line.strip_prefix("WatchdogSec=")).expect("a watchdog");
     let watchdog = Duration::from_secs(seconds.parse().expect("seconds"));
     assert!(watchdog >= 2 * Reconnect::default().give_up_after, "{watchdog:?}");

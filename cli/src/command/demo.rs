@@ -19,7 +19,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
     speed: f64,
     /// Scene to use instead of the corridor
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     scene: Option<PathBuf>,
     /// Model to use instead of the shipped one
     #[arg(long)]

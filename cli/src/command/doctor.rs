@@ -31,7 +31,7 @@ pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
     /// Folder for recordings to check: space, speed, permission
-    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    #[arg(long, value_name = "DIR", default_value = ".")]
     record_to: PathBuf,
     /// Pack the data for a bug report into this new archive: checks, board, registers, frames, bytes on the wire. Tokens such as
     /// <path-1> replace paths, names of users and hosts, addresses, serial numbers and logins

@@ -52,10 +52,10 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
     /// Seconds for which frames must agree before `occupied` or a greater number of people is reported
-    #[arg(long, default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
+    #[arg(long, value_name = "SECONDS", default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
     pub on_delay_s: f64,
     /// Seconds for which frames must agree before `empty` or a smaller number of people is reported
-    #[arg(long, default_value_t = Delays::default().off_s, value_parser = source::not_negative)]
+    #[arg(long, value_name = "SECONDS", default_value_t = Delays::default().off_s, value_parser = source::not_negative)]
     pub off_delay_s: f64,
     /// Print one JSON object per frame and one at the end
     #[arg(long)]
@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let recording = output.as_ref().map(NewRecording::path);
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording)?;
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),

@@ -16,7 +16,7 @@ pub struct CompletionArguments {
 #[derive(clap::Args)]
 pub struct ManArguments {
     /// Folder for radome.1 and a page for each command
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
 

@@ -28,7 +28,7 @@ pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
     /// MCAP file to write. In a folder it is a file with the time (UTC) as its name; {time} in a name stands for the time
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
@@ -36,7 +36,7 @@ pub struct Arguments {
     #[arg(long, hide = true)]
     no_sync: bool,
     /// Fail with exit status 1 if more frames than this are lost, or an unknown number
-    #[arg(long)]
+    #[arg(long, value_name = "FRAMES")]
     max_dropped: Option<u64>,
     /// End with exit status 0 instead of 3 if frames are lost
     #[arg(long)]

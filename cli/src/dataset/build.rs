@@ -16,7 +16,7 @@ use super::plan::{self, Plan, PlanCard};
 use super::unit;
 use crate::output::Interrupted;
 use crate::shard::Shard;
-use crate::{files, output, panics};
+use crate::{output, panics};
 
 /// Dataset or shard that a build produced.
 pub struct Built {
@@ -126,10 +126,7 @@ impl Parts {
         fs::create_dir_all(&self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
         let lock = dataset::lock_folder(&self.folder)?;
         if !self.folder.join(plan::FILE).exists() {
-            let text = plan.card.to_json()?;
-            files::write_atomically(&self.folder.join(plan::FILE), |file| {
-                std::io::Write::write_all(file, text.as_bytes()).context("cannot write the plan")
-            })?;
+            plan.card.write_file(&self.folder.join(plan::FILE))?;
         } else if let Some(difference) = plan.card.difference(&PlanCard::read(&self.folder)?) {
             bail!(
                 "{folder} holds the beginning of another build, {difference}\n\nhint: undo the change to go on with it, or \

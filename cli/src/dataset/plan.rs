@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::fingerprints::Fingerprints;
 use super::folders::{self, Found, Reading, Rules};
 use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
+use crate::files;
 use crate::shard::Shard;
 use crate::source;
 
@@ -295,8 +296,15 @@ impl PlanCard {
     /// # Errors
     /// The card cannot be read or is of another format.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
-        let path = folder.join(FILE);
-        let text = read_text(&path, CARD_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::read_file(&folder.join(FILE))
+    }
+
+    /// Reads a card.
+    ///
+    /// # Errors
+    /// Those of [`PlanCard::read`].
+    pub fn read_file(path: &Path) -> anyhow::Result<Self> {
+        let text = read_text(path, CARD_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         #[derive(Deserialize)]
         struct Version {
             format: u32,
@@ -311,12 +319,15 @@ impl PlanCard {
         serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))
     }
 
-    /// Formats the card as JSON.
+    /// Writes the card.
     ///
     /// # Errors
-    /// The card cannot be written as JSON.
-    pub fn to_json(&self) -> anyhow::Result<String> {
-        Ok(serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n")
+    /// The file cannot be written.
+    pub fn write_file(&self, path: &Path) -> anyhow::Result<()> {
+        let text = serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n";
+        files::write_atomically(path, |file| {
+            std::io::Write::write_all(file, text.as_bytes()).context("cannot write the plan")
+        })
     }
 
     /// Returns the difference that prevents a merge with the units of another plan; `None` if there is none.
@@ -330,6 +341,11 @@ impl PlanCard {
                 other.kernel, self.kernel
             ));
         }
+        self.difference_of_sources(other)
+    }
+
+    /// Returns the difference of the spec or of a source; `None` if there is none.
+    pub fn difference_of_sources(&self, other: &PlanCard) -> Option<String> {
         if self.spec != other.spec {
             return Some("made from another spec".into());
         }

@@ -156,8 +156,22 @@ fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Rd
     let Value::Object(mut all) = serde_json::to_value(map_of_networks()).map_err(D::Error::custom)? else {
         return Err(D::Error::custom("a map is a table"));
     };
+    // JSON has no number that is not finite: one of a TOML file has become a null, which a plan has only in the place of an absent key.
+    let is_lost = |key: &str, value: &Value| holds_null(value) && all.get(key) != Some(value);
+    if let Some((key, _)) = given.iter().find(|(key, value)| is_lost(key, value)) {
+        return Err(D::Error::custom(format!("map.{key} holds a number that is not finite")));
+    }
     all.extend(given);
     serde_json::from_value(Value::Object(all)).map_err(D::Error::custom)
+}
+
+fn holds_null(value: &Value) -> bool {
+    match value {
+        Value::Null => true,
+        Value::Array(values) => values.iter().any(holds_null),
+        Value::Object(table) => table.values().any(holds_null),
+        _ => false,
+    }
 }
 
 /// Schema of a table whose keys are all optional.
@@ -285,6 +299,19 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// A floor that is not finite was refused as "invalid type: null", and such a time of change was taken for none.
+        #[test]
+        fn a_number_of_a_map_that_is_not_finite_is_refused_with_its_key() {
+            let axes = "physical_axes = { range_bins = 64, range_step_m = nan, velocity_bins = 64, velocity_step_m_per_s = 0.1 }";
+            for (text, key) in
+                [("floor_db = nan", "floor_db"), ("change_over_s = -inf", "change_over_s"), (axes, "physical_axes")]
+            {
+                let error = BuildSpec::parse(&format!("format = 1\n[map]\n{text}\n")).expect_err(text);
+                let said = format!("{error:#}");
+                assert!(said.contains(&format!("map.{key} holds a number that is not finite")), "{said}");
+            }
+        }
 
         #[test]
         fn numbers_that_would_fill_memory_are_refused() {

@@ -71,7 +71,7 @@ impl<'a> NoisyProcessor<'a> {
     pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
         let Some(noise) = &self.noise else { return self.processor.process(frame, map) };
         noise.samples(frame, self.processor.spec().scale, &mut self.samples);
-        self.processor.process_samples(frame.sequence, &self.samples, map)
+        self.processor.process_changed_samples(frame, &self.samples, map)
     }
 }
 

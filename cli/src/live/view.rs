@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long)]
     view: bool,
     /// Address of the page; only this machine can reach the default. A page that the network can reach requires the token in its link
-    #[arg(long, default_value = "127.0.0.1:8060", requires = "view")]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8060", requires = "view")]
     listen: SocketAddr,
     /// Let pages show and download labels, but not change them
     #[arg(long, requires = "view")]
@@ -75,7 +75,7 @@ pub struct Page {
 
 impl Page {
     /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
-    /// which is being written.
+    /// which is being written. `name` is the radar's own, if it has one.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -84,6 +84,7 @@ impl Page {
         source: &Source,
         model: &Path,
         recording: Option<&Path>,
+        name: Option<&str>,
     ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
             return Ok(None);
@@ -109,6 +110,7 @@ impl Page {
             feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),
+                name: name.map(str::to_owned),
                 model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
                 board: source.board.clone(),
                 has_partner: partner.is_some(),

@@ -119,14 +119,19 @@ impl PhysicalTransform {
         }
     }
 
-    /// Finds the receivers that give a signal, from all samples of the used channels before any removal. Only a mean over
-    /// receivers needs them.
-    pub(super) fn find_alive(&mut self, plan: &MapPlan, samples: &[f32]) {
+    /// Finds the receivers that give a signal, from all samples of the used channels before any removal.
+    pub(super) fn find_alive_by_samples(&mut self, plan: &MapPlan, samples: &[f32]) {
+        let (length, ends) = (plan.channel_length(), self.ends);
+        self.find_alive(plan, |rx| samples.chunks_exact(length).nth(rx).is_some_and(|channel| !is_dead(channel, ends)));
+    }
+
+    /// Sets the receivers that give a signal; all of them if none does. Only a mean over all receivers needs them.
+    pub(super) fn find_alive(&mut self, plan: &MapPlan, is_alive: impl Fn(usize) -> bool) {
         if !plan.is_sum {
             return;
         }
-        for (alive, channel) in self.alive.iter_mut().zip(samples.chunks_exact(plan.channel_length())) {
-            *alive = !is_dead(channel, self.ends);
+        for (rx, alive) in self.alive.iter_mut().enumerate() {
+            *alive = is_alive(rx);
         }
         if !self.alive.contains(&true) {
             self.alive.fill(true);

@@ -190,23 +190,29 @@ impl RdmProcessor {
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
     pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
-        MapError::check(frame, self.plan.frame_shape)?;
+        self.process_changed(frame, frame, map)
+    }
+
+    /// Computes the map of a frame whose codes were changed, such as by noise. Receivers that give no signal are those of the frame
+    /// as it was `received`: noise that fills the range of the ADC does not make a receiver one of them.
+    ///
+    /// # Errors
+    /// Those of [`process`](Self::process), for either frame.
+    ///
+    /// # Panics
+    /// If `map` has fewer cells than [`shape`](Self::shape) says.
+    pub fn process_changed(&mut self, received: &Frame, changed: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
+        MapError::check(received, self.plan.frame_shape)?;
+        MapError::check(changed, self.plan.frame_shape)?;
         let used = self.plan.used();
-        let source = self.source(frame);
-        if source.start != self.source_start {
-            // The state between frames is that of another receiver.
-            self.reset();
-            self.source_start = source.start;
-        }
-        let codes = &frame.codes[source];
-        self.follow(frame.sequence);
+        let codes = &changed.codes[self.begin(received)];
         let saturated = saturated_codes(self.level, codes);
         if let Transform::Lanes(lanes) = &mut self.transform
             && !matches!(self.spec.static_removal, StaticRemoval::RecursiveMti { .. })
         {
             let channels = codes.chunks_exact(self.plan.channel_length()).map(Input::Codes);
             let cells = through_lanes(lanes, &self.plan, self.fused_floor, channels, &mut map.db);
-            self.finish(frame.sequence, saturated, cells, map);
+            self.finish(received.sequence, saturated, cells, map);
             return Ok(MapStatus::Ready);
         }
         let (factor, offset) = self.plan.scale;
@@ -214,7 +220,31 @@ impl RdmProcessor {
         for (x, code) in self.samples[used].iter_mut().zip(codes) {
             *x = f32::from(*code) * factor + offset;
         }
-        Ok(self.make_map(frame.sequence, saturated, map))
+        self.find_alive(received);
+        Ok(self.make_map(received.sequence, saturated, map))
+    }
+
+    /// Computes the map of a frame whose samples were changed, as [`process_changed`](Self::process_changed) does. `samples` are in
+    /// the spec's scale, `[rx][chirp][sample]` of all channels, and need not be codes.
+    ///
+    /// # Errors
+    /// Those of [`process`](Self::process), and [`MapError::Length`] if the number of samples is not that of a frame. State and map
+    /// are then unchanged.
+    ///
+    /// # Panics
+    /// If `map` has fewer cells than [`shape`](Self::shape) says.
+    pub fn process_changed_samples(
+        &mut self,
+        received: &Frame,
+        samples: &[f32],
+        map: &mut Rdm,
+    ) -> Result<MapStatus, MapError> {
+        MapError::check(received, self.plan.frame_shape)?;
+        MapError::check_length(received.sequence, samples.len(), self.plan.frame_shape)?;
+        let (used, source) = (self.plan.used(), self.begin(received));
+        self.samples[used].copy_from_slice(&samples[source]);
+        self.find_alive(received);
+        Ok(self.make_map(received.sequence, 0, map))
     }
 
     /// Computes the map of samples that are already in the spec's scale, `[rx][chirp][sample]` of all channels. NaN and infinity
@@ -229,7 +259,30 @@ impl RdmProcessor {
         MapError::check_length(sequence, samples.len(), self.plan.frame_shape)?;
         self.follow(sequence);
         self.samples.copy_from_slice(samples);
+        if let Transform::Physical(transform) = &mut self.transform {
+            transform.find_alive_by_samples(&self.plan, &self.samples[self.plan.used()]);
+        }
         Ok(self.make_map(sequence, 0, map))
+    }
+
+    /// Begins with a frame: resets the state if it does not belong to this frame. Returns the range of the frame's codes that the map
+    /// is computed from.
+    fn begin(&mut self, frame: &Frame) -> Range<usize> {
+        let source = self.source(frame);
+        if source.start != self.source_start {
+            // The state between frames is that of another receiver.
+            self.reset();
+            self.source_start = source.start;
+        }
+        self.follow(frame.sequence);
+        source
+    }
+
+    /// Leaves receivers that give no signal in a frame out of a mean over receivers on physical axes.
+    fn find_alive(&mut self, frame: &Frame) {
+        if let Transform::Physical(transform) = &mut self.transform {
+            transform.find_alive(&self.plan, |rx| !frame.is_receiver_dead(rx));
+        }
     }
 
     /// Range of the codes of a frame that the map is computed from, by [`Channels`].
@@ -256,9 +309,6 @@ impl RdmProcessor {
     /// Computes the map of `samples`.
     fn make_map(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
         let used = self.plan.used();
-        if let Transform::Physical(transform) = &mut self.transform {
-            transform.find_alive(&self.plan, &self.samples[used.clone()]);
-        }
         if self.plan.removes_chirp_mean {
             for chirp in self.samples[used.clone()].chunks_exact_mut(self.plan.frame_shape.samples) {
                 let mean = (chirp.iter().map(|x| f64::from(*x)).sum::<f64>() / chirp.len() as f64) as f32;

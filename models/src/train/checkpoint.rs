@@ -2,7 +2,8 @@
 //! not.
 
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 
 use radome_files::read;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -11,6 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::error::TrainError;
 use super::outcome::EpochReport;
 use crate::array_hash;
+use crate::dataset::{DatasetError, lock_file};
 use crate::network::Normalisation;
 use crate::whole_file;
 
@@ -18,6 +20,35 @@ use crate::whole_file;
 const LIMIT_BYTES: u64 = 4 << 30;
 /// Key in the metadata of the numbers that are no arrays.
 const KEY: &str = "radome-training";
+
+/// Lock on a checkpoint, so that two trainings do not take over each other's. It is the file `CHECKPOINT.lock`, which is removed when
+/// the lock is dropped: after the model is saved and the checkpoint removed.
+#[derive(Debug)]
+pub struct CheckpointLock {
+    path: PathBuf,
+    _held: File,
+}
+
+impl CheckpointLock {
+    /// Locks the checkpoint of this path, which need not exist.
+    ///
+    /// # Errors
+    /// [`DatasetError::Busy`] if another training holds it, and [`DatasetError::Io`] if the file of the lock cannot be made.
+    pub fn new(checkpoint: &Path) -> Result<Self, DatasetError> {
+        let mut name = checkpoint.file_name().unwrap_or_default().to_owned();
+        name.push(".lock");
+        let path = checkpoint.with_file_name(name);
+        let held = lock_file(&path)?;
+        Ok(CheckpointLock { path, _held: held })
+    }
+}
+
+impl Drop for CheckpointLock {
+    fn drop(&mut self) {
+        // While it is held: another training that has opened it notices that it has no name any more.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
 
 /// State after the best epoch so far.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -141,4 +172,20 @@ fn unwritten(path: &Path, reason: impl std::fmt::Display) -> TrainError {
 
 fn unusable(path: &Path, reason: impl std::fmt::Display) -> TrainError {
     TrainError::Checkpoint { what: format!("{}: {reason}", path.display()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_is_of_one_training_at_a_time() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("half.checkpoint");
+        let held = CheckpointLock::new(&path).expect("free");
+        assert!(matches!(CheckpointLock::new(&path), Err(DatasetError::Busy { .. })));
+        drop(held);
+        assert!(!folder.path().join("half.checkpoint.lock").exists());
+        CheckpointLock::new(&path).expect("free");
+    }
 }

@@ -94,6 +94,10 @@ impl Data {
         if let Some(layer) = spec.network_spec().too_small_for(rows, columns) {
             return Err(TrainError::TooSmall { layer, range: shape.range, doppler: shape.doppler });
         }
+        let skipped = spec.reference.skipped_range_bins().unwrap_or(0);
+        if skipped >= shape.range {
+            return Err(TrainError::AllSkipped { skipped, range: shape.range });
+        }
         let Indices { train, validation, test } = Indices::choose(dataset, spec)?;
         let rows = dataset.rows();
         let part = |indices: Vec<usize>| -> Result<Part, TrainError> {

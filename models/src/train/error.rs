@@ -39,6 +39,11 @@ pub enum TrainError {
     /// Maps are too small for the network's poolings.
     #[error("maps are {range} range x {doppler} doppler bins, too few for the network's layer {layer}")]
     TooSmall { layer: String, range: usize, doppler: usize },
+    /// No range bin is left to learn from.
+    #[error(
+        "training: reference.over_noise.skip_range_bins is {skipped}, and the dataset's maps have {range} range bins\n\nhint: skip the few bins that show leakage, such as 3"
+    )]
+    AllSkipped { skipped: usize, range: usize },
     /// A required split is empty.
     #[error(
         "the {split} split is empty: {maps} maps in {sequences} sequences\n\nhint: splits are made of whole sequences; record more of them, or give rows a split"

@@ -46,6 +46,7 @@ mod trainer;
 pub use crate::model::{Adapted, BeforeAfter, Scores};
 pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapter, Fit};
 pub use augmentation::{Augmentation, Superpose, Sway};
+pub use checkpoint::CheckpointLock;
 pub(crate) use data::Indices;
 pub use error::TrainError;
 pub(crate) use maps::Maps;

@@ -35,7 +35,7 @@ pub fn train(
 
 /// [`train`] that writes `checkpoint` after each epoch and continues from it if it exists. A training that was killed and continued
 /// gives the same model as one that was not. The file stays at the end, where another call gives the model again: remove it when
-/// the model is saved.
+/// the model is saved. Hold its [`CheckpointLock`](super::CheckpointLock) until then.
 ///
 /// # Errors
 /// Those of [`train`], [`TrainError::Checkpoint`] if the checkpoint cannot be read, [`TrainError::OtherTraining`] if it is of another

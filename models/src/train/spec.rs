@@ -70,7 +70,7 @@ pub struct TrainSpec {
     pub learning_rate: f64,
     /// Step size of the circuit's angles, as a multiple of `learning_rate`.
     pub angle_rate: f64,
-    /// Step size of the last layer, as a multiple of `learning_rate`.
+    /// Step size of the head's dense layers, and of all where the network reads descriptors, as a multiple of `learning_rate`.
     pub head_rate: f64,
     /// Steps over which the step size rises to its full value.
     pub warm_up_steps: usize,

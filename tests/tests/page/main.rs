@@ -157,6 +157,11 @@ fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_to
     browser.wait_until("window.radome?.header && radome.hello");
     let width = browser.evaluate("document.documentElement.scrollWidth").as_f64().expect("a width");
     assert!(width <= 390.0, "{width}");
+    // Readings and controls filled the first screen, and the timeline was beyond it.
+    let [timeline, keys] = [("timeline", "bottom"), ("keys", "top")].map(|(id, edge)| {
+        browser.evaluate(&format!("document.getElementById('{id}').getBoundingClientRect().{edge}")).as_f64()
+    });
+    assert!(timeline <= keys, "{timeline:?} {keys:?}");
     let from = browser.evaluate("performance.getEntriesByType('resource').map(e => e.name)");
     let from = from.as_array().expect("a list");
     assert!(from.len() >= 11 && from.iter().all(|u| u.as_str().expect("text").starts_with(&served.url())), "{from:?}");
@@ -234,6 +239,20 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     // A label that nobody receives is not lost without a word.
     browser.key("1");
     browser.wait_until("document.getElementById('notice').textContent.startsWith('No connection')");
+}
+
+/// Tabs of several rooms were all called radome.
+#[test]
+fn the_title_tells_rooms_apart_and_holds_the_present_answer() {
+    for (options, room) in [("", "corridor"), ("--mqtt mqtt://127.0.0.1:1 --mqtt-name Bedroom", "Bedroom")] {
+        let options = format!("--speed 1 --frames 100000 {options}");
+        let served = Served::start(&mut live_command(fixture("scenes/corridor.toml"), &options));
+        let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
+        browser.wait_until(&format!("/^(empty|one|two) · .*{room}.* · radome$/.test(document.title)"));
+        served.program.signal("STOP");
+        browser.wait_until("document.title.startsWith('– · ')");
+        served.program.signal("CONT");
+    }
 }
 
 /// Makes the pictures of the README and of `docs/page.md`.

@@ -26,46 +26,46 @@ pub struct Arguments {
     /// plate, dihedral, trihedral, cavity, sphere, cylinder, ellipsoid, mirror, or a mesh file in metres (.stl, .obj)
     target: String,
     /// Along y (plate, cavity: 0.05), across the edge (dihedral), diameter of the aperture (mirror: 0.2)
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     width_m: Option<f64>,
     /// Along z (cavity: 0.05)
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     height_m: Option<f64>,
     /// Depth (cavity: 0.05)
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     depth_m: Option<f64>,
     /// Length of a trihedral's edges
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     edge_m: Option<f64>,
     /// Sphere, cylinder; radius of curvature of the mirror (1)
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     radius_m: Option<f64>,
     /// Semi-axes X,Y,Z of the ellipsoid
-    #[arg(long, value_delimiter = ',', num_args = 1)]
+    #[arg(long, value_name = "METRES,METRES,METRES", value_delimiter = ',', num_args = 1)]
     axes_m: Option<Vec<f64>>,
     /// Outline of a trihedral's faces
     #[arg(long, value_parser = one_of(OUTLINES))]
     faces: Option<Outline>,
     /// Angle between the radar and a plate's normal
-    #[arg(long, allow_hyphen_values = true, conflicts_with = "azimuth_deg")]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, conflicts_with = "azimuth_deg")]
     angle_deg: Option<f64>,
     /// Azimuth of the radar
-    #[arg(long, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     azimuth_deg: Option<f64>,
     /// Elevation of the radar
-    #[arg(long, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     elevation_deg: Option<f64>,
     /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body [default: infinitely far]
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     range_m: Option<f64>,
     /// Frequency
-    #[arg(long, default_value_t = 60e9)]
+    #[arg(long, value_name = "HZ", default_value_t = 60e9)]
     frequency_hz: f64,
     /// pec, skin, or a building material: concrete, plasterboard, glass, wood...
     #[arg(long, default_value = "pec")]
     material: String,
     /// A slab of the material in air rather than a half-space
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     thickness_m: Option<f64>,
     /// Electric field of the radar
     #[arg(long, value_parser = one_of(POLARISATIONS), default_value = "vertical")]
@@ -74,10 +74,10 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t = How::Auto)]
     method: How,
     /// Use a mesh with edges of this length instead of the exact shape
-    #[arg(long)]
+    #[arg(long, value_name = "METRES")]
     mesh_edge_m: Option<f64>,
     /// Numerical error to aim for, dB
-    #[arg(long, default_value_t = 0.1)]
+    #[arg(long, value_name = "DB", default_value_t = 0.1)]
     tolerance_db: f64,
     /// Rounds; the fastest counts
     #[arg(long, default_value_t = 3)]

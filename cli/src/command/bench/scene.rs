@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', default_value = "10,30,50", requires = "scene")]
     frames: Vec<u64>,
     /// Tolerances, dB
-    #[arg(long, value_delimiter = ',', default_value = "2,0.5,0.2", requires = "scene")]
+    #[arg(long, value_name = "DB,...", value_delimiter = ',', default_value = "2,0.5,0.2", requires = "scene")]
     tolerances_db: Vec<f64>,
     /// Number of people
     #[arg(long, requires = "scene")]
@@ -38,10 +38,10 @@ pub struct Arguments {
     #[arg(long, default_value_t = DEFAULT_SEED, requires = "scene")]
     seed: u64,
     /// Dense physical optics leaves out paths by walls this far below the noise, dB
-    #[arg(long, default_value_t = 10.0, requires = "scene")]
+    #[arg(long, value_name = "DB", default_value_t = 10.0, requires = "scene")]
     dense_margin_db: f64,
     /// Folder that keeps frames of dense physical optics for later runs
-    #[arg(long, requires = "scene")]
+    #[arg(long, value_name = "DIR", requires = "scene")]
     dense_frames: Option<PathBuf>,
     /// Print a JSON list of objects
     #[arg(long)]

@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Picture to write: errors over times
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Rounds; the fastest counts
     #[arg(long, default_value_t = 5)]

@@ -14,7 +14,7 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Picture to write: errors over times, with a colour for each stage
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Python whose scipy, torch and onnxruntime are measured too; `python3` if absent
     #[arg(long)]

@@ -42,7 +42,7 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
     /// Symbolic link to the pseudo-terminal, so that its path is always the same; for mcu7-bulk, folder of the endpoints
-    #[arg(long)]
+    #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
     /// Serve on this terminal instead, such as a USB gadget's /dev/ttyGS0; for mcu7-bulk, on a mounted FunctionFS
     #[arg(long, value_name = "PATH", conflicts_with = "link")]

@@ -13,7 +13,7 @@ pub struct Arguments {
     /// TOML file with the kind of map and the sources (examples in fixtures/datasets)
     spec: PathBuf,
     /// Folder to make; with --shard, the folder for the shards
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Make part I of N (from 0) for `dataset merge`; `auto/N` or `auto` takes I from a Slurm, HyperQueue or Kubernetes array
     #[arg(long, value_name = "I/N")]

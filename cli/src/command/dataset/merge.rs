@@ -12,7 +12,7 @@ pub struct Arguments {
     #[arg(required = true)]
     parts: Vec<PathBuf>,
     /// Folder to make
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Print one JSON object at the end
     #[arg(long)]

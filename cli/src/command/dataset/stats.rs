@@ -16,7 +16,8 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// Use only the maps of this split; all maps if absent
+    /// Use only the maps of this split; all maps if absent. Sequences without a split of their own are divided by the default rule of
+    /// trainings
     #[arg(long, value_parser = one_of(SPLITS))]
     split: Option<Split>,
     /// Show features of people in the maps instead, each beside its measured value
@@ -26,7 +27,7 @@ pub struct Arguments {
     #[arg(long, requires = "features", value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     frames: Vec<String>,
     /// With --features: file of measured values; fixtures/features/walking.toml if absent
-    #[arg(long, requires = "features", value_name = "FILE")]
+    #[arg(long, requires = "features", value_name = "FILE.toml")]
     measured: Option<PathBuf>,
     /// Print a JSON list of objects
     #[arg(long)]
@@ -41,9 +42,10 @@ const SPLITS: &[(&str, Split)] = &[("train", Split::Train), ("validation", Split
 /// The dataset or the measured features cannot be read, or a class has a sigma of zero.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
-    let splits = dataset.splits(&SplitSpec::default())?;
-    let is_wanted = |index: &usize| arguments.split.is_none_or(|split| splits.get(*index) == Some(&split));
-    let indices: Vec<usize> = (0..dataset.len()).filter(is_wanted).collect();
+    let indices: Vec<usize> = match arguments.split {
+        Some(split) => of_split(&dataset, split)?,
+        None => (0..dataset.len()).collect(),
+    };
     if arguments.features {
         let rows = compare(&dataset, &indices, &arguments.frames, arguments.measured.as_deref())?;
         return features::print(&rows, !arguments.frames.is_empty(), arguments.json);
@@ -90,4 +92,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         flat.join(", ")
     );
     Ok(())
+}
+
+/// Maps of a split. Says by what rule the dataset is divided, unless its rows have splits.
+fn of_split(dataset: &Dataset, split: Split) -> anyhow::Result<Vec<usize>> {
+    let rule = SplitSpec::default();
+    let splits = dataset.splits(&rule)?;
+    let undivided = dataset.rows().iter().filter(|row| row.split.is_none()).count();
+    if undivided > 0 {
+        let percent = |share: f64| 100.0 * share;
+        message!(
+            "{undivided} of {} maps have no split of their own: their sequences are divided by the default rule of trainings, {:.0} % \
+             for validation and {:.0} % for test",
+            dataset.len(),
+            percent(rule.validation),
+            percent(rule.test)
+        );
+    }
+    Ok((0..dataset.len()).filter(|index| splits.get(*index) == Some(&split)).collect())
 }

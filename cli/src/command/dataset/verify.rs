@@ -14,7 +14,7 @@ pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
     /// Property, besides the sequence, that no two splits may share
-    #[arg(long, value_parser = one_of(PROPERTIES), default_value = "sequence")]
+    #[arg(long, value_name = "PROPERTY", value_parser = one_of(PROPERTIES), default_value = "sequence")]
     by: SplitBy,
     /// Print one JSON object
     #[arg(long)]

@@ -37,10 +37,10 @@ pub struct Arguments {
     simulated: Option<PathBuf>,
     /// Measure accuracy against minutes of labels instead, on the simulated rooms of a file such as fixtures/strangers.toml. The
     /// model is adapted to each room and evaluated on other recordings of this room and of the other rooms
-    #[arg(long, value_name = "ROOMS.toml", conflicts_with_all = ["recordings", "empty", "output"])]
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["recordings", "empty", "output"])]
     curve: Option<PathBuf>,
     /// Model file to write. Without it, only report the gain
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.safetensors")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,

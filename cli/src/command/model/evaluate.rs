@@ -47,7 +47,8 @@ pub struct Arguments {
     #[arg(long, value_enum)]
     split: Option<Split>,
     /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
-    /// dB
+    /// dB. Samples with noise are rounded and cut off at the ends of the ADC's range, as by a board: where they reach the ends,
+    /// there is less noise than the ratio says, and less than by the `raw_snr_db` of a dataset
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...", value_parser = thermal::snr_db)]
     thermal_snr_db: Vec<f64>,
     /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
@@ -56,7 +57,7 @@ pub struct Arguments {
     ablate: bool,
     /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
     /// from training data in one way. Frames in which someone enters or leaves are left out
-    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
+    #[arg(long, value_name = "DIR|FILE.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
     ladder: Option<PathBuf>,
     /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]

@@ -23,7 +23,7 @@ pub struct Arguments {
     /// Model file (.safetensors)
     model: PathBuf,
     /// ONNX file to write
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.onnx")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,

@@ -18,7 +18,7 @@ use serde::Deserialize;
 use self::conditions::ConditionFile;
 pub(super) use self::conditions::{Given, check_sources};
 use crate::dataset::build::build_plan;
-use crate::dataset::plan::Plan;
+use crate::dataset::plan::{Plan, PlanCard};
 use crate::shard::Shard;
 use crate::{files, output};
 
@@ -28,7 +28,7 @@ pub struct Arguments {
     /// TOML file with the networks, seeds, shares of labels and noise to compare
     spec: PathBuf,
     /// Folder for results, report, times and plots. The study resumes with the results that it contains
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Dataset folder. Without it, the study builds one from the spec's `dataset`
     #[arg(long)]
@@ -110,7 +110,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ),
         None => {
             let maps = folder.join("dataset");
-            make_dataset(&maps, &source, || Plan::new(&named(&arguments.spec, &source)?, Shard::WHOLE))?;
+            if !arguments.report_only {
+                let hint = "undo the change, or give the study another folder by -o";
+                make_dataset(&maps, &source, hint, || Plan::new(&named(&arguments.spec, &source)?, Shard::WHOLE))?;
+            }
             maps
         }
     };
@@ -154,9 +157,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Builds a dataset by the plan of the spec `source`, unless it exists. If another process, such as another shard, is
-/// building it, waits for that process. Returns whether this process built it.
-fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<bool> {
+/// building it, waits for that process. The card of the plan is kept beside the dataset, and one that was built from another spec
+/// or other sources is refused with the hint.
+fn make_dataset(maps: &Path, source: &Path, hint: &str, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
     const WAIT: Duration = Duration::from_millis(500);
+    let mut card = maps.file_name().unwrap_or_default().to_owned();
+    card.push(".plan.json");
+    let card = maps.with_file_name(card);
     let mut is_told = false;
     while !is_dataset(maps) {
         let plan = plan()?;
@@ -164,14 +171,19 @@ fn make_dataset(maps: &Path, source: &Path, plan: impl Fn() -> anyhow::Result<Pl
             message!("building {} from {}", maps.display(), source.display());
         }
         match build_plan(&plan, maps, None) {
-            Ok(_) => return Ok(true),
+            Ok(_) => return plan.card.write_file(&card),
             // Another process has built it meanwhile.
             Err(_) if is_dataset(maps) => break,
             Err(error) if is_busy(&error) && !output::interrupted() => std::thread::sleep(WAIT),
             Err(error) => return Err(error),
         }
     }
-    Ok(false)
+    if card.exists()
+        && let Some(difference) = plan()?.card.difference_of_sources(&PlanCard::read_file(&card)?)
+    {
+        bail!("{} was {difference}\n\nhint: {hint}", maps.display());
+    }
+    Ok(())
 }
 
 fn is_dataset(folder: &Path) -> bool {

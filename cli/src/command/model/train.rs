@@ -2,8 +2,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
-use radome_models::dataset::{Dataset, DatasetError, lock_file};
-use radome_models::{NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
+use radome_models::dataset::{Dataset, DatasetError};
+use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
@@ -15,30 +15,30 @@ pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
     /// Model file to write
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.safetensors")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
     /// TOML file with the settings of the training; absent settings have defaults
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     spec: Option<PathBuf>,
     /// Network, as `radome model list` names it; descriptor_linear and descriptor_hqnn need `reference.over_noise` in the spec
     #[arg(long)]
     network: Option<String>,
     /// torchvision's weights to start from, for resnet18, efficientnet_b0 and efficientnet_b0_rgb: its .pth as safetensors
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
     /// Passes over the training split
     #[arg(long)]
     epochs: Option<usize>,
-    /// Seed of initial weights and order
+    /// Seed of initial weights, order and augmentation
     #[arg(long)]
     seed: Option<u64>,
     /// The only recording (sequence) of the test split
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
-    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: OUTPUT.checkpoint
-    #[arg(long)]
+    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: FILE.safetensors.checkpoint
+    #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Print one JSON object per epoch and one at the end
     #[arg(long)]
@@ -47,7 +47,11 @@ pub struct Arguments {
 
 impl Arguments {
     fn checkpoint(&self) -> PathBuf {
-        self.checkpoint.clone().unwrap_or_else(|| with_ending(&self.output, ".checkpoint"))
+        self.checkpoint.clone().unwrap_or_else(|| {
+            let mut name = self.output.file_name().unwrap_or_default().to_owned();
+            name.push(".checkpoint");
+            self.output.with_file_name(name)
+        })
     }
 
     /// Returns the settings of the file, with those that the options override.
@@ -72,13 +76,6 @@ impl Arguments {
     }
 }
 
-/// Appends an ending to the name of a file.
-fn with_ending(path: &Path, ending: &str) -> PathBuf {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(ending);
-    path.with_file_name(name)
-}
-
 /// Trains a network and writes the weights of its best epoch.
 ///
 /// # Errors
@@ -89,13 +86,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
     check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
     files::check_parent(&checkpoint)?;
-    // Two trainings at once would take over each other's checkpoint.
-    let lock = with_ending(&checkpoint, ".lock");
-    let _held = lock_file(&lock)?;
-    let trained = train(arguments, &checkpoint);
-    // While it is held: another training that has opened it notices that it has no name any more.
-    let _ = std::fs::remove_file(&lock);
-    trained
+    let _held = CheckpointLock::new(&checkpoint)?;
+    train(arguments, &checkpoint)
 }
 
 /// Trains a network, from the checkpoint if it exists.

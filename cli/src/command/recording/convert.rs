@@ -23,7 +23,7 @@ pub struct Arguments {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Format to write, if the name of the output does not determine it
-    #[arg(long, value_enum)]
+    #[arg(long, value_name = "FORMAT", value_enum)]
     to: Option<To>,
     /// Print one JSON object at the end
     #[arg(long)]

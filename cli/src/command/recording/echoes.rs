@@ -44,7 +44,7 @@ pub struct Arguments {
     )]
     reflector: Option<Vec<f64>>,
     /// File to write the angle offsets to
-    #[arg(short, long, requires = "reflector")]
+    #[arg(short, long, value_name = "FILE", requires = "reflector")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,

@@ -27,19 +27,19 @@ pub struct Arguments {
     #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span, allow_hyphen_values = true)]
     span: Vec<LabelSpan>,
     /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
-    #[arg(long, group = "what")]
+    #[arg(long, value_name = "FILE", group = "what")]
     from: Option<PathBuf>,
     /// Add labels from the truth of the frames, which simulations have, or from a classical detector
-    #[arg(long, value_enum, group = "what")]
+    #[arg(long, value_name = "PROPOSER", value_enum, group = "what")]
     propose: Option<Proposer>,
     /// Write the labels to this file, .txt or .label, instead of adding them to the recording. Without --span, --from and --propose,
     /// write the labels of the recording
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     /// Author of the labels of --span and --from, stored with them in an MCAP recording; those of --propose name the proposer
-    #[arg(long, requires = "what")]
+    #[arg(long, value_name = "NAME", requires = "what")]
     who: Option<String>,
     /// Print a JSON list of objects
     #[arg(long)]

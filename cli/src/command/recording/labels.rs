@@ -21,7 +21,7 @@ pub struct Arguments {
     #[arg(long)]
     import: Option<PathBuf>,
     /// Author of the imported labels, stored with them
-    #[arg(long, requires = "import")]
+    #[arg(long, value_name = "NAME", requires = "import")]
     who: Option<String>,
     /// Print a JSON list of objects
     #[arg(long)]

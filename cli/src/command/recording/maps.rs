@@ -22,12 +22,12 @@ pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
     /// Array to write, f32 dB `[frame][rx][doppler][range]`, as NPY; `-` is stdout
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.npy")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     /// Picture of one map to write
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Frame of the picture; the last by default
     #[arg(long, requires = "png")]
@@ -45,7 +45,7 @@ pub struct Arguments {
     #[arg(long)]
     remove_static: bool,
     /// Compute each map from this number of frames up to its own, instead of from the chirps of one frame
-    #[arg(long)]
+    #[arg(long, value_name = "FRAMES")]
     across_frames: Option<usize>,
     /// Print one JSON object at the end
     #[arg(long)]

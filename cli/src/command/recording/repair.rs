@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Cut or damaged MCAP recording; it is not changed
     file: PathBuf,
     /// MCAP file to write
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,

@@ -22,7 +22,7 @@ pub struct Arguments {
     /// Scene file
     scene: PathBuf,
     /// Time since the first frame, s
-    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     time: f64,
     /// List only paths by way of the person with this number; the first is 0
     #[arg(long, value_name = "N")]
@@ -35,7 +35,7 @@ pub struct Arguments {
     seed: u64,
     /// Leave out paths this far below the noise of a cell of the map, dB. Simulations with an error of 0.5 dB leave out paths
     /// 10 dB below it
-    #[arg(long, default_value_t = 10.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DB", default_value_t = 10.0, allow_hyphen_values = true)]
     margin_db: f64,
     /// PNG file to write: the paths of the first receiver, from above and from the side
     #[arg(short, long, alias = "preview", value_name = "FILE.png")]

@@ -21,7 +21,7 @@ pub struct Arguments {
     /// Scene file
     scene: PathBuf,
     /// MCAP file to write. Without it, simulate the frames and only report the time taken
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
@@ -35,7 +35,7 @@ pub struct Arguments {
     #[arg(long)]
     people: Option<usize>,
     /// Error of the echoes in the maps to aim for, rms over the cells above noise, dB; 0.5 if absent
-    #[arg(long)]
+    #[arg(long, value_name = "DB")]
     tolerance_db: Option<f64>,
     /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto`
     /// takes I from a Slurm, HyperQueue or Kubernetes array

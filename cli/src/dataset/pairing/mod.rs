@@ -51,19 +51,19 @@ pub struct Settings {
     /// Scene file with room, furniture, radar and receiver; its people and waveform are not used
     scene: PathBuf,
     /// Dataset folder to make
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
     /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file
-    #[arg(long)]
+    #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
     /// Number of people in frames without a label
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
     /// TOML file with positions of people when they were not visible: [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     waypoints: Option<PathBuf>,
     /// Body height of the people, m
-    #[arg(long, default_value_t = 1.75)]
+    #[arg(long, value_name = "METRES", default_value_t = 1.75)]
     height_m: f64,
     /// People who stay in one place are sitting
     #[arg(long)]

@@ -25,7 +25,7 @@ use crate::panics::Panicked;
 pub struct Arguments {
     /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button in Home
     /// Assistant, with POST to /report/empty on the metrics' address, or with SIGUSR1 (false alarm)
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "DIR")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to")]

@@ -36,7 +36,7 @@ use crate::exit::WrongUse;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in Home Assistant; also its identity if the board has none
+    /// Name of the radar in Home Assistant and in the title of its page; also its identity if the board has none
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
@@ -67,6 +67,11 @@ impl Arguments {
         let Some(broker) = self.broker.broker()? else { return Ok(()) };
         check_prefix(&self.mqtt_discovery_prefix)?;
         broker.options("radome", self.mqtt_ca.as_deref()).map(drop)
+    }
+
+    /// Returns the name of the radar, if the user gave one.
+    pub fn name(&self) -> Option<&str> {
+        self.mqtt_name.as_deref()
     }
 }
 

@@ -14,6 +14,8 @@ use crate::source::Playback;
 /// Description of the run, for pages.
 pub struct About {
     pub description: String,
+    /// Name of the radar or its room, if the user gave one.
+    pub name: Option<String>,
     pub model: String,
     pub waveform: Waveform,
     pub board: Option<BoardIdentity>,
@@ -38,6 +40,7 @@ impl About {
         json!({ "hello": {
             "version": env!("CARGO_PKG_VERSION"),
             "source": self.description,
+            "name": self.name,
             "model": self.model,
             "rx": shape.rx,
             "chirps": shape.chirps,

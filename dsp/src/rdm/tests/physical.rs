@@ -256,6 +256,33 @@ fn a_dead_receiver_is_left_out() {
     assert!(map.db.iter().all(|db| db.is_finite() && *db < -100.0));
 }
 
+/// Noise that drives a receiver's samples to the ends of the ADC or beyond took it out of the mean.
+#[test]
+fn a_receiver_with_strong_noise_stays_in_the_mean() {
+    let w = realised(|w| w.rx_antennas = RxMask::ALL);
+    let received = frame_of(w.shape(), 0, |rx, m, n| 0.1 * echo(&w, 2.0 + 0.1 * rx as f64, 0.4, m, n));
+    let peak = |map: &Rdm| map.db.iter().copied().fold(f32::MIN, f32::max);
+    let spec = on_axes(AXES);
+    let mut processor = RdmProcessor::new(&spec, &w).expect("spec fits");
+    let clean_db = peak(&last_map(&mut processor, std::slice::from_ref(&received)));
+    // The third receiver's samples, 40 dB stronger.
+    let (factor, offset) = spec.scale.affine();
+    let third = 2 * w.shape().chirps * w.shape().samples;
+    let gain = |index: usize| if index < third { 1.0 } else { 100.0 };
+    let sample = |(index, code): (usize, &u16)| gain(index) * (f64::from(*code) * factor + offset);
+    let samples: Vec<f64> = received.codes.iter().enumerate().map(sample).collect();
+    let mut map = processor.empty_map();
+    let as_f32: Vec<f32> = samples.iter().map(|x| *x as f32).collect();
+    processor.process_changed_samples(&received, &as_f32, &mut map).expect("fits");
+    assert!(peak(&map) > clean_db + 30.0, "{} dB, {clean_db} dB", peak(&map));
+    // Where the samples are codes again, they are cut off at 20 dB.
+    let code = |x: &f64| ((x - offset) / factor).round().clamp(0.0, 4095.0) as u16;
+    let changed = Frame { codes: samples.iter().map(code).collect(), ..received.clone() };
+    assert!(changed.is_receiver_dead(2));
+    processor.process_changed(&received, &changed, &mut map).expect("fits");
+    assert!(peak(&map) > clean_db + 12.0, "{} dB, {clean_db} dB", peak(&map));
+}
+
 /// The first receiver that gives a signal replaces one that gives none, and no other.
 #[test]
 fn a_dead_receiver_is_replaced_by_another() {
@@ -270,6 +297,13 @@ fn a_dead_receiver_is_replaced_by_another() {
     let dead = frame_of(w.shape(), 0, |rx, m, n| if rx == 0 { 0.3 } else { sample(rx, m, n) });
     assert_eq!(map(0, &dead).db, map(1, &alive).db);
     assert_eq!(map(2, &dead).db, map(2, &alive).db);
+    // Those of changed samples are the receivers of the frame as it was received.
+    let mut processor = RdmProcessor::new(&spec(0), &w).expect("spec fits");
+    let (factor, offset) = spec(0).scale.affine();
+    let samples: Vec<f32> = dead.codes.iter().map(|code| f32::from(*code) * factor as f32 + offset as f32).collect();
+    let mut of_samples = processor.empty_map();
+    processor.process_changed_samples(&dead, &samples, &mut of_samples).expect("fits");
+    assert_eq!(of_samples.db, map(0, &dead).db);
     let reference = reference::map(&spec(0), &w, std::slice::from_ref(&dead)).expect("spec fits");
     assert!(measured_error_dbc(&map(0, &dead), &reference, &AXES.coverage(&w)) < -100.0);
     // All of them: the map is finite and empty.

@@ -48,7 +48,8 @@ impl ThermalNoise {
         Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: sum.to_bits() })
     }
 
-    /// Returns a frame with noise, the same in every call. Codes stay within the converter's range.
+    /// Returns a frame with noise, the same in every call. Codes stay within the converter's range, so that noise which reaches
+    /// its ends has less than its variance. Noise of datasets ([`RawNoise`](crate::dataset::thermal::RawNoise)) is not cut off.
     pub fn added(&self, frame: &Frame) -> Frame {
         let mut noisy = frame.clone();
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);

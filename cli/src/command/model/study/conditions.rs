@@ -6,18 +6,15 @@ use std::str::FromStr;
 
 use anyhow::{Context, bail};
 use radome_dsp::RdmSpec;
-use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Domain};
 use radome_models::study::{Condition, Report, condition_file_name};
 use schemars::JsonSchema;
 use serde::Deserialize;
-use serde_json::json;
 
 use super::{Arguments, is_dataset, make_dataset, named};
 use crate::dataset::plan::Plan;
 use crate::dataset::rung::RungFile;
 use crate::dataset::spec::BuildSpec;
-use crate::files;
 use crate::shard::Shard;
 use crate::slurm::word_with;
 
@@ -115,25 +112,11 @@ impl ConditionFile {
         Plan::of_spec(spec, &path, Shard::WHOLE)
     }
 
-    /// Builds the condition's dataset in a folder of `conditions`, unless it exists. The building process writes the
-    /// settings beside it, so that a later change of them is detected.
+    /// Builds the condition's dataset in a folder of `conditions`, unless it exists.
     fn make(&self, study: &Path, conditions: &Path, map: RdmSpec) -> anyhow::Result<()> {
-        let name = condition_file_name(&self.name)?;
-        let (maps, card) = (conditions.join(&name), conditions.join(format!("{name}.json")));
-        let settings = json!({ "dataset": self.dataset, "ladder": self.ladder, "raw_snr_db": self.raw_snr_db });
-        let settings = format!("{settings:#}\n");
-        if is_dataset(&maps) && read_text(&card, TEXT_LIMIT_BYTES).is_ok_and(|found| found != settings) {
-            bail!(
-                "{} was built from other settings, which are in {}\n\nhint: remove the folder to build it anew, or give the \
-                 condition another name",
-                maps.display(),
-                card.display()
-            );
-        }
-        if make_dataset(&maps, self.named_source(), || self.plan(study, map))? {
-            files::write_atomically(&card, |file| Ok(std::io::Write::write_all(file, settings.as_bytes())?))?;
-        }
-        Ok(())
+        let maps = conditions.join(condition_file_name(&self.name)?);
+        let hint = "remove the folder to build it anew, or give the condition another name";
+        make_dataset(&maps, self.named_source(), hint, || self.plan(study, map))
     }
 }
 

@@ -15,16 +15,16 @@ pub struct Arguments {
     #[arg(required = true, value_name = "RECORDING")]
     pub recordings: Vec<PathBuf>,
     /// Receiver file to write
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "FILE.toml")]
     pub output: Option<PathBuf>,
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Scene that the recordings show, with their waveform; empty space if absent. Static echoes in the scene and the recordings
     /// give the strength of echoes, and moving people are compared
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     pub scene: Option<PathBuf>,
     /// Receiver file with the values that are not measured; typical values of the datasheet if absent
-    #[arg(long)]
+    #[arg(long, value_name = "FILE.toml")]
     pub base: Option<PathBuf>,
     /// Fraction of each recording, from its start, that the receiver is fitted to; the rest tests the fit
     #[arg(long, default_value_t = 0.5, value_name = "0..1")]

@@ -1,5 +1,8 @@
 // State of the run, as a strip of words and numbers.
 
+/** Source without folders: the last part of a path identifies it, except of a device: /dev/pts/1 is not just 1. */
+export const brief = source => source.replace(/(?<!\S)(?!\/dev\/)\S*\/(?=[^/\s])/g, '');
+
 export class HealthStrip {
   constructor(list) {
     this.list = list;
@@ -26,8 +29,7 @@ export class HealthStrip {
   }
 
   hello({ source, board, model }) {
-    // The last part of a path identifies it, except of a device: /dev/pts/1 is not just 1.
-    this.put('source', source.replace(/(?<!\S)(?!\/dev\/)\S*\/(?=[^/\s])/g, ''), { title: source });
+    this.put('source', brief(source), { title: source });
     this.put('board', board ? board.name : null);
     this.put('firmware', board ? board.firmware : null, { title: board?.chip ?? '' });
     this.put('model', model);

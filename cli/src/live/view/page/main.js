@@ -2,7 +2,7 @@
 
 import { ChirpsView } from './chirps.js';
 import { DopplerView } from './doppler.js';
-import { HealthStrip } from './health.js';
+import { HealthStrip, brief } from './health.js';
 import { LabelList } from './labels.js';
 import { Link, floats, words } from './link.js';
 import { MapView } from './map.js';
@@ -155,11 +155,18 @@ async function copyCommand() {
   }
 }
 
+/** Shows an answer, also in the title: tabs of several rooms are told apart by it. */
+function answered(text) {
+  if ($('answer').value !== text) $('answer').value = text;
+  const { hello } = page, title = hello ? `${text} · ${hello.name ?? brief(hello.source)} · radome` : 'radome';
+  if (document.title !== title) document.title = title;
+}
+
 const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
 function say(answer) {
   document.body.classList.remove('stale');
   const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : answer.no_signal ? 'no signal' : '–');
-  if ($('answer').value !== text) $('answer').value = text;
+  answered(text);
   $('confidence').textContent = answer.probabilities && answer.label ? `${(100 * answer.probabilities[answer.label]).toFixed(0)} %` : '';
   $('occupied').hidden = !answer.probabilities;
   $('occupied').textContent = answer.occupied ? 'occupied' : 'not occupied';
@@ -174,7 +181,7 @@ function say(answer) {
 /** Clears the answer and dims the plots of the last frame, so that old ones do not look like the present ones. */
 function unsay() {
   document.body.classList.add('stale');
-  $('answer').value = '–';
+  answered('–');
   $('confidence').textContent = $('truth').textContent = '';
   $('occupied').hidden = true;
   health.put('frames/s', '–');
