@@ -119,7 +119,8 @@ struct Beside {
 }
 
 /// Edges beside the legs of paths to nearly the same place, as found for the first of them. The keys are the numbers of
-/// the sequence and the leg. The same edges remain valid while a person moves by centimetres.
+/// the sequence and the leg. All edges that matter are known for places within 5 cm of the first. Farther away, as on
+/// the other end of a trunk or where a foot swings, weak edges may be missing until the next search.
 #[derive(Debug, Clone, Default)]
 pub struct EdgesBeside(HashMap<(u32, u32), Vec<Beside>>);
 
