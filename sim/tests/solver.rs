@@ -271,6 +271,18 @@ fn cylinders_far_and_near() {
     }
 }
 
+/// A plate much wider than its range is the radar's mirror image, `pi R^2`. Facets under the radar must be far smaller
+/// than the plate: they stayed as long as its half diagonal, and the plate was 25 dB too weak.
+#[test]
+fn a_wide_plate_is_a_mirror() {
+    for (width_m, range_m) in [(10.0, 0.3), (4.0, 0.3), (0.3, 0.01), (100.0, 0.3)] {
+        let plate = Target::Plate { width_m, height_m: width_m };
+        let outcome = solve(&plate, &setup(Some(range_m), 0.0, 0.0, Wall::Conductor), Method::Facets, None, 0.1);
+        let error = db(outcome.sigma_m2) - db(PI * range_m * range_m);
+        assert!(error.abs() < 0.1, "{width_m} m at {range_m} m: {error} dB, estimate {:?}", outcome.estimate_db);
+    }
+}
+
 /// The cross-section stays finite through the focus of a concave mirror, where geometrical optics is infinite.
 #[test]
 fn a_mirror_is_finite_at_its_caustic() {

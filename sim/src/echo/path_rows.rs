@@ -140,11 +140,11 @@ compiled_for_levels! {
         sinks: &WideRow3,
         amplitude: &[WideRow; 2],
         out: &mut ReceivedRows,
-    ) = heard_body;
+    ) = received_body;
 }
 
 #[inline(always)]
-fn heard_body(
+fn received_body(
     prepared: &PreparedScene,
     lsb: f64,
     seen: &SpecularRows,

@@ -88,18 +88,7 @@ impl SkinnedPerson {
         // Fast limbs need additional key times half-way between.
         let fine = times.halved();
         let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
-        let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
-        let mut left_out_lsb2 = 0.0;
-        for &((p, q), loudness) in pairs {
-            if loudness < budget.least_pair_lsb() {
-                left_out_lsb2 += loudness * loudness;
-                continue;
-            }
-            let way = [p.min(q), p.max(q)];
-            if !ways.iter().any(|(known, _)| *known == way) {
-                ways.push((way, loudness));
-            }
-        }
+        let (ways, mut left_out_lsb2) = loud_ways(pairs, budget);
         let mut indices: Vec<ImageIndex> = ways.iter().flat_map(|(way, _)| *way).collect();
         indices.sort_unstable();
         indices.dedup();
@@ -221,6 +210,24 @@ impl SkinnedPerson {
         };
         (0..work.indices.len()).map(of_image).collect()
     }
+}
+
+/// Returns the pairs that are loud enough to count, each once for a path and its reverse, with the loudness, LSB, of
+/// the first of both. Also returns the power of the pairs that are left out, LSB^2.
+fn loud_ways(pairs: &[((ImageIndex, ImageIndex), f64)], budget: &ErrorBudget) -> (Vec<([ImageIndex; 2], f64)>, f64) {
+    let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
+    let mut left_out_lsb2 = 0.0;
+    for &((p, q), loudness) in pairs {
+        if loudness < budget.least_pair_lsb() {
+            left_out_lsb2 += loudness * loudness;
+            continue;
+        }
+        let way = [p.min(q), p.max(q)];
+        if !ways.iter().any(|(known, _)| *known == way) {
+            ways.push((way, loudness));
+        }
+    }
+    (ways, left_out_lsb2)
 }
 
 /// Returns an antenna's position relative to an origin, in single precision.

@@ -119,7 +119,8 @@ struct Beside {
 }
 
 /// Edges beside the legs of paths to nearly the same place, as found for the first of them. The keys are the numbers of
-/// the sequence and the leg. The same edges remain valid while a person moves by centimetres.
+/// the sequence and the leg. All edges that matter are known for places within 5 cm of the first. Farther away, as on
+/// the other end of a trunk or where a foot swings, weak edges may be missing until the next search.
 #[derive(Debug, Clone, Default)]
 pub struct EdgesBeside(HashMap<(u32, u32), Vec<Beside>>);
 
@@ -143,6 +144,9 @@ struct OnLeg {
     others: Vec<(Complex64, Vec<FacetId>)>,
 }
 
+/// Walls that a path crosses, each with the number of the crossing leg.
+type Crossed = Vec<(usize, FacetId)>;
+
 /// Relative field that arrives by a sequence of facets, and by certain walls.
 #[derive(Debug, Clone)]
 struct Arrival<'a> {
@@ -150,8 +154,39 @@ struct Arrival<'a> {
     /// Relative field past facets and edges.
     part: Complex64,
     is_whole: bool,
-    /// Walls that the path crosses, each with the number of the crossing leg.
-    crossed: Vec<(usize, FacetId)>,
+    crossed: Crossed,
+}
+
+/// Relative field on the first legs of a path.
+struct Followed {
+    /// Field by the walls that the path crosses.
+    kept: Kept,
+    crossed: Crossed,
+    /// Parts of the field that pass edges by other walls, and those walls.
+    others: Vec<(Complex64, Crossed)>,
+}
+
+impl Followed {
+    /// Follows the path over the next leg, which has this number.
+    fn over(&mut self, leg: usize, on_leg: OnLeg) {
+        let with = |before: &[(usize, FacetId)], walls: &[FacetId]| -> Crossed {
+            before.iter().copied().chain(walls.iter().map(|&facet| (leg, facet))).collect()
+        };
+        let mut next: Vec<(Complex64, Crossed)> = Vec::new();
+        for (part, walls) in &on_leg.others {
+            next.push((self.kept.field * *part, with(&self.crossed, walls)));
+            // Two edges leave a product of two parts. Weak ones do not count, or there would be as many as there are
+            // ways to choose an edge beside each leg.
+            let both = self.others.iter().map(|(before, all)| (*before * *part, all));
+            next.extend(both.filter(|(both, _)| counts(*both)).map(|(both, all)| (both, with(all, walls))));
+        }
+        let same = self.others.iter().map(|(before, all)| (*before * on_leg.kept.field, with(all, &on_leg.crossed)));
+        next.extend(same);
+        next.retain(|(part, _)| *part != Complex64::ZERO);
+        self.others = next;
+        self.kept = self.kept.and(on_leg.kept);
+        self.crossed.extend(on_leg.crossed.into_iter().map(|facet| (leg, facet)));
+    }
 }
 
 impl Kept {
@@ -249,6 +284,11 @@ fn clipped([a, b]: [DVec3; 2], [at_a, at_b]: [f64; 2], length_m: f64) -> Option<
         if within == at { (end, false) } else { (a.lerp(b, ((within - at_a) / (at_b - at_a)).clamp(0.0, 1.0)), true) }
     };
     Some([cut(a, at_a), cut(b, at_b)])
+}
+
+/// Returns whether a part of a field is strong enough to count.
+fn counts(part: Complex64) -> bool {
+    part.norm_sqr() >= LEAST_PART * LEAST_PART
 }
 
 /// Smooth step from 0 at 0 to 1 at 1.
@@ -386,12 +426,12 @@ impl ImagePaths {
         let mut has_whole = false;
         for (number, sequence) in (0u32..).zip(&image.sequences) {
             let known = known.as_deref_mut().map(|known| (known, number));
-            let arrivals = self.arrivals(sequence, antenna, point, known);
-            let is_whole = arrivals.iter().any(|arrival| arrival.is_whole);
+            let Some((first, others)) = self.arrivals(sequence, antenna, point, known) else { continue };
+            let is_whole = first.is_whole;
             // Backwards from the point only one facet is met first: a second free path is the same path on the seam of
             // two.
             if !(is_whole && has_whole) {
-                all.extend(arrivals);
+                all.extend(std::iter::once(first).chain(others).filter(|arrival| arrival.part != Complex64::ZERO));
             }
             has_whole |= is_whole;
         }
@@ -429,27 +469,16 @@ impl ImagePaths {
         Some(Folded { points, count: count + 2 })
     }
 
-    /// Relative fields on the path by a sequence past facets, edges and walls: by the walls that the path crosses, then
-    /// by others. Empty where nothing is left.
+    /// Relative fields on the path by a sequence past facets, edges and walls: by the walls that the path crosses, and
+    /// by others, where edges let the field pass by those. `None` where nothing is left.
     fn arrivals<'a>(
         &self,
         sequence: &'a [FacetId],
         antenna: DVec3,
         point: DVec3,
-        known: Option<(&mut EdgesBeside, u32)>,
-    ) -> Vec<Arrival<'a>> {
-        let Some(folded) = self.folded(sequence, antenna, point) else { return Vec::new() };
-        self.arrivals_on(sequence, &folded, antenna, known).unwrap_or_default()
-    }
-
-    /// The same for a known path; `None` where nothing is left.
-    fn arrivals_on<'a>(
-        &self,
-        sequence: &'a [FacetId],
-        folded: &Folded,
-        antenna: DVec3,
         mut known: Option<(&mut EdgesBeside, u32)>,
-    ) -> Option<Vec<Arrival<'a>>> {
+    ) -> Option<(Arrival<'a>, Vec<Arrival<'a>>)> {
+        let folded = self.folded(sequence, antenna, point)?;
         let points = folded.points();
         let total_m: f64 = points.windows(2).map(|w| w[0].distance(w[1])).sum();
         let leg = |i: usize, before_m: f64| {
@@ -466,8 +495,7 @@ impl ImagePaths {
             weight = weight.and(self.on_facet(facet, &leg, folded.point(i + 1))?);
         }
         let mut before_m = 0.0;
-        let mut crossed: Vec<(usize, FacetId)> = Vec::new();
-        let mut others: Vec<(Complex64, Vec<(usize, FacetId)>)> = Vec::new();
+        let mut followed = Followed { kept: weight, crossed: Vec::new(), others: Vec::new() };
         let mut is_from_edge = false;
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
@@ -476,25 +504,12 @@ impl ImagePaths {
             is_from_edge = leg.length_m < BEFORE_M;
             let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
             let on = self.ends_on(sequence, i, antenna);
-            let on_leg = self.on_leg(&leg, folded.point(i + 1), on, known)?;
-            let kept = on_leg.kept;
-            let with = |before: &[(usize, FacetId)], walls: &[FacetId]| -> Vec<(usize, FacetId)> {
-                before.iter().copied().chain(walls.iter().map(|&facet| (i, facet))).collect()
-            };
-            let mut next: Vec<(Complex64, Vec<(usize, FacetId)>)> = Vec::new();
-            for (part, walls) in &on_leg.others {
-                next.push((weight.field * *part, with(&crossed, walls)));
-                next.extend(others.iter().map(|(before, all)| (*before * *part, with(all, walls))));
-            }
-            next.extend(others.iter().map(|(before, all)| (*before * kept.field, with(all, &on_leg.crossed))));
-            next.retain(|(part, _)| *part != Complex64::ZERO);
-            others = next;
-            weight = weight.and(kept);
-            crossed.extend(on_leg.crossed.into_iter().map(|facet| (i, facet)));
+            followed.over(i, self.on_leg(&leg, folded.point(i + 1), on, known)?);
         }
-        let first = Arrival { sequence, part: weight.field, is_whole: weight.is_whole, crossed };
+        let Followed { kept, crossed, others } = followed;
+        let first = Arrival { sequence, part: kept.field, is_whole: kept.is_whole, crossed };
         let others = others.into_iter().map(|(part, crossed)| Arrival { sequence, part, is_whole: false, crossed });
-        Some(std::iter::once(first).chain(others).filter(|arrival| arrival.part != Complex64::ZERO).collect())
+        Some((first, others.collect()))
     }
 
     /// Reflection of a facet relative to that of its infinite plane.
@@ -553,7 +568,7 @@ impl ImagePaths {
             let passage = leg.past(edge, *inwards, environment.wavelength_m());
             let Some(passage) = passage else { continue };
             let part = passage.part(environment.edge_reach());
-            if part.norm_sqr() < LEAST_PART * LEAST_PART {
+            if !counts(part) {
                 continue;
             }
             let (behind, beside) = (behind.as_deref(), beside.as_deref());
@@ -567,7 +582,10 @@ impl ImagePaths {
             for (walls, part) in [(beside, part), (behind, -part)] {
                 match walls {
                     Some(walls) if self.are_alike(walls, &passing.crossed) => field += part,
-                    Some(walls) => others.push((part, walls.to_vec())),
+                    Some(walls) => match others.iter_mut().find(|(_, other)| self.are_alike(walls, other)) {
+                        Some((sum, _)) => *sum += part,
+                        None => others.push((part, walls.to_vec())),
+                    },
                     None => {}
                 }
             }
@@ -609,8 +627,8 @@ impl ImagePaths {
         near.into_iter().filter_map(found).collect()
     }
 
-    /// Walls that a path crosses just behind an edge, where the widest of its facets is, and just beside it; `None` where
-    /// it is blocked. The edge's own facets are told by their sides, and all others by rays.
+    /// Walls that a path crosses just behind an edge, where the widest of its facets is, and just beside it, in the order
+    /// of the path; `None` where it is blocked. The edge's own facets are told by their sides, and all others by rays.
     fn walls_beside(
         &self,
         edge: &SoftEdge,
@@ -635,8 +653,7 @@ impl ImagePaths {
             }
             Some(walls)
         };
-        let others = |aside_m: f64| {
-            let place = passage.nearest + passage.outwards * aside_m;
+        let others = |place: DVec3| {
             let first = environment.passing([leg.from, place], [on[0], None]);
             if first.is_blocked {
                 return None;
@@ -646,16 +663,24 @@ impl ImagePaths {
                 return None;
             }
             let mut walls = first.crossed;
-            let again: Vec<FacetId> =
-                second.crossed.into_iter().filter(|&facet| walls.iter().all(|&w| plane(w) != plane(facet))).collect();
-            walls.extend(again);
+            for facet in second.crossed {
+                if walls.iter().all(|&other| plane(other) != plane(facet)) {
+                    walls.push(facet);
+                }
+            }
             walls.retain(|&facet| plane(facet).is_some_and(|plane| !edge.bounds_plane(plane)));
             Some(walls)
         };
         [(false, -BESIDE_M), (true, BESIDE_M)].map(|(is_beside, aside_m)| {
             let own = own(is_beside)?;
-            let mut walls = others(aside_m)?;
+            let place = passage.nearest + passage.outwards * aside_m;
+            let mut walls = others(place)?;
             walls.extend(own);
+            // Polarisations mix at walls that are not parallel, so their order matters.
+            let at_m = |facet: &FacetId| {
+                environment.flat(*facet).map_or(0.0, |flat| -flat.height(place) / flat.normal.dot(leg.direction))
+            };
+            walls.sort_by(|a, b| at_m(a).total_cmp(&at_m(b)));
             Some(walls)
         })
     }
@@ -705,5 +730,55 @@ impl Environment {
             field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
         }
         field
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::super::Facet;
+    use super::super::rooms::{sheet, slab};
+    use super::*;
+    use crate::em::image::Wall;
+
+    /// Wavenumber at 60 GHz, 1/m.
+    const K: f64 = 1_257.507_013_171_009;
+
+    /// Upright sheet along y at some x.
+    fn across(x: f64, [from, to]: [f64; 2], wall: Wall) -> [Facet; 2] {
+        sheet(DVec2::new(x, from), DVec2::new(x, to), 3.0, wall)
+    }
+
+    fn passable(facets: Vec<Facet>, antenna: DVec3, sequences: &[Vec<FacetId>]) -> ImagePaths {
+        let environment = Environment::new(facets, K).expect("facets").with_transmission(true);
+        ImagePaths::with_sequences(Arc::new(environment), antenna, sequences.to_vec())
+    }
+
+    /// Through a fence of slats beside both legs of a reflected path the field arrives through a slat or between two, on
+    /// each leg. There was an arrival for every choice of an edge beside each leg.
+    #[test]
+    fn edges_of_one_wall_share_an_arrival() {
+        let mirror = across(0.0, [-3.0, 3.0], Wall::Conductor);
+        let slat = |i: i32| across(1.0, [0.08 * f64::from(i), 0.08 * f64::from(i) + 0.04], slab(0));
+        let facets: Vec<Facet> = mirror.into_iter().chain((-12..12).flat_map(slat)).collect();
+        let [antenna, point] = [-1.0, 1.0].map(|y| DVec3::new(2.0, y, 1.5));
+        let paths = passable(facets, antenna, &[vec![0]]);
+        let count = paths.obstruction(1, antenna, point, None).arrivals.len();
+        assert!((2..=4).contains(&count), "{count}");
+    }
+
+    /// Walls on the other side of an edge are listed as the path meets them.
+    #[test]
+    fn walls_beyond_an_edge_are_in_order() {
+        let facets = [across(0.0, [-2.0, 0.0], slab(0)), across(0.5, [-2.0, 2.0], slab(1))].concat();
+        let [from, to] = [-2.0, 2.0].map(|x| DVec3::new(x, 0.05, 1.5));
+        let paths = passable(facets, from, &[]);
+        let leg = Leg { from, direction: DVec3::X, length_m: 4.0, before_m: 0.0, total_m: 4.0 };
+        let found = paths.edges_beside(&leg, to, [None; 2], 0.0);
+        let place = |facet: &FacetId| paths.environment().facet(*facet).map_or(f64::NAN, |facet| facet.corners[0].x);
+        let places = |walls: &Option<Vec<FacetId>>| walls.iter().flatten().map(place).collect::<Vec<f64>>();
+        let all: Vec<[Vec<f64>; 2]> = found.iter().map(|b| [places(&b.behind), places(&b.beside)]).collect();
+        assert_eq!(all, [[vec![0.0, 0.5], vec![0.5]]]);
     }
 }

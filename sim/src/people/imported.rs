@@ -81,21 +81,7 @@ impl Actor {
     /// # Errors
     /// [`FileError`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
     pub fn parse(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Self, FileError> {
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        let mut rig = match extension.as_str() {
-            "gltf" | "glb" => gltf::parse_gltf(bytes, path.parent().unwrap_or(Path::new("")))?,
-            "dae" => collada::parse_collada(bytes)?,
-            _ => {
-                let problem = format!("its name ends in {extension:?}, expected .glb, .gltf, .dae or .bvh");
-                return Err(FileError::new("name", problem, "export the actor as glTF 2.0"));
-            }
-        };
-        rig.check()?;
-        if let Some(unit) = options.unit {
-            rig.metres = unit.metres();
-        }
-        rig.up = options.up.unwrap_or(rig.up);
-        let rig = &rig;
+        let rig = &read(bytes, path, options)?;
         let clip = choose(&rig.clips, options.animation.as_deref())?;
         let span = cycle_span(rig, clip, options.cycle_s)?;
         let Sampled { mut poses, mut standing } = sample(rig, clip, span);
@@ -205,6 +191,25 @@ impl Actor {
             Ellipsoid { centre: now.centre + moved * (part.centre - then.centre), axes, ..part }
         })
     }
+}
+
+/// Reads and checks a file, with the options' unit and up axis.
+fn read(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Rig, FileError> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let mut rig = match extension.as_str() {
+        "gltf" | "glb" => gltf::parse_gltf(bytes, path.parent().unwrap_or(Path::new("")))?,
+        "dae" => collada::parse_collada(bytes)?,
+        _ => {
+            let problem = format!("its name ends in {extension:?}, expected .glb, .gltf, .dae or .bvh");
+            return Err(FileError::new("name", problem, "export the actor as glTF 2.0"));
+        }
+    };
+    rig.check()?;
+    if let Some(unit) = options.unit {
+        rig.metres = unit.metres();
+    }
+    rig.up = options.up.unwrap_or(rig.up);
+    Ok(rig)
 }
 
 /// Returns the requested clip, the only clip, or the only one that is called a walk.

@@ -54,7 +54,8 @@ impl BistaticPath {
             // Simplified form of the vector expression for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
-            return Sample { length_m: 2.0 * there.length_m, amplitude, lit: cosine > 0.0 };
+            let (length_m, gradient) = (2.0 * there.length_m, -2.0 * there.towards);
+            return Sample { length_m, gradient, amplitude, lit: cosine > 0.0 };
         }
         let normal = if two_sided && cosine < 0.0 { -normal } else { normal };
         let launched = |direction| Phasor3::real(transverse(self.tx_polarisation, direction));
@@ -73,15 +74,15 @@ impl BistaticPath {
         wavenumber_per_m: f64,
     ) -> Sample {
         let back = self.rx.leg(point);
-        let length_m = there.length_m + back.length_m;
+        let (length_m, gradient) = (there.length_m + back.length_m, -(there.towards + back.towards));
         let lit = normal.dot(there.towards) > 0.0;
         if !lit {
-            return Sample { length_m, amplitude: Complex64::ZERO, lit };
+            return Sample { length_m, gradient, amplitude: Complex64::ZERO, lit };
         }
         let direction = -there.towards;
         let arrival = Arrival { field: arriving(direction), direction };
         let listener = Listener { towards: back.towards, polarisation: transverse(self.rx_polarisation, back.towards) };
         let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, &listener);
-        Sample { length_m, amplitude: amplitude * (there.spreading * back.spreading), lit }
+        Sample { length_m, gradient, amplitude: amplitude * (there.spreading * back.spreading), lit }
     }
 }

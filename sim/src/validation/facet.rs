@@ -20,6 +20,8 @@ use crate::geometry::{Surface, halfway, split};
 pub struct Sample {
     /// Path length `R_t + R_r`, m.
     pub length_m: f64,
+    /// Gradient of the path length: minus the sum of the unit vectors to both endpoints.
+    pub gradient: DVec3,
     /// Integrand without the phase of the path; zero in the shadow.
     pub amplitude: Complex64,
     /// Whether the transmitter, or its image, sees the point's front.
@@ -38,11 +40,13 @@ pub struct Integral {
     pub bend_rad: f64,
 }
 
-/// Largest depth of cutting an edge: to a thousandth part and less.
-const MAX_DEPTH: u32 = 11;
-/// Phase difference along an edge, rad, beyond which the facet's contribution is far from stationary. Its phase
-/// deviation then matters less, by the square of the ratio.
+/// Largest depth of cutting an edge: to a millionth part. Facets under a near radar are that much smaller than a plate.
+const MAX_DEPTH: u32 = 20;
+/// Least slope of the phase anywhere on an edge, rad over its length, beyond which the facet's contribution is far from
+/// stationary. Its phase deviation then matters less, by the square of the ratio.
 const STATIONARY_RAD: f64 = 30.0;
+/// Bound of the rounding errors of a phase deviation, over the phase of the whole path.
+const ROUNDING: f64 = 4.0 * f64::EPSILON;
 
 /// Accuracy of an integration.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,6 +64,13 @@ struct Corner {
     point: DVec3,
     normal: DVec3,
     sample: Sample,
+}
+
+impl Corner {
+    /// Change of the path length over the whole of an edge if it went on as it does here, m.
+    fn slope_m(&self, edge: DVec3) -> f64 {
+        self.sample.gradient.dot(edge - self.normal * self.normal.dot(edge))
+    }
 }
 
 struct Integrator<F> {
@@ -92,9 +103,15 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
         let k = self.accuracy.wavenumber_per_m;
         let bend = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
-        let along = k * (b.sample.length_m - a.sample.length_m) / STATIONARY_RAD;
-        let weighed = bend.abs() / (1.0 + along * along);
-        let bent = weighed > self.accuracy.tolerance_rad;
+        // The difference between the ends alone would not do: an edge that begins at the stationary point and leads far
+        // away has a large one, and most of its contribution comes from its beginning.
+        let edge = b.point - a.point;
+        let slopes_m = [a.slope_m(edge), b.slope_m(edge), b.sample.length_m - a.sample.length_m];
+        let has_one_sign = slopes_m.iter().all(|slope| *slope > 0.0) || slopes_m.iter().all(|slope| *slope < 0.0);
+        let least_m = slopes_m.into_iter().fold(f64::INFINITY, |least, slope| least.min(slope.abs()));
+        let least_slope = if has_one_sign { k * least_m } else { 0.0 };
+        let weighed = bend.abs() / (1.0 + (least_slope / STATIONARY_RAD).powi(2));
+        let bent = weighed > self.accuracy.tolerance_rad.max(ROUNDING * k * corner.sample.length_m.abs());
         // At the shadow boundary, facets are no larger than a wavelength.
         let edge_of_light = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
         let cut = depth < MAX_DEPTH && (bent || edge_of_light);

@@ -39,6 +39,9 @@ const EASE: f32 = 0.5;
 const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
 /// Largest number of times that facets are halved to meet a tolerance.
 const ROUNDS: usize = 7;
+/// Number of facets, a second's work, from which on an integral that has an error estimate is not repeated with finer
+/// ones.
+const MANY_FACETS: usize = 10_000_000;
 
 /// Target prepared for one method.
 #[derive(Debug, Clone)]
@@ -203,11 +206,13 @@ impl Problem {
         let at =
             |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
         let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
+        let mut is_first = true;
         self.converged(tolerance_db, at(4.0 * tolerance_rad), |coarse| {
             // Without phase deviation there is nothing to cut: flat faces seen from far are exact.
-            if coarse.bend_rad < STRAIGHT_RAD {
+            if coarse.bend_rad < STRAIGHT_RAD || !is_first && coarse.facets > MANY_FACETS {
                 return None;
             }
+            is_first = false;
             // The new tolerance is finer than the previous deviation; otherwise nothing would change.
             tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
             Some(at(tolerance_rad))
