@@ -357,7 +357,7 @@ mod hard_cases {
     #[test]
     fn frames_that_the_firmware_cannot_hold_are_refused() {
         for w in [waveform(&[1, 2, 3], 128, 256, 0.1), waveform(&[1, 2, 3], 3, 33, 0.1)] {
-            let board = board(&w, &[]);
+            let board = board(&small(), &[]);
             let client = DeepcraftBoard::open(board.path()).expect("opens");
             let error = client.start(&w).err().expect("too large, or odd").to_string();
             assert!(error.contains(&format!("a frame has {} codes", w.shape().codes())), "{error}");
