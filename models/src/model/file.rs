@@ -138,3 +138,29 @@ fn card_text(path: &Path, data: &[u8]) -> Result<String, ModelError> {
 fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {
     ModelError::NotSafetensors { path: path.to_owned(), reason: error.to_string(), length }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of 43 descriptors is the model of 47 whose last four have no weight.
+    #[test]
+    fn files_with_fewer_descriptors_are_read() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/room-linear.safetensors");
+        let Model { card, network } = Model::load(&path).expect("a shipped model");
+        let values = network.values().expect("numbers");
+        let rows = || values["head.weight"].chunks(DESCRIPTORS).map(|row| &row[..FIRST_DESCRIPTORS]);
+        let bytes = |numbers: Vec<f32>| -> Vec<u8> { numbers.iter().flat_map(|v| v.to_le_bytes()).collect() };
+        let (weight, bias) = (bytes(rows().flatten().copied().collect()), bytes(values["head.bias"].clone()));
+        let view = |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor");
+        let views = [("head.weight", view(&[3, FIRST_DESCRIPTORS], &weight)), ("head.bias", view(&[3], &bias))];
+        // The card of a file of that time has no hash of the arrays.
+        let metadata = HashMap::from([(CARD_KEY.to_owned(), serde_json::to_string(&card).expect("a card"))]);
+        let file = safetensors::serialize(views, Some(metadata)).expect("a file");
+        let read = Model::from_bytes(Path::new("older.safetensors"), &file).expect("read");
+        let expected: Vec<f32> =
+            rows().flat_map(|row| [row, &[0.0; DESCRIPTORS - FIRST_DESCRIPTORS]].concat()).collect();
+        let found = read.network.values().expect("numbers");
+        assert_eq!((&found["head.weight"], &found["head.bias"]), (&expected, &values["head.bias"]));
+    }
+}
