@@ -234,21 +234,24 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
 
 /// Descriptors 43 to 46: correlation of the levels of noise that lie some velocity bins and some range bins apart.
 fn noise_correlations(map_db: &[f32], columns: usize) -> [f64; 2 * NOISE_LAGS.len()] {
-    let has_noise: Vec<bool> = map_db.chunks(columns).map(|row| row.iter().any(|level| *level != row[0])).collect();
-    let slow = (columns / 2).saturating_sub(SLOW_BINS as usize)..=columns / 2 + SLOW_BINS as usize;
-    let is_noise: Vec<bool> = map_db
-        .iter()
-        .enumerate()
-        .map(|(k, level)| {
-            *level > 0.0 && *level <= STANDS_OUT_DB && has_noise[k / columns] && !slow.contains(&(k % columns))
-        })
-        .collect();
+    let is_slow = |column: usize| column.abs_diff(columns / 2) <= SLOW_BINS as usize;
+    // Levels of noise, and NaN in the other cells.
+    let mut noise = vec![f32::NAN; map_db.len()];
+    for (levels, row) in noise.chunks_mut(columns).zip(map_db.chunks(columns)) {
+        if row.iter().all(|level| *level == row[0]) {
+            continue;
+        }
+        for (column, (level, &found)) in levels.iter_mut().zip(row).enumerate() {
+            if found > 0.0 && found <= STANDS_OUT_DB && !is_slow(column) {
+                *level = found;
+            }
+        }
+    }
     let apart = |rows: usize, bins: usize| {
-        let pairs = (0..map_db.len().saturating_sub(rows * columns + bins))
-            .filter(|k| k % columns + bins < columns)
-            .map(|k| [k, k + rows * columns + bins])
-            .filter(|pair| pair.iter().all(|&k| is_noise[k]));
-        correlation(pairs.map(|pair| pair.map(|k| f64::from(map_db[k]))))
+        let both = noise.chunks(columns).zip(noise.chunks(columns).skip(rows));
+        let pairs = both.flat_map(|(row, other)| row.iter().zip(other.iter().skip(bins)));
+        let of_noise = pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan());
+        correlation(of_noise.map(|(a, b)| [f64::from(*a), f64::from(*b)]))
     };
     let [velocity, range] = [NOISE_LAGS.map(|bins| apart(0, bins)), NOISE_LAGS.map(|rows| apart(rows, 0))];
     [velocity[0], velocity[1], range[0], range[1]]
