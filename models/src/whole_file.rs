@@ -32,12 +32,11 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     attempt().inspect_err(|_| drop(std::fs::remove_file(&temporary)))
 }
 
-/// Removes the temporary files of writers that were killed: files whose names begin with `prefix`, and which nobody has locked. A
-/// file that cannot be removed does no harm.
+/// Removes the temporary files of writers that were killed: files whose names are `prefix` and two numbers as [`write`] makes
+/// them, and which nobody has locked. A file that cannot be removed does no harm.
 fn remove_leftovers(folder: &Path, prefix: &OsStr) {
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let is_temporary = entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes());
-        if !is_temporary || !entry.file_type().is_ok_and(|kind| kind.is_file()) {
+        if !is_temporary(&entry.file_name(), prefix) || !entry.file_type().is_ok_and(|kind| kind.is_file()) {
             continue;
         }
         let Ok(file) = File::options().write(true).open(entry.path()) else { continue };
@@ -46,6 +45,14 @@ fn remove_leftovers(folder: &Path, prefix: &OsStr) {
             let _ = std::fs::remove_file(entry.path());
         }
     }
+}
+
+/// Returns whether a name is the prefix, the number of a process, a hyphen and a hexadecimal number. A user's own file that
+/// only begins in the same way is none of ours.
+fn is_temporary(name: &OsStr, prefix: &OsStr) -> bool {
+    let rest = name.as_encoded_bytes().strip_prefix(prefix.as_encoded_bytes());
+    let numbers = rest.and_then(|rest| std::str::from_utf8(rest).ok()).and_then(|rest| rest.split_once('-'));
+    numbers.is_some_and(|(process, random)| process.parse::<u32>().is_ok() && u64::from_str_radix(random, 16).is_ok())
 }
 
 /// Syncs the names in a folder to the disk, on systems that can open folders.
@@ -62,7 +69,8 @@ mod hard_cases {
     fn what_a_killed_writer_left_is_removed_by_the_next() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        for name in ["a.partial-1-2f", "a.partial-1-3f", "ab.partial-1-2f", "a.partial"] {
+        let of_others = ["ab.partial-1-2f", "a.partial", "a.partial-1", "a.partial-old", "a.partial-1-best"];
+        for name in ["a.partial-1-2f", "a.partial-1-3f"].into_iter().chain(of_others) {
             std::fs::write(at(name), "half").expect("written");
         }
         // An open file with a lock stands for a writer that lives.
@@ -73,6 +81,8 @@ mod hard_cases {
         let names = std::fs::read_dir(folder.path()).expect("a folder").flatten();
         let mut names: Vec<_> = names.map(|entry| entry.file_name().into_string().expect("text")).collect();
         names.sort();
-        assert_eq!(names, ["a", "a.partial", "a.partial-1-3f", "ab.partial-1-2f"]);
+        let kept =
+            ["a", "a.partial", "a.partial-1", "a.partial-1-3f", "a.partial-1-best", "a.partial-old", "ab.partial-1-2f"];
+        assert_eq!(names, kept);
     }
 }
