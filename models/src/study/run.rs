@@ -329,7 +329,7 @@ impl<'a> Study<'a> {
                     tell(Progress::Job(job, number, count));
                     let outcome = self.train(job, tell)?;
                     write_json(&self.result_path(job), &outcome)?;
-                    // Not before: a kill while the model was saved and scored would lose the training.
+                    // The checkpoint stays until the result is written: a kill before that must not lose the training.
                     let _ = std::fs::remove_file(self.checkpoint_path(job));
                     tell(Progress::Done(&outcome));
                     self.judge_at_once(job, tell)?;

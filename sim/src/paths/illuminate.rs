@@ -5,10 +5,11 @@
 //! reflection multiplies it by `G_te te te^T - G_tm tm tm^T`, with the facet's normal mirrored by the later facets.
 //! Each wall that is crossed between two reflections multiplies it by `T_te te te^T + T_tm tm tm^T` in the same way.
 //!
-//! An edge divides a path's wave fronts. If `D` is the part that passes it on the other side (Kirchhoff's approximation,
-//! [`super::edge_field`]), the field is `(1 - D) T + D T'`, with the walls `T` that the path crosses and the walls `T'`
-//! that it crosses on the other side of the edge: none beside a free edge, other ones beyond a seam, a hinge or a corner.
-//! It is thus the same from either side where a path meets the edge. The walls `T'` make arrivals of their own.
+//! An edge divides a path's wave fronts. Let `D` be the part of the field that passes on the other side of the edge
+//! (Kirchhoff's approximation, [`super::edge_field`]). The field is `(1 - D) T + D T'`: `T` is the transmission of the
+//! walls that the path crosses, `T'` that of the walls on the other side of the edge. Beside a free edge there are none;
+//! beyond a seam, a hinge or a corner there are others. `D` is one half where a path meets a long edge, so that the field
+//! has no step there. Each list of walls `T'` is an arrival of its own.
 
 use std::collections::HashMap;
 use std::sync::Arc;
