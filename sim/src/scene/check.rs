@@ -98,8 +98,8 @@ pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
     ]
 }
 
-/// Refuses a radar within a piece of furniture whose faces hide everything else, before the room's meshes are read. In a
-/// box that lets waves through, such as a cover, it may be.
+/// Refuses a radar within a piece of furniture whose faces hide everything else, before the room's meshes are read. Scenes
+/// with `transmission` are not checked: there a box may be the radar's cover.
 pub(super) fn check_radar_outside_furniture(file: &SceneFile) -> Result<(), Fault> {
     let room = &file.room;
     let by_rays = room.solver.map_or(room.plan.is_some() || !room.mesh.is_empty(), |s| s == SolverFile::Rays);
