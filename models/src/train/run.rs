@@ -118,7 +118,9 @@ impl<'a> Run<'a> {
     ) -> Result<Self, TrainError> {
         let network = Network::initialise(&spec.network_spec(), spec.seed, state.start, level)?;
         let mut run = Self::around(data, spec, state.start, network);
-        run.network.parameters().set_values(&state.values)?;
+        // A network may have changed since: the checkpoint is of no use then, and a study begins the training again.
+        let set = run.network.parameters().set_values(&state.values);
+        set.map_err(|error| TrainError::Checkpoint { what: error.to_string() })?;
         for (name, normalisation) in state.normalisations {
             run.network.parameters_mut().set_normalisation(&name, normalisation);
         }
@@ -460,4 +462,31 @@ fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Oc
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::super::data::tests::made_up;
+    use super::*;
+    use crate::standardise::MapReference;
+    use crate::train::Maps;
+
+    /// The error was that of a tensor, so that a study stopped there each time instead of beginning the training again.
+    #[test]
+    fn a_checkpoint_of_fewer_descriptors_is_unusable() {
+        let mut cell = 0u32;
+        let dataset = made_up(16, 36, 24, || {
+            cell += 1;
+            -80.0 - (cell * 7 % 31) as f32
+        });
+        let reference = MapReference::OverNoise { skip_range_bins: 2, most_db: None };
+        let spec = TrainSpec { network: NetworkKind::DescriptorLinear, reference, ..TrainSpec::default() };
+        let data = Data::load(&Maps::new(&dataset, reference), &spec).expect("data");
+        let level = KernelLevel::detect();
+        let network = Network::initialise(&spec.network_spec(), spec.seed, 0, level).expect("a network");
+        let mut state = Run::around(&data, &spec, 0, network).state().expect("a state");
+        state.values.get_mut("head.weight").expect("a parameter").truncate(3 * 43);
+        let error = Run::resume(&data, &spec, state, level).err().expect("refused");
+        assert!(matches!(&error, TrainError::Checkpoint { what } if what.contains("head.weight")), "{error}");
+    }
 }
