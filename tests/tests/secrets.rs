@@ -3,10 +3,10 @@
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use radome_tests::running::Running;
-use radome_tests::{fixture, live_command};
+use radome_tests::{fixture, live_command, radome};
 
 /// Command that simulates the corridor in real time until stopped, with the most detailed log.
 fn watch(url: &str) -> Command {
@@ -82,4 +82,19 @@ fn what_a_broker_sends_back_is_not_shown() {
     for line in live.stderr.all().iter().chain(&live.stdout.all()) {
         assert!(!line.contains("hunter2"), "{line}");
     }
+}
+
+/// Regression test: the file of the password was read twice, and a pipe is empty the second time.
+#[test]
+fn a_password_may_come_by_a_pipe() {
+    let mut live = radome();
+    live.arg("live").arg(fixture("scenes/corridor.toml")).args(["--frames", "2", "--mqtt", "mqtt://radar@127.0.0.1:1"]);
+    live.args(["--mqtt-password-file", "/dev/stdin"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    let mut run = live.spawn().expect("runs");
+    run.stdin.take().expect("a pipe").write_all(b"hunter2\n").expect("written");
+    let ended = run.wait_with_output().expect("ends");
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
 }

@@ -14,7 +14,7 @@ use serde_json::json;
 use self::check::{Check, Outcome};
 use self::checks::Examined;
 use self::redact::{Kind, Redactor};
-use crate::live::integrations::broker::{self, BrokerArguments, Secret};
+use crate::live::integrations::broker::{self, Broker, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
 
@@ -51,8 +51,8 @@ impl Arguments {
         self.bundle.as_ref().map(|_| &self.wire)
     }
 
-    /// Replaces names in the archive: those of this machine, of its user, and in the arguments.
-    fn redactor(&self, bundle: &Path) -> Redactor {
+    /// Replaces names in the archive: those of this machine, of its user, in the arguments and of the broker.
+    fn redactor(&self, bundle: &Path, broker: &anyhow::Result<Option<Broker>>) -> Redactor {
         let mut redactor = Redactor::of_this_machine();
         let source = self.source.as_deref().map(|spec| {
             let prefixes = ["emulated:", "serial:", "usb:", "deepcraft:"];
@@ -75,7 +75,7 @@ impl Arguments {
         for (variable, kind) in [(broker::USER_VARIABLE, Kind::User), (broker::PASSWORD_VARIABLE, Kind::Secret)] {
             redactor.hide(&std::env::var(variable).unwrap_or_default(), kind);
         }
-        match (self.broker.broker(), self.broker.url.as_deref()) {
+        match (broker, self.broker.url.as_deref()) {
             (Ok(Some(broker)), _) => {
                 redactor.hide(&broker.host, Kind::Host);
                 redactor.hide(broker.user.as_deref().unwrap_or_default(), Kind::User);
@@ -110,7 +110,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => None,
     };
     report.say(checks::onnxruntime(arguments.model.as_deref()))?;
-    if let Some(check) = checks::broker(&arguments.broker) {
+    // Read once: the file of the password may be a pipe.
+    let broker = arguments.broker.broker();
+    if let Some(check) = checks::broker(&broker) {
         report.say(check)?;
     }
     let mut waveform = model.as_ref().and_then(|model| model.waveform().cloned());
@@ -126,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     checks::disk(&arguments.record_to, waveform.as_ref()).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
-        pack(arguments, path, &report.checks, examined.as_ref())?;
+        pack(path, &report.checks, examined.as_ref(), arguments, &broker)?;
     }
     let count = |outcome: Outcome| report.checks.iter().filter(|check| check.outcome == outcome).count();
     let (warnings, failures) = (count(Outcome::Warn), count(Outcome::Fail));
@@ -144,8 +146,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Writes the archive, and prints a list of its content.
-fn pack(arguments: &Arguments, path: &Path, checks: &[Check], examined: Option<&Examined>) -> anyhow::Result<()> {
-    let mut redactor = arguments.redactor(path);
+fn pack(
+    path: &Path,
+    checks: &[Check],
+    examined: Option<&Examined>,
+    arguments: &Arguments,
+    broker: &anyhow::Result<Option<Broker>>,
+) -> anyhow::Result<()> {
+    let mut redactor = arguments.redactor(path, broker);
     let parts = bundle::parts(checks, examined, arguments.model.as_deref(), &arguments.wire, &mut redactor)?;
     bundle::write(path, &parts)?;
     message!("{} packs:", path.display());

@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
         bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
     }
-    arguments.integrations.check()?;
+    let broker = arguments.integrations.broker()?;
     let output = arguments.output.as_deref().map(NewRecording::named);
     if let Some(path) = output.as_ref().map(NewRecording::path) {
         output_file::check_is_mcap(path)?;
@@ -115,7 +115,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
     let mut integrations =
-        Integrations::open(&arguments.integrations, &arguments.view.access, &header, board, started)?;
+        Integrations::open(&arguments.integrations, broker, &arguments.view.access, &header, board, started)?;
     let screen = Screen::new(arguments.json, source.is_live)?;
 
     let mut pipeline = Pipeline::new();

@@ -13,7 +13,7 @@ use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
 use crate::judge::{Judge, Model, Prediction};
-use crate::live::integrations::broker::BrokerArguments;
+use crate::live::integrations::broker::Broker;
 use crate::source::{self, SourceOptions};
 
 /// Reports the program itself.
@@ -93,10 +93,10 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
 }
 
 /// Checks whether the broker accepts connections at its address, without logging in; `None` where no broker is named.
-pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
-    let broker = match arguments.broker() {
-        Ok(broker) => broker?,
-        Err(error) => return Some(Check::error("mqtt", &error)),
+pub fn broker(broker: &anyhow::Result<Option<Broker>>) -> Option<Check> {
+    let broker = match broker {
+        Ok(broker) => broker.as_ref()?,
+        Err(error) => return Some(Check::error("mqtt", error)),
     };
     let connect = || -> anyhow::Result<()> {
         let address = broker.to_string();

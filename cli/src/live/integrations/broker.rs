@@ -171,13 +171,13 @@ impl Broker {
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
     }
 
-    /// Builds the options of a connection without the last will. `authorities` is a file of certificates to trust in
+    /// Builds the options of a connection, without the client's identity and the last will. `authorities` is a file of certificates to trust in
     /// place of the system's.
     ///
     /// # Errors
     /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
-    pub fn options(&self, client_id: &str, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
-        let mut options = MqttOptions::new(client_id, &self.host, self.port);
+    pub fn options(&self, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
+        let mut options = MqttOptions::new("radome", &self.host, self.port);
         options.set_keep_alive(KEEP_ALIVE);
         options.set_clean_start(true);
         options.set_connection_timeout(10);

@@ -18,12 +18,13 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, ensure};
 use radome_driver::{BoardIdentity, RecordingHeader};
 use radome_dsp::Occupancy;
+use rumqttc::v5::MqttOptions;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-use self::broker::BrokerArguments;
+use self::broker::{Broker, BrokerArguments};
 use self::discovery::Device;
 use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
@@ -59,14 +60,16 @@ impl Arguments {
         self.metrics.is_some()
     }
 
-    /// Refuses options of the broker that cannot be used, before any source is opened.
+    /// Returns the broker with the options of its connection; `None` where no broker is named. Files of the password and of
+    /// certificates are read here alone: a pipe can be read once.
     ///
     /// # Errors
     /// [`WrongUse`] for an option that is wrong; a file of the password or of certificates cannot be read.
-    pub fn check(&self) -> anyhow::Result<()> {
-        let Some(broker) = self.broker.broker()? else { return Ok(()) };
+    pub fn broker(&self) -> anyhow::Result<Option<(Broker, MqttOptions)>> {
+        let Some(broker) = self.broker.broker()? else { return Ok(None) };
         check_prefix(&self.mqtt_discovery_prefix)?;
-        broker.options("radome", self.mqtt_ca.as_deref()).map(drop)
+        let options = broker.options(self.mqtt_ca.as_deref())?;
+        Ok(Some((broker, options)))
     }
 
     /// Returns the name of the radar, if the user gave one.
@@ -92,13 +95,14 @@ pub struct Integrations {
 }
 
 impl Integrations {
-    /// Opens the requested connections. `header` describes the source, `access` the policy of the metrics' port, and `board`
-    /// the one at work, as which the broker knows this radar.
+    /// Opens the requested connections. `broker` is that of [`Arguments::broker`], `header` describes the source, `access` the
+    /// policy of the metrics' port, and `board` the one at work, as which the broker knows this radar.
     ///
     /// # Errors
-    /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
+    /// A port cannot be opened or is not protected, or a signal cannot be caught.
     pub fn open(
         arguments: &Arguments,
+        broker: Option<(Broker, MqttOptions)>,
         access: &access::Arguments,
         header: &RecordingHeader,
         board: Option<&BoardIdentity>,
@@ -108,7 +112,7 @@ impl Integrations {
         let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
-        if arguments.broker.url.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+        if broker.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
             return Ok(integrations);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
@@ -130,10 +134,10 @@ impl Integrations {
         if let Some(address) = arguments.metrics {
             serve_metrics(&runtime, address, access, latest.clone(), reports.clone())?;
         }
-        if let Some(broker) = arguments.broker.broker()? {
+        if let Some((broker, mut options)) = broker {
             let name = arguments.mqtt_name.as_deref();
             let device = Device::new(board, name, &arguments.mqtt_discovery_prefix, reports.is_some());
-            let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
+            options.set_client_id(device.client_id());
             let mqtt = mqtt::Mqtt { broker, options, device, latest: latest.clone(), reports: reports.clone() };
             integrations.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
         }
