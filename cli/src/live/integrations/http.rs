@@ -81,11 +81,11 @@ async fn show_metrics(State(served): State<Served>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], metrics::text(&served.latest))
 }
 
-/// Returns 200 while frames are labelled, 503 otherwise.
+/// Returns 200 while there is a settled answer, 503 otherwise.
 async fn show_health(State(served): State<Served>) -> impl IntoResponse {
     match served.latest.said() {
         Some(_) => (StatusCode::OK, "frames are labelled\n"),
-        None => (StatusCode::SERVICE_UNAVAILABLE, "no frame has been labelled for a while\n"),
+        None => (StatusCode::SERVICE_UNAVAILABLE, "there is no answer: no frames come, or those since the start or the last outage are too few\n"),
     }
 }
 

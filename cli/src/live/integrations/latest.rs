@@ -86,7 +86,7 @@ impl Latest {
         self.lock().clone()
     }
 
-    /// Returns the newest answer; `None` if frames no longer arrive.
+    /// Returns the newest answer; `None` if there is no settled one, or if frames no longer arrive.
     pub fn said(&self) -> Option<Said> {
         let newest = self.lock();
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
@@ -104,7 +104,7 @@ impl Latest {
         (newest.health.frames, newest.health.dropped_total())
     }
 
-    /// Returns a receiver that is notified when the number of people changes, and of the first label.
+    /// Returns a receiver that is notified when the number of people changes, and of the first settled answer.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }

@@ -18,7 +18,7 @@ pub fn text(latest: &Latest) -> String {
     let mut page = Page(String::with_capacity(4096));
     page.metric("radome_build_info", "gauge", "The program.");
     page.sample("radome_build_info", &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
-    page.gauge("radome_up", "Whether frames come and are labelled.", Some(f64::from(said.is_some())));
+    page.gauge("radome_up", "Whether frames come and the answer is settled.", Some(f64::from(said.is_some())));
     page.gauge(
         "radome_uptime_seconds",
         "Since the start of the program.",
