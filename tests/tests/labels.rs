@@ -103,6 +103,8 @@ fn a_label_with_a_line_end_is_one_line_of_the_table() {
     assert_eq!(labels_of(&path)[0]["label"], "two\npeople\x1b[2J");
     let (table, _) = success(subcommand("recording label").arg(&path));
     assert!(table.lines().count() == 1 && table.contains(r"two\npeople\u{1b}[2J"), "{table}");
+    let (table, _) = success(subcommand("recording labels").arg(&path));
+    assert!(table.lines().count() == 1 && table.contains(r"two\npeople\u{1b}[2J"), "{table}");
     let (info, _) = success(subcommand("recording info").arg(&path));
     assert!(info.contains(r"two\npeople\u{1b}[2J 1.0 s"), "{info}");
 }

@@ -48,7 +48,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return output::json_line(&json!(spans));
     }
     for LabelSpan { start_s, end_s, label, who, .. } in &spans {
-        output::text_line(&format!("{start_s:10.3} s  {end_s:10.3} s  {label}  {}", who.as_deref().unwrap_or("")))?;
+        let (label, who) = (output::on_one_line(label), output::on_one_line(who.as_deref().unwrap_or("")));
+        output::text_line(&format!("{start_s:10.3} s  {end_s:10.3} s  {label}  {who}"))?;
     }
     Ok(())
 }
