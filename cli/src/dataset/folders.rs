@@ -6,6 +6,7 @@ use anyhow::{Context, bail, ensure};
 use regex_lite::Regex;
 
 use super::spec::{FolderLabel, Recorded};
+use crate::source;
 
 /// Largest nesting depth of folders that are searched.
 const DEEPEST: usize = 12;
@@ -76,8 +77,8 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
         } else if path.is_dir() {
             search(&path, &inner(&own), found, depth + 1)?;
         } else if path.extension().is_some_and(|e| e == "mcap") || is_text(&path) {
-            let stem = inner(own.strip_suffix(".mcap").or(own.strip_suffix(".txt")).unwrap_or(&own));
-            found.push(Found { path, session: stem.clone(), name: stem });
+            let name = inner(&source::name_of(&path).to_string_lossy());
+            found.push(Found { path, session: name.clone(), name });
         }
     }
     Ok(())

@@ -85,7 +85,10 @@ async fn show_metrics(State(served): State<Served>) -> impl IntoResponse {
 async fn show_health(State(served): State<Served>) -> impl IntoResponse {
     match served.latest.said() {
         Some(_) => (StatusCode::OK, "frames are labelled\n"),
-        None => (StatusCode::SERVICE_UNAVAILABLE, "there is no answer: no frames come, or those since the start or the last outage are too few\n"),
+        None => (
+            StatusCode::SERVICE_UNAVAILABLE,
+            "there is no answer: no frames come, or those since the start or the last outage are too few\n",
+        ),
     }
 }
 
