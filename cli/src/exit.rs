@@ -67,8 +67,8 @@ mod tests {
         assert!(is(report(&Ok(Ended::with_loss(false))), 0));
         assert!(is(report(&Ok(Ended::with_loss(true))), 3));
         assert!(is(report(&Err(anyhow::anyhow!("no such board"))), 1));
-        let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
         assert!(is(report(&Err(WrongUse(anyhow::anyhow!("no such option")).into())), 2));
+        let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
         assert!(is(report(&closed), 0));
         assert!(is(report(&closed.context("cannot say it")), 0));
     }

@@ -88,7 +88,7 @@ impl SourceArgs {
             ("--speed", self.speed.is_some(), is_board, "a board has its own pace"),
         ] {
             if is_given && is_unused {
-                bail!("{option} has no effect on {}: {why}\n\nhint: leave it away", self.source);
+                bail!("{option} has no effect on {}: {why}\n\nhint: leave it out", self.source);
             }
         }
         Ok(())

@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }
 
-/// Says whose answers in a recording are not taken over with its frames.
+/// Names the model whose answers in a recording are not copied with its frames.
 fn tell_answers_left_behind(source: &Path) {
     if let Some(judge) = Recording::open(source).ok().and_then(|recording| recording.header().judge) {
         message!(

@@ -202,11 +202,11 @@ impl Drop for Reader {
     }
 }
 
-/// Items of a source for a single consumer, which is waited for. They are read on a thread of their own, so that a signal
+/// Items of a source for a single consumer, for which the reader waits. They are read on a thread of their own, so that a signal
 /// ends the wait for a board that is away.
 pub struct Items {
     inlet: Inlet,
-    /// Dropped behind the inlet, whose end lets it go.
+    /// Dropped after the inlet: without it, the reader does not wait to deliver an item.
     _reader: Reader,
 }
 
@@ -218,7 +218,7 @@ impl Items {
         Items { inlet, _reader: pipeline.start(source, limit) }
     }
 
-    /// Waits for the next item. It is an end, too, if the user has stopped the program.
+    /// Waits for the next item. If the user has stopped the program, it is [`Item::End`].
     ///
     /// # Errors
     /// Those of the source.

@@ -19,7 +19,7 @@ pub enum DatasetError {
     Io { path: PathBuf, action: &'static str, source: std::io::Error },
     /// There is no dataset here.
     #[error(
-        "{path}: this is no dataset, which is a folder with dataset.json in it\n\nhint: radome dataset build SPEC.toml -o FOLDER makes one"
+        "{path}: this is no dataset, which is a folder with dataset.json in it\n\nhint: radome dataset build SPEC.toml -o DIR makes one"
     )]
     NoDataset { path: PathBuf },
     /// The folder to create exists already.

@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Maps of a split. Says by what rule the dataset is divided, unless its rows have splits.
+/// Returns the indices of a split's maps. Says by which rule sequences are divided that have no split of their own.
 fn of_split(dataset: &Dataset, split: Split) -> anyhow::Result<Vec<usize>> {
     let rule = SplitSpec::default();
     let splits = dataset.splits(&rule)?;

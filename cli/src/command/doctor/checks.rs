@@ -300,7 +300,7 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
             checks.push(match hours {
                 h if h < 0.1 => Check::fail("space", found, "free some space, or --record-to another disk"),
                 h if h < 10.0 => {
-                    Check::warn("space", found, "not enough for a night: --record-to FOLDER on a larger disk")
+                    Check::warn("space", found, "not enough for a night: --record-to DIR on a larger disk")
                 }
                 _ => Check::ok("space", found),
             });

@@ -146,7 +146,7 @@ fn check_is_dataset(folder: &Path) -> anyhow::Result<()> {
     ensure!(
         folder.join("dataset.json").exists(),
         "{}: this folder is neither a dataset nor a recording\n\nhint: name each recording in it, RECORDING=LABEL, or build a \
-         dataset of them: radome dataset build SPEC.toml -o FOLDER",
+         dataset of them: radome dataset build SPEC.toml -o DIR",
         folder.display()
     );
     Ok(())

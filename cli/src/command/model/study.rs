@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let maps = match &arguments.dataset {
         Some(maps) => maps.clone(),
         None if arguments.report_only && !folder.join("dataset/dataset.json").exists() => bail!(
-            "{} holds no dataset\n\nhint: --dataset FOLDER names the one that the study was made with",
+            "{} holds no dataset\n\nhint: --dataset DIR names the one that the study was made with",
             folder.display()
         ),
         None => {

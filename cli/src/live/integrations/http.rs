@@ -106,7 +106,7 @@ async fn report(
         return (StatusCode::NOT_FOUND, "report what is true: empty, one or two\n");
     };
     match &served.reports {
-        None => (StatusCode::NOT_FOUND, "nothing is kept: start with --keep-to FOLDER\n"),
+        None => (StatusCode::NOT_FOUND, "nothing is kept: start with --keep-to DIR\n"),
         Some(reports) if reports.send(Report { truth, by: "http" }) => {
             (StatusCode::ACCEPTED, "accepted; the log says whether it is kept\n")
         }

@@ -550,7 +550,7 @@ impl Keeper {
         }
         if self.place.is_none() && state.book.revision > 0 && !state.book.spans.is_empty() {
             message!(
-                "labels made on the page that no file holds, unless they were exported: {count}; -o FILE.mcap keeps them"
+                "no file holds the labels made on the page ({count}), unless they were exported\n\nhint: -o FILE.mcap keeps them"
             );
         }
         Ok(())

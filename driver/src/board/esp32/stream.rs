@@ -32,7 +32,7 @@ pub struct Esp32Stream {
     parser: LineParser,
     buffer: Vec<u8>,
     resequencer: Resequencer,
-    /// Whether a line that is no frame has been told since the last frame.
+    /// Whether the log has a line that does not fit the waveform since the last frame.
     is_unfit_told: bool,
     /// Longest silence, from the frame interval and the duration of a line.
     deadline: Duration,
@@ -145,7 +145,7 @@ impl Reconnectable for Esp32Stream {
                     continue;
                 }
                 Some(Err(error)) => {
-                    // Of another waveform, no line is a frame.
+                    // If the firmware has another waveform, no line fits.
                     if !std::mem::replace(&mut self.is_unfit_told, true) {
                         tracing::warn!("{}: {error}", self.path.display());
                     }
