@@ -366,5 +366,9 @@ mod hard_cases {
         assert_eq!(json_lines(study().arg("--report-only")).last(), told.last());
         std::fs::write(place.at("maps.toml"), spec).expect("writable");
         assert_eq!(json_lines(&mut study()).last(), told.last());
+        // Where the sources are not at hand, the dataset is named.
+        std::fs::remove_file(place.at("maps.toml")).expect("removable");
+        fails_with(&mut study(), &["study/dataset cannot be compared with its sources", "maps.toml"]);
+        assert!(json_lines(study().arg("--dataset").arg(place.at("study/dataset"))).last().is_some());
     }
 }

@@ -178,10 +178,11 @@ fn make_dataset(maps: &Path, source: &Path, hint: &str, plan: impl Fn() -> anyho
             Err(error) => return Err(error),
         }
     }
-    if card.exists()
-        && let Some(difference) = plan()?.card.difference_of_sources(&PlanCard::read_file(&card)?)
-    {
-        bail!("{} was {difference}\n\nhint: {hint}", maps.display());
+    if card.exists() {
+        let now = plan().with_context(|| format!("{} cannot be compared with its sources", maps.display()))?;
+        if let Some(difference) = now.card.difference_of_sources(&PlanCard::read_file(&card)?) {
+            bail!("{} was {difference}\n\nhint: {hint}", maps.display());
+        }
     }
     Ok(())
 }
