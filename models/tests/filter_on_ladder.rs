@@ -105,8 +105,7 @@ fn the_filter_is_not_worse_than_frames_on_any_rung() {
         gains.push(through - alone);
     }
     let gain = gains.iter().sum::<f64>() / gains.len() as f64;
-    // A model that missed fewer second people here, and took more second echoes for people in real rooms, gave 0.035.
-    assert!(gain > 0.015, "{gain} of {gains:?}");
+    assert!(gain > 0.03, "{gain} of {gains:?}");
 }
 
 #[test]
