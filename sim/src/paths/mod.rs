@@ -19,6 +19,7 @@ pub mod exhaustive;
 mod facets;
 mod flat;
 mod illuminate;
+mod leg;
 mod reach;
 #[cfg(test)]
 mod rooms;
