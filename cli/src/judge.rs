@@ -12,6 +12,7 @@ use radome_dsp::detect::CfarCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, ReceiverFault, Waveform};
 use radome_files::read;
+use radome_models::evidence_mean::EvidenceMean;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
@@ -96,7 +97,7 @@ pub struct Judge(Kind);
 // A program holds one instance, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Kind {
-    Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm },
+    Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm, mean: EvidenceMean },
     Cfar(Box<CfarCounter>),
 }
 
@@ -104,7 +105,7 @@ enum Kind {
 pub enum Prediction {
     /// The window over frames holds `have` of the `need` frames.
     WarmingUp { have: usize, need: usize },
-    /// Probabilities of empty, one and two from this frame.
+    /// Probabilities of empty, one and two from this frame and those that the model remembers.
     Probabilities([f32; 3]),
     /// No receiver gives a signal, so the frame contains no information about the room.
     NoSignal,
@@ -190,6 +191,14 @@ impl Model {
         Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
     }
 
+    /// Returns the time over which the model averages the evidence of frames, s.
+    pub fn memory_s(&self) -> f64 {
+        match self {
+            Model::Network(classifier) => classifier.card().memory_s,
+            Model::Cfar => 0.0,
+        }
+    }
+
     /// Returns the settings of the filter over predictions.
     pub fn smoothing(&self) -> Smoothing {
         match self {
@@ -236,7 +245,8 @@ impl Model {
                 }
                 let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
                 let map = processor.empty_map();
-                Kind::Network { classifier, processor, map }
+                let mean = EvidenceMean::new(classifier.card().memory_s);
+                Kind::Network { classifier, processor, map, mean }
             }
             Model::Cfar => {
                 Kind::Cfar(Box::new(CfarCounter::new(waveform).context("the detector cannot look at these frames")?))
@@ -317,7 +327,7 @@ impl Judge {
         }
     }
 
-    /// Resets state that must not persist across missing frames.
+    /// Resets state that must not persist across missing frames. What a model remembers of earlier frames fades with time.
     pub fn reset(&mut self) {
         match &mut self.0 {
             Kind::Network { processor, .. } => processor.reset(),
@@ -350,7 +360,12 @@ impl Judge {
         // Every frame gives a map, so that displays of maps have the newest one.
         let prediction = self.judge(received, changed)?;
         if dead < receivers {
-            return Ok(prediction);
+            return Ok(match (prediction, &mut self.0) {
+                (Prediction::Probabilities(frame), Kind::Network { mean, .. }) => {
+                    Prediction::Probabilities(mean.update(received.time_s(), frame))
+                }
+                (prediction, _) => prediction,
+            });
         }
         // The reset keeps a frame without a signal from affecting later frames.
         self.reset();
@@ -359,10 +374,12 @@ impl Judge {
 
     fn judge(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         match &mut self.0 {
-            Kind::Network { classifier, processor, map } => match processor.process_changed(received, changed, map)? {
-                MapStatus::WarmingUp { have, need } => Ok(Prediction::WarmingUp { have, need }),
-                MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
-            },
+            Kind::Network { classifier, processor, map, .. } => {
+                match processor.process_changed(received, changed, map)? {
+                    MapStatus::WarmingUp { have, need } => Ok(Prediction::WarmingUp { have, need }),
+                    MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
+                }
+            }
             Kind::Cfar(counter) => {
                 let seen = counter.observe(changed)?;
                 Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))

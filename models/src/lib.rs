@@ -45,6 +45,7 @@ mod array_hash;
 pub mod calibration;
 pub mod dataset;
 pub mod evaluate;
+pub mod evidence_mean;
 pub mod interval;
 mod kernel;
 mod large_blocks;

@@ -10,6 +10,7 @@ use radome_driver::RecordingError;
 use radome_driver::recording::{Existing, Partial};
 use radome_dsp::RdmProcessor;
 use radome_models::evaluate::evaluate;
+use radome_models::evidence_mean::EvidenceMean;
 use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::{Classifier, ModelCard, onnx};
 
@@ -53,6 +54,8 @@ struct Work {
     classifier: Option<Classifier>,
     /// Processor for the waveform of the last frame.
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
+    /// What the model remembers of the frames before.
+    mean: EvidenceMean,
 }
 
 /// Trained model: a file, or `"room-hqnn"` for the built-in one.
@@ -76,7 +79,8 @@ impl Model {
 
     fn of_classifier(classifier: Classifier, is_native: bool) -> Self {
         let card = classifier.card().clone();
-        let work = Mutex::new(Work { classifier: Some(classifier), maps: None });
+        let mean = EvidenceMean::new(card.memory_s);
+        let work = Mutex::new(Work { classifier: Some(classifier), maps: None, mean });
         Model { work, card, is_native, birthplace: Birthplace::here() }
     }
 
@@ -95,7 +99,7 @@ impl Model {
     /// Probabilities for the next frame; `None` while a window over frames fills, and for frames without a signal.
     fn judge(&self, frame: &Frame) -> Outcome<Option<Probabilities>> {
         let mut work = self.lock()?;
-        let Work { classifier, maps } = &mut *work;
+        let Work { classifier, maps, mean } = &mut *work;
         if maps.as_ref().is_none_or(|(waveform, _)| *waveform != frame.waveform) {
             self.card.rdm_spec.check_compatible(&frame.waveform, &self.card.waveform)?;
             let processor = RdmProcessor::new(&self.card.rdm_spec, &frame.waveform)?;
@@ -108,7 +112,8 @@ impl Model {
         }
         let classifier = classifier.as_mut().ok_or_else(lost)?;
         let map = next_map(processor, &frame.inner)?;
-        Ok(map.map(|map| classifier.classify(&map)).transpose()?)
+        let Some(map) = map else { return Ok(None) };
+        Ok(Some(mean.update(frame.inner.time_s(), classifier.classify(&map)?)))
     }
 
     /// Does something with the network and its card.
@@ -166,9 +171,11 @@ impl Model {
     /// Forgets the frames before, as at a gap.
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         detached(py, || {
-            if let Some((_, processor)) = &mut self.lock()?.maps {
+            let Work { maps, mean, .. } = &mut *self.lock()?;
+            if let Some((_, processor)) = maps {
                 processor.reset();
             }
+            mean.reset();
             Ok(())
         })
     }

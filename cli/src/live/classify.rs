@@ -19,6 +19,9 @@ use crate::{output, panics};
 /// Longest time without frames over which earlier ones say anything of the present, s.
 const LONGEST_MEMORY_S: f64 = 5.0;
 
+/// Memories of a model after which little is left of a frame: a twentieth of its weight.
+const MEMORIES: f64 = 3.0;
+
 /// Classifies frames one after the other.
 pub struct FrameClassifier {
     judge: Judge,
@@ -29,6 +32,8 @@ pub struct FrameClassifier {
     smoothing: Smoothing,
     /// Time span of the frames of a map, s.
     map_s: f64,
+    /// Time over which the model averages the evidence of frames, s.
+    model_memory_s: f64,
     /// Time without frames after which it begins anew, s.
     forgets_after_s: f64,
     last_time_s: Option<f64>,
@@ -51,6 +56,7 @@ impl FrameClassifier {
     pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
+        let model_memory_s = model.memory_s();
         Ok(FrameClassifier {
             filter: OccupancyFilter::new(smoothing, waveform.frame_interval_s()),
             judge: model.judge(waveform)?,
@@ -59,6 +65,7 @@ impl FrameClassifier {
             delays,
             smoothing,
             map_s,
+            model_memory_s,
             // At few frames a second some may be missing, too. Who holds a count for minutes holds it over a gap.
             forgets_after_s: (smoothing.dwell_s.min(LONGEST_MEMORY_S))
                 .max(3.0 * waveform.frame_interval_s())
@@ -83,10 +90,10 @@ impl FrameClassifier {
         self.judge.map()
     }
 
-    /// Time over which earlier frames affect an answer, s: the frames of a map, and the time for which people usually
-    /// stay.
+    /// Time over which earlier frames affect an answer, s: the frames of a map, what the model remembers, and the time for which
+    /// people usually stay.
     pub fn memory_s(&self) -> f64 {
-        self.map_s + self.smoothing.dwell_s.min(10.0)
+        self.map_s + MEMORIES * self.model_memory_s + self.smoothing.dwell_s.min(10.0)
     }
 
     /// Notes missing frames and resets state that must not persist across them.

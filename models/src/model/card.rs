@@ -9,6 +9,7 @@ use thiserror::Error;
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
 use crate::dataset::{Dataset, SplitSpec};
+use crate::evidence_mean::{MEMORIES, is_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
@@ -69,7 +70,11 @@ pub struct ModelCard {
     /// Rows and columns that the network's second block is averaged to.
     #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
     pub pooled: [usize; 2],
-    /// Settings of the filter over frames.
+    /// Time over which the evidence of frames is averaged, s ([`EvidenceMean`](crate::evidence_mean::EvidenceMean)): an answer of the
+    /// model is of the last frames. 0, and absent, if each frame is judged by itself.
+    #[serde(default, skip_serializing_if = "crate::is_default")]
+    pub memory_s: f64,
+    /// Settings of the filter over answers of the model.
     #[serde(default = "Smoothing::of_old_models")]
     pub smoothing: Smoothing,
     /// Standardisation of the latent; empty where there is none.
@@ -206,6 +211,7 @@ impl ModelCard {
         let fits_latent = mean.len() == sigma.len() && (mean.is_empty() || mean.len() == width);
         let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
         check(fits_latent, "latent", format!("{width} constants or none"), found)?;
+        check(is_memory(self.memory_s), "memory_s", MEMORIES.to_owned(), self.memory_s.to_string())?;
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return check(false, name, expected.to_owned(), value.to_string());
         }

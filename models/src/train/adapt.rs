@@ -234,7 +234,7 @@ impl Adapter {
         by_recording: &[[f64; CLASSES]],
         strengths: &[f64],
     ) -> Result<(Vec<Option<Fold>>, [bool; CLASSES]), AdaptError> {
-        let smoothing = self.classifier.card().smoothing;
+        let card = self.classifier.card();
         let mut is_measured = [false; CLASSES];
         let mut folds: Vec<Option<Fold>> = recordings.iter().map(|_| None).collect();
         let parts = recordings.len().min(MOST_FOLDS);
@@ -256,7 +256,7 @@ impl Adapter {
             for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
                 // A recording without labels has no scores.
                 if by_recording[index].iter().sum::<f64>() > 0.0 {
-                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, smoothing);
+                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, card);
                     let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
                     folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
                 }
@@ -270,9 +270,9 @@ impl Adapter {
     /// # Errors
     /// [`AdaptError::Operation`] if features or parameters are not those of this model.
     pub fn scores(&self, fit: Option<&Fit>, recordings: &[AdaptRecording]) -> Result<Scores, AdaptError> {
-        let (tail, smoothing) = (self.tail()?, self.classifier.card().smoothing);
+        let (tail, card) = (self.tail()?, self.classifier.card());
         let numbers = fit.map_or(&self.before, |fit| &fit.numbers);
-        let evaluate = |recording: &AdaptRecording| tail.confusions(numbers, recording, smoothing);
+        let evaluate = |recording: &AdaptRecording| tail.confusions(numbers, recording, card);
         let confusions = recordings.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
         Ok(Confusions::scores(confusions.iter()))
     }

@@ -117,6 +117,7 @@ fn card(
         waveform: header.waveform.clone(),
         rdm_spec: header.rdm_spec,
         standardisation: standardisation.clone(),
+        memory_s: spec.memory_s,
         smoothing: spec.smoothing,
         pooled: spec.pooled,
         latent: network.latent_constants(),

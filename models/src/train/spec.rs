@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
+use crate::evidence_mean::{MEMORIES, is_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -96,6 +97,10 @@ pub struct TrainSpec {
     /// Whether maps are standardised by scene and class, as in the paper, which leaks the label of every map to the network. Such
     /// models classify maps with labels only.
     pub label_leaking_cells: bool,
+    /// Time over which the model averages the evidence of frames, s, saved with it
+    /// ([`EvidenceMean`](crate::evidence_mean::EvidenceMean)). The training sees single maps. 0 if absent.
+    #[serde(skip_serializing_if = "crate::is_default")]
+    pub memory_s: f64,
     /// Settings of the filter over frames, saved with the model.
     pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
@@ -147,6 +152,7 @@ impl Default for TrainSpec {
             latent: LatentStandardisation::None,
             reference: MapReference::Absolute,
             label_leaking_cells: false,
+            memory_s: 0.0,
             smoothing: Smoothing::default(),
             pooled: PAPER_POOLED,
             transposed: false,
@@ -250,6 +256,7 @@ impl TrainSpec {
         check_setting(is_labelled, "label_leaking_cells", true, expected)?;
         let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
         check_setting(is_pooled, "pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns")?;
+        check_setting(is_memory(self.memory_s), "memory_s", self.memory_s, MEMORIES)?;
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return check_setting(false, name, value, expected);
         }

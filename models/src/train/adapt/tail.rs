@@ -5,11 +5,12 @@ use radome_dsp::Occupancy;
 
 use super::error::AdaptError;
 use super::recording::{AdaptFrame, AdaptRecording, MOST_FRAMES};
+use crate::evidence_mean::EvidenceMean;
 use crate::layer::{backward, softmax};
 use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion, most_probable};
-use crate::model::Scores;
+use crate::model::{ModelCard, Scores};
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
-use crate::occupancy_filter::{OccupancyFilter, Smoothing};
+use crate::occupancy_filter::OccupancyFilter;
 use crate::train::full_batch::cross_entropy;
 use crate::train::head_start::{is_trained, parameters_behind};
 use crate::train::minimise::minimise;
@@ -189,17 +190,18 @@ impl<'a> Tail<'a> {
         &self,
         numbers: &[f64],
         recording: &AdaptRecording,
-        smoothing: Smoothing,
+        card: &ModelCard,
     ) -> Result<Confusions, AdaptError> {
         self.set(numbers)?;
-        let mut filter = OccupancyFilter::new(smoothing, recording.frame_interval_s);
+        let mut mean = EvidenceMean::new(card.memory_s);
+        let mut filter = OccupancyFilter::new(card.smoothing, recording.frame_interval_s);
         let mut confusions = Confusions::default();
         for frames in recording.frames.chunks(BATCH) {
             let features: Vec<f32> = frames.iter().flat_map(|frame| &frame.features).copied().collect();
             let features = Tensor::from_vec(features, (frames.len(), self.inputs), &Device::Cpu)?;
             for (frame, probabilities) in frames.iter().zip(self.probabilities(&features)?) {
                 let &[empty, one, two] = probabilities.as_slice() else { continue };
-                let alone = [empty as f32, one as f32, two as f32];
+                let alone = mean.update(frame.time_s, [empty as f32, one as f32, two as f32]);
                 let filtered = filter.update(frame.time_s, alone);
                 if let Some(label) = frame.label.map(Occupancy::index) {
                     confusions.by_frame[label][most_probable(&alone).index()] += 1;
