@@ -10,6 +10,9 @@
 //! whether there is change while nothing moves. The distribution of change over ranges differs between simulated and real rooms,
 //! where people shadow more, and says little about the number of walking people.
 //!
+//! The resolution of a waveform decides how wide an echo is, and on fixed axes it shows in the noise: where it is coarser than a bin,
+//! neighbouring cells of noise are alike. Four descriptors say how much.
+//!
 //! `dataset/features.rs` has other features: quantiles over many maps, which compare simulated rooms with real ones.
 
 use candle_core::{Result, Shape, Tensor, bail};
@@ -19,7 +22,9 @@ use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::spin_pool::for_each_chunk;
 
 /// Number of descriptors of a map.
-pub const DESCRIPTORS: usize = 43;
+pub const DESCRIPTORS: usize = 47;
+/// Number of descriptors that models had before there were correlations of the noise: the first ones of a map.
+pub(crate) const FIRST_DESCRIPTORS: usize = 43;
 
 /// Level above which a cell is an echo, dB. One of 8,192 cells of noise exceeds it.
 const STANDS_OUT_DB: f32 = 10.0;
@@ -42,6 +47,8 @@ const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
 const CHANGE_DB: [f32; 2] = [20.0, 35.0];
 /// Level of the strongest cell up to which a map has no motion within the frame, and from which it has motion, dB.
 const MOTION_DB: [f32; 2] = [10.0, 25.0];
+/// Distances at which cells of noise are compared, bins.
+const NOISE_LAGS: [usize; 2] = [1, 2];
 /// Difference by which one direction must exceed the other in a range bin to dominate it, dB.
 const OWNS_DB: f32 = 3.0;
 const NAME: &str = "map_descriptors";
@@ -87,8 +94,11 @@ struct Cell {
 /// | 32 to 36 | cells of the opposite direction down to 10, 15, 20, 25 and 30 dB below the strongest cell, `ln(1 + count)` | 1 |
 /// | 37 to 41 | the same for cells of another velocity that are not at the same range | 1 |
 /// | 42 | person without motion: strongest cell of zero velocity, 0 up to 20 dB and 1 from 35 dB on, times 1 where no other cell is above the noise, and 0 where the strongest one has 25 dB | 1 |
+/// | 43, 44 | correlation of the levels of noise one and two velocity bins apart | 1 |
+/// | 45, 46 | the same one and two range bins apart | 1 |
 ///
-/// Cells of zero velocity are in 42 only.
+/// Cells of zero velocity are in 42 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow, in range bins whose
+/// cells are not all equal, which hold no noise. Without two pairs of cells that differ, a correlation is 0.
 ///
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
 /// opposite direction is more than a bin beyond zero as seen from the strongest cell.
@@ -135,6 +145,7 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
     let mut values = moments(&cells, rows, range_step, velocity_step);
     values.extend(beside_the_strongest(&cells, rows, range_step, velocity_step));
     values.push(change * (1.0 - motion));
+    values.extend(noise_correlations(&map_db[..rows * columns], columns));
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -221,6 +232,48 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
     values
 }
 
+/// Descriptors 43 to 46: correlation of the levels of noise that lie some velocity bins and some range bins apart.
+fn noise_correlations(map_db: &[f32], columns: usize) -> [f64; 2 * NOISE_LAGS.len()] {
+    let is_slow = |column: usize| column.abs_diff(columns / 2) <= SLOW_BINS as usize;
+    // Levels of noise, and NaN in the other cells.
+    let mut noise = vec![f32::NAN; map_db.len()];
+    for (levels, row) in noise.chunks_mut(columns).zip(map_db.chunks(columns)) {
+        if row.iter().all(|level| *level == row[0]) {
+            continue;
+        }
+        for (column, (level, &found)) in levels.iter_mut().zip(row).enumerate() {
+            if found > 0.0 && found <= STANDS_OUT_DB && !is_slow(column) {
+                *level = found;
+            }
+        }
+    }
+    let apart = |rows: usize, bins: usize| {
+        let both = noise.chunks(columns).zip(noise.chunks(columns).skip(rows));
+        let pairs = both.flat_map(|(row, other)| row.iter().zip(other.iter().skip(bins)));
+        let of_noise = pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan());
+        correlation(of_noise.map(|(a, b)| [f64::from(*a), f64::from(*b)]))
+    };
+    let [velocity, range] = [NOISE_LAGS.map(|bins| apart(0, bins)), NOISE_LAGS.map(|rows| apart(rows, 0))];
+    [velocity[0], velocity[1], range[0], range[1]]
+}
+
+/// Pearson's correlation of pairs; 0 where either side is constant.
+fn correlation(pairs: impl Iterator<Item = [f64; 2]>) -> f64 {
+    let [mut count, mut a, mut b, mut aa, mut bb, mut ab] = [0.0; 6];
+    for [x, y] in pairs {
+        count += 1.0;
+        a += x;
+        b += y;
+        aa += x * x;
+        bb += y * y;
+        ab += x * y;
+    }
+    let (xx, yy, xy) = (count * aa - a * a, count * bb - b * b, count * ab - a * b);
+    // Rounding leaves this much of a constant.
+    let is_constant = xx <= 1e-9 * count * aa || yy <= 1e-9 * count * bb;
+    if is_constant { 0.0 } else { xy / (xx * yy).sqrt() }
+}
+
 /// Weight by a level: 0 up to the first level, 1 from the second on, linear between them.
 fn share_of([none_db, all_db]: [f32; 2], level_db: f32) -> f64 {
     f64::from(((level_db - none_db) / (all_db - none_db)).clamp(0.0, 1.0))
@@ -256,7 +309,7 @@ fn logarithm_of(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][43]`, ranges and velocities in bins.
+/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][47]`, ranges and velocities in bins.
 ///
 /// The input has no gradient: the backward pass fails if it needs one.
 ///
@@ -282,7 +335,7 @@ fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
 }
 
 impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][43]`.
+    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][47]`.
     ///
     /// # Errors
     /// Maps have more than one channel or no cells.
@@ -330,6 +383,7 @@ mod tests {
     const OWNED: usize = 30;
     const COUNTS: usize = 32;
     const CHANGE: usize = 42;
+    const NOISE: usize = 43;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
@@ -515,6 +569,46 @@ mod tests {
             // One cell in 8,000 is above 10 dB, none above 15 dB.
             assert!(found[0] < 20.0 && found[PEAK] < 13.0 && found[5] == 0.0, "{found:?}");
             assert!(found[COUNTS..].iter().all(|&count| count < 8f32.ln()), "{found:?}");
+        }
+    }
+
+    /// Noise in which each cell is repeated along an axis, as on axes of twice the resolution; then cell by cell.
+    #[test]
+    fn the_noise_tells_the_resolution() {
+        /// Three standard deviations of a correlation over a thousand cells, some of which are compared twice.
+        const SPREAD: f64 = 0.12;
+        let cells = noise(64, 64, 6);
+        let repeated = |rows: usize, columns: usize| -> Vec<f32> {
+            (0..64 * 64).map(|k| cells[k / 64 / rows * 64 + k % 64 / columns]).collect()
+        };
+        for (rows, columns, expected) in
+            [(1, 1, [0.0, 0.0]), (1, 2, [0.5, 0.0]), (2, 1, [0.0, 0.5]), (2, 2, [0.5, 0.5])]
+        {
+            let found = describe(&repeated(rows, columns), 64);
+            for (axis, expected) in expected.into_iter().enumerate() {
+                near("one bin apart", found[NOISE + 2 * axis], expected, SPREAD);
+                near("two bins apart", found[NOISE + 2 * axis + 1], 0.0, SPREAD);
+            }
+        }
+        // An echo, its range bins and bins without noise change nothing but the number of pairs.
+        let mut map = repeated(1, 2);
+        map[..5 * 64].fill(3.0);
+        (0..64).for_each(|column| map[30 * 64 + column] += 40.0);
+        let found = describe(&map, 64);
+        near("beside an echo", found[NOISE], 0.5, SPREAD);
+        let is_noise = |row: usize, column: usize| {
+            row >= 5 && row != 30 && !(31..=33).contains(&column) && (1e-9..=10.0).contains(&map[row * 64 + column])
+        };
+        for (k, [rows, columns]) in [[0, 1], [0, 2], [1, 0], [2, 0]].into_iter().enumerate() {
+            let pairs: Vec<[f64; 2]> = (0..64 - rows)
+                .flat_map(|row| (0..64 - columns).map(move |column| [row, column]))
+                .filter(|&[row, column]| is_noise(row, column) && is_noise(row + rows, column + columns))
+                .map(|[row, column]| [map[row * 64 + column], map[(row + rows) * 64 + column + columns]].map(f64::from))
+                .collect();
+            let mean = |f: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(f).sum::<f64>() / pairs.len() as f64;
+            let centre = [mean(&|pair| pair[0]), mean(&|pair| pair[1])];
+            let product = |a: usize, b: usize| mean(&|pair| (pair[a] - centre[a]) * (pair[b] - centre[b]));
+            near("by definition", found[NOISE + k], product(0, 1) / (product(0, 0) * product(1, 1)).sqrt(), 1e-5);
         }
     }
 

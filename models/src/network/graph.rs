@@ -153,7 +153,7 @@ impl Graph {
                 _ => 1,
             };
             match &node.layer {
-                Layer::Descriptors => 5 * cells(input),
+                Layer::Descriptors => 17 * cells(input),
                 Layer::ConvReluPool { inputs, outputs } => 9 * inputs * outputs * cells(input),
                 Layer::Convolution { inputs, outputs, kernel, geometry, .. } => {
                     let out = input.and_then(|input| node.layer.size(input, None));
