@@ -43,7 +43,7 @@ pub struct Answer {
     pub label: Option<Occupancy>,
     /// Probabilities of the filter over the frames so far.
     pub probabilities: Option<Probabilities>,
-    /// Probabilities from this frame's map alone.
+    /// Probabilities by the model without the filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_probabilities: Option<Probabilities>,
     /// Whether the room counts as occupied, after delays that suppress flicker. A frame without a label keeps the value.

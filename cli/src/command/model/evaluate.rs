@@ -323,7 +323,7 @@ impl<'a> Answers<'a> {
             output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
         }
         if !arguments.no_smoothing {
-            message!("by single frames: balanced accuracy {alone:.4}");
+            message!("without the filter: balanced accuracy {alone:.4}");
         }
         print(&metrics)?;
         print_errors(&false_alarms, &metrics)?;
