@@ -7,7 +7,7 @@ const LEAST_PROBABILITY: f64 = 1e-9;
 
 /// Longest memory, s.
 const LONGEST_S: f64 = 60.0;
-/// What [`is_memory`] expects.
+/// Times that [`is_memory`] accepts, for messages.
 pub(crate) const MEMORIES: &str = "0 to 60 s";
 
 /// Returns whether a time can be that of a model's memory.

@@ -56,7 +56,7 @@ fn rungs() -> BTreeMap<String, Vec<FilterSequence>> {
     rungs
 }
 
-/// What the model says at each frame, with its memory of the frames before.
+/// Applies the memory of the shipped model to the predictions for single frames.
 fn remembered(sequence: &FilterSequence) -> FilterSequence {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/room-hqnn.safetensors");
     let mut mean = EvidenceMean::new(ModelCard::load(&path).expect("a model").memory_s);

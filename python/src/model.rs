@@ -54,7 +54,7 @@ struct Work {
     classifier: Option<Classifier>,
     /// Processor for the waveform of the last frame.
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
-    /// What the model remembers of the frames before.
+    /// Mean of the evidence of the frames before.
     mean: EvidenceMean,
 }
 
