@@ -154,6 +154,19 @@ pub fn emulated_board(from: &Path, options: &[&str]) -> (Running, String) {
     (board, port)
 }
 
+/// Kills the emulated board of a port, as if somebody pulled its plug. If the port is a link to a terminal, the link goes
+/// first: the system soon gives the terminal's number to another test's board, which a client that searches for its own
+/// must not open.
+///
+/// # Panics
+/// If the link cannot be removed.
+pub fn unplug(board: &Running, port: &str) {
+    if Path::new(port).is_symlink() {
+        std::fs::remove_file(port).unwrap_or_else(|e| panic!("{port}: {e}"));
+    }
+    board.signal("KILL");
+}
+
 /// Port that nothing listens on. Neither another test of this process nor an outgoing connection takes it meanwhile:
 /// the kernel hands out ports above 32768.
 ///

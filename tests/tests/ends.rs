@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
-use radome_tests::running::{Running, emulated_board, wait_for};
+use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{failure, fixture, frames, limited, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
@@ -42,7 +42,7 @@ fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
     (reader.is_complete(), frames.len() as u64, gaps)
 }
 
-/// Starts an emulated board behind a link with a unique path, and returns the path. Terminal numbers are reused.
+/// Starts an emulated board behind a link with a unique path, and returns the path.
 fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
     emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol, "--link", &link])
@@ -71,7 +71,7 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
         command.args(["record", &format!("{scheme}:{port}")]);
         let mut record = patient(command, &recording);
         wait_for_frames(&record);
-        board.signal("KILL");
+        unplug(&board, &port);
         let status = record.wait();
         let said = record.stderr.all().join("\n");
         assert_eq!(status.code(), Some(1), "{protocol}: {said}");
@@ -104,7 +104,7 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     command.args(["live", &format!("serial:{port}"), "--model", "cfar"]);
     let mut live = patient(command, &recording);
     wait_for_frames(&live);
-    board.signal("KILL");
+    unplug(&board, &port);
     let status = live.wait();
     let said = live.stderr.all().join("\n");
     assert_eq!(status.code(), Some(1), "{said}");
@@ -128,7 +128,7 @@ fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3
         command.args(arguments).arg(format!("serial:{port}")).arg("-o").arg(&recording);
         let mut run = Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"));
         wait_for_frames(&run);
-        board.signal("KILL");
+        unplug(&board, &port);
         run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
         run.signal("INT");
         let status = run.wait();
@@ -166,7 +166,7 @@ fn a_stop_while_the_board_is_away_keeps_what_was_taken_by_every_command() {
             "recording echoes" => (run.stdout.all().len() >= 5).then_some(()),
             _ => run.stderr.all().iter().any(|line| line.contains("nobody should be")).then_some(()),
         });
-        board.signal("KILL");
+        unplug(&board, &port);
         run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
         run.signal("TERM");
         assert_eq!(run.wait().code(), Some(status), "{command}: {:?}", run.stderr.all());
