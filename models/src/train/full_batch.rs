@@ -15,6 +15,7 @@ use super::parameter_vector::ParameterVector;
 use super::spec::FullBatch;
 use super::start::collect;
 use crate::layer::{backward, softmax};
+use crate::metrics::CLASSES;
 use crate::network::{Mode, Network, Parameter};
 
 /// Least gain of a step, as a share of the loss.
@@ -60,7 +61,7 @@ pub(super) fn fit(
             None => 0.0,
         };
         let logits = values.take(graph.output)?;
-        let (mut loss, by_logit) = cross_entropy(&logits.to_vec2()?, &samples, 1.0);
+        let (mut loss, by_logit) = cross_entropy(&logits.to_vec2()?, &samples, 1.0, APART);
         let by_logit = Tensor::from_vec(by_logit, logits.shape(), &Device::Cpu)?;
         // This sum is linear in the logits and has the same gradient at this point.
         let mut gradient = parameters.gradient(&backward(&(&logits * &by_logit)?.sum_all()?)?)?;
@@ -79,15 +80,25 @@ pub(super) fn fit(
 }
 
 /// Weighted sum of the cross-entropies of samples `(label, weight)` at a temperature, and its derivative by each logit, row by
-/// row.
-pub(super) fn cross_entropy(logits: &[Vec<f32>], samples: &[(usize, f64)], temperature: f64) -> (f64, Vec<f32>) {
-    let (mut loss, mut by_logit) = (0.0, Vec::with_capacity(3 * samples.len()));
+/// row. A class is right for a label if both are in the same of these `groups`.
+pub(super) fn cross_entropy(
+    logits: &[Vec<f32>],
+    samples: &[(usize, f64)],
+    temperature: f64,
+    groups: [usize; CLASSES],
+) -> (f64, Vec<f32>) {
+    let (mut loss, mut by_logit) = (0.0, Vec::with_capacity(CLASSES * samples.len()));
     for (&(label, weight), row) in samples.iter().zip(logits) {
-        for (class, p) in softmax(row, temperature).into_iter().enumerate() {
-            let target = if class == label { 1.0 } else { 0.0 };
-            loss -= target * weight * p.max(f64::MIN_POSITIVE).ln();
-            by_logit.push((weight * (p - target) / temperature) as f32);
-        }
+        let probabilities = softmax(row, temperature);
+        let is_right = |class: usize| groups.get(class) == groups.get(label);
+        let right = |(class, p): (usize, f64)| if is_right(class) { p } else { 0.0 };
+        let all: f64 = probabilities.iter().copied().enumerate().map(right).sum::<f64>().max(f64::MIN_POSITIVE);
+        loss -= weight * all.ln();
+        let derivative = |(class, p): (usize, f64)| (weight * (p - right((class, p)) / all) / temperature) as f32;
+        by_logit.extend(probabilities.into_iter().enumerate().map(derivative));
     }
     (loss, by_logit)
 }
+
+/// Each class in a group of its own.
+pub(super) const APART: [usize; CLASSES] = [0, 1, 2];

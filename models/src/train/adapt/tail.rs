@@ -11,7 +11,7 @@ use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion, most_probable};
 use crate::model::{ModelCard, Scores};
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::OccupancyFilter;
-use crate::train::full_batch::cross_entropy;
+use crate::train::full_batch::{APART, cross_entropy};
 use crate::train::head_start::{is_trained, parameters_behind};
 use crate::train::minimise::minimise;
 use crate::train::parameter_vector::ParameterVector;
@@ -19,9 +19,11 @@ use crate::train::parameter_vector::ParameterVector;
 /// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
 /// few biases; weights would overfit to the few people in it.
 const BIAS_STRENGTH: f64 = 100.0;
-/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds. A
-/// longer recording of the empty room must not make the model miss people.
+/// Strength of the penalty on the shift of the logits of the classes that are shown, where others are not, as a share of the
+/// labelled seconds. A longer recording of the empty room must not make the model miss people. It is stronger where people are
+/// shown: a recording shows a few of all people, but the whole empty room.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
+const PEOPLE_SHARE: f64 = 1.0;
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 const LONG_S: f64 = 10.0;
 /// Least deviation that a feature is divided by, as in training (`train/start.rs`).
@@ -53,15 +55,24 @@ impl Confusions {
     }
 }
 
-/// Returns whether a labelled frame shows people.
-pub(super) fn shows_people(recordings: &[&AdaptRecording]) -> bool {
-    let mut labels = recordings.iter().flat_map(|recording| &recording.frames).filter_map(|frame| frame.label);
-    labels.any(|label| label != Occupancy::Empty)
+/// Strength of the penalty on the shift of the classes that these recordings show.
+pub(super) fn shift_strength(recordings: &[&AdaptRecording]) -> f64 {
+    let seconds = recordings.iter().map(|recording| recording.seconds());
+    let [empty_s, one_s, two_s] =
+        seconds.fold([0.0; CLASSES], |sum, s| std::array::from_fn(|class| sum[class] + s[class]));
+    let share = if one_s + two_s > 0.0 { PEOPLE_SHARE } else { EMPTY_SHARE };
+    share * (empty_s + one_s + two_s)
 }
 
-/// Strength of the penalty on the logit of `empty` if only the empty room was recorded.
-pub(super) fn empty_strength(recordings: &[&AdaptRecording]) -> f64 {
-    EMPTY_SHARE * recordings.iter().map(|recording| recording.seconds()[0]).sum::<f64>()
+/// Groups of classes that samples tell apart. A class that none shows is in the group of its neighbour: two people beside one, one
+/// person beside two, the empty room beside one person.
+fn groups(shown: [bool; CLASSES]) -> [usize; CLASSES] {
+    match shown {
+        [true, true, true] => APART,
+        [true, false, true] | [true, true, false] => [0, 1, 1],
+        [false, true, true] => [1, 1, 2],
+        _ => [0; CLASSES],
+    }
 }
 
 /// The last layer of a network.
@@ -71,6 +82,7 @@ pub(super) fn last_node(network: &Network) -> Option<&Node> {
 }
 
 /// Frame in a fit.
+#[derive(Clone)]
 struct Sample<'a> {
     features: &'a [f32],
     label: usize,
@@ -136,8 +148,8 @@ pub(super) struct Tail<'a> {
     weight: usize,
     bias: usize,
     outputs: usize,
-    /// Position in the vector of the bias of the logit of `empty`.
-    empty: usize,
+    /// Position in the vector of the biases of the logits.
+    logits: usize,
 }
 
 impl<'a> Tail<'a> {
@@ -151,8 +163,8 @@ impl<'a> Tail<'a> {
         let Layer::Linear { inputs, outputs } = first.layer else { return None };
         let weight = parameters.offset(&format!("{}.weight", first.name))?;
         let bias = parameters.offset(&format!("{}.bias", first.name))?;
-        let empty = parameters.offset(&format!("{}.bias", last_node(network)?.name))?;
-        Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, empty })
+        let logits = parameters.offset(&format!("{}.bias", last_node(network)?.name))?;
+        Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, logits })
     }
 
     /// Present parameters.
@@ -213,7 +225,10 @@ impl<'a> Tail<'a> {
     }
 
     /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
-    /// the one before it. If no recording shows people, the logit of `empty` alone is fitted, independently of the strength.
+    /// the one before it.
+    ///
+    /// The fit tells apart the [`groups`] of classes that samples show. Then the logits of the classes that are shown are shifted
+    /// against the others, all by the same.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
@@ -221,8 +236,10 @@ impl<'a> Tail<'a> {
         strengths: &[f64],
         before: &[f64],
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
-        let mut samples = samples(recordings, simulated);
+        let samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
+        let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
+        let groups = groups(shown);
         let normalisation = normalisation(&samples, self.inputs);
         let standardise = |sample: &Sample| -> Vec<f32> {
             let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
@@ -231,50 +248,88 @@ impl<'a> Tail<'a> {
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
         let origin = self.standardised(before, &normalisation);
-        let is_empty_only = !shows_people(recordings);
-        if is_empty_only {
-            self.set(&origin)?;
-            for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(&features)?) {
-                sample.weight *= 1.0 - probabilities.get(sample.label).copied().unwrap_or(0.0);
-            }
-        }
         let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
         let most = self.parameters.by_parameter(most);
         let minimum = |start: Vec<f64>, strength: f64| {
             let found = minimise(start, MOST_STEPS, LEAST_GAIN, |numbers| {
-                let (mut value, mut gradient) = self.loss(numbers, &features, &samples)?;
+                let (mut value, mut gradient) = self.loss(numbers, &features, &samples, groups)?;
                 for (index, g) in gradient.iter_mut().enumerate() {
                     let moved = numbers[index] - origin[index];
-                    let strength = if is_empty_only { strength } else { strength.min(most[index]) };
+                    let strength = strength.min(most[index]);
                     value += 0.5 * strength * moved.powi(2);
-                    *g = if is_empty_only && index != self.empty { 0.0 } else { (*g + strength * moved) / total };
+                    *g = (*g + strength * moved) / total;
                 }
                 Ok::<_, AdaptError>((value / total, gradient))
             })?;
             found.ok_or(AdaptError::NonFinite)
         };
-        if is_empty_only {
-            let mut raised = before.to_vec();
-            raised[self.empty] += minimum(origin.clone(), empty_strength(recordings))?[self.empty] - origin[self.empty];
-            return Ok(vec![raised; strengths.len()]);
-        }
         let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let shift_strength = shift_strength(recordings);
         let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
         for strength in strengths {
-            numbers = minimum(numbers, *strength)?;
-            fits.push(self.standardised(&numbers, &back));
+            let mut shifted = before.to_vec();
+            if groups != [0; CLASSES] {
+                numbers = minimum(numbers, *strength)?;
+                shifted = self.standardised(&numbers, &back);
+            }
+            if shown.contains(&false) {
+                let by = self.shift(&numbers, &features, &samples, shown, shift_strength)?;
+                self.shift_logits(&mut shifted, shown, by);
+            }
+            fits.push(shifted);
         }
         Ok(fits)
     }
 
-    /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient.
-    fn loss(&self, numbers: &[f64], features: &Tensor, samples: &[Sample]) -> Result<(f64, Vec<f64>), AdaptError> {
+    /// Raises the logits of these classes.
+    fn shift_logits(&self, numbers: &mut [f64], shown: [bool; CLASSES], by: f64) {
+        let biases = numbers.iter_mut().skip(self.logits).zip(shown);
+        biases.filter(|(_, shown)| *shown).for_each(|(bias, _)| *bias += by);
+    }
+
+    /// Finds the common shift of the logits of the classes that are shown. Frames are weighted by the probability of other
+    /// classes, so that a model that is right about these frames stays as it is.
+    fn shift(
+        &self,
+        numbers: &[f64],
+        features: &Tensor,
+        samples: &[Sample],
+        shown: [bool; CLASSES],
+        strength: f64,
+    ) -> Result<f64, AdaptError> {
+        self.set(numbers)?;
+        let mut samples = samples.to_vec();
+        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
+            sample.weight *= probabilities.iter().zip(shown).filter(|(_, shown)| !shown).map(|(p, _)| p).sum::<f64>();
+        }
+        let total: f64 = samples.iter().map(|sample| sample.weight).sum::<f64>().max(f64::MIN_POSITIVE);
+        let found = minimise(vec![0.0], MOST_STEPS, LEAST_GAIN, |by| {
+            let by = by.first().copied().unwrap_or(0.0);
+            let mut shifted = numbers.to_vec();
+            self.shift_logits(&mut shifted, shown, by);
+            let (value, gradient) = self.loss(&shifted, features, &samples, APART)?;
+            let slope: f64 =
+                gradient.iter().skip(self.logits).zip(shown).filter(|(_, shown)| *shown).map(|(g, _)| g).sum();
+            Ok::<_, AdaptError>(((value + 0.5 * strength * by * by) / total, vec![(slope + strength * by) / total]))
+        })?;
+        found.and_then(|by| by.first().copied()).ok_or(AdaptError::NonFinite)
+    }
+
+    /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient. A
+    /// class is right for all labels of its group.
+    fn loss(
+        &self,
+        numbers: &[f64],
+        features: &Tensor,
+        samples: &[Sample],
+        groups: [usize; CLASSES],
+    ) -> Result<(f64, Vec<f64>), AdaptError> {
         self.set(numbers)?;
         let output = self.network.graph().output;
         let mode = Mode::Training { seed: 0, step: 0, penalty: 0.0 };
         let logits = self.network.run_from(self.given, features, &[output], mode)?.take(output)?;
         let targets: Vec<(usize, f64)> = samples.iter().map(|sample| (sample.label, sample.weight)).collect();
-        let (loss, by_logit) = cross_entropy(&logits.to_vec2()?, &targets, self.temperature);
+        let (loss, by_logit) = cross_entropy(&logits.to_vec2()?, &targets, self.temperature, groups);
         // This sum is linear in the logits and has the same gradient at this point.
         let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
         let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
@@ -324,12 +379,12 @@ mod tests {
         let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
         let there_and_back = tail.standardised(&tail.standardised(&numbers, &normalisation), &back);
         assert!(numbers.len() > 90 && there_and_back.iter().zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-9));
-        let (_, gradient) = tail.loss(&numbers, &features, &samples).expect("loss");
+        let (_, gradient) = tail.loss(&numbers, &features, &samples, APART).expect("loss");
         for k in (0..numbers.len()).step_by(7) {
             let at = |by: f64| {
                 let mut moved = numbers.clone();
                 moved[k] += by;
-                tail.loss(&moved, &features, &samples).expect("loss").0
+                tail.loss(&moved, &features, &samples, APART).expect("loss").0
             };
             let difference = (at(5e-3) - at(-5e-3)) / 1e-2;
             assert!(
