@@ -13,7 +13,7 @@ const LONGEST_S: f64 = 1e6;
 /// Shortest time of a setting, s.
 const SHORTEST_S: f64 = 1e-3;
 /// [`Smoothing::independent_s`] where neither it nor a weight is given.
-const INDEPENDENT_S: f64 = 0.32;
+const INDEPENDENT_S: f64 = 0.36;
 /// Temperatures that are allowed.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
@@ -33,7 +33,7 @@ pub struct Smoothing {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
     /// Time over which frames are one piece of evidence, s. A frame weighs as much of a piece as the time since the frame before
-    /// it is of this, and one piece at most: the answer does not depend on the frame interval. 0.32 s if neither this nor `weight`
+    /// it is of this, and one piece at most: the answer does not depend on the frame interval. 0.36 s if neither this nor `weight`
     /// is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub independent_s: Option<f64>,
@@ -94,7 +94,7 @@ impl Default for Smoothing {
     /// most frames are right. Answers of room-hqnn are means over half a second, so that a large weight of the newest one
     /// does not make the filter's answers flicker.
     fn default() -> Self {
-        Smoothing { dwell_s: 2.0, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.0, newest: 0.5 }
+        Smoothing { dwell_s: 2.0, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.2, newest: 0.7 }
     }
 }
 
