@@ -11,8 +11,8 @@ use radome_driver::recording::{Existing, Partial, Recording, label_text};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
 use radome_files::read_text;
 
+use crate::files;
 use crate::output::on_one_line;
-use crate::{files, source};
 
 /// Length limit of files of labels, bytes: more than a label for each frame of a day.
 const LIMIT_BYTES: u64 = 64 << 20;
@@ -191,16 +191,46 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Adds labels to a recording, or to the file beside it, and returns the path. Labels that [`check`] refuses or that overlap
-/// existing ones are refused; then nothing is written.
+/// Cuts an interval, s, out of the labels that are `meant`. The rests on both sides stay.
+pub fn cut_out(
+    labels: Vec<LabelSpan>,
+    (start_s, end_s): (f64, f64),
+    meant: impl Fn(&LabelSpan) -> bool,
+) -> Vec<LabelSpan> {
+    let mut left = Vec::with_capacity(labels.len() + 1);
+    for label in labels {
+        if !meant(&label) || label.end_s <= start_s || label.start_s >= end_s {
+            left.push(label);
+            continue;
+        }
+        let rests = [(label.start_s, label.end_s.min(start_s)), (label.start_s.max(end_s), label.end_s)];
+        let rest =
+            |(start_s, end_s): (f64, f64)| (start_s < end_s).then(|| LabelSpan { start_s, end_s, ..label.clone() });
+        left.extend(rests.into_iter().filter_map(rest));
+    }
+    left
+}
+
+/// Adds labels to a recording, or to the file beside it, and returns the path. `make_room` changes the labels that are there
+/// already. Labels that [`check`] refuses or that overlap existing ones are refused; then nothing is written.
 ///
 /// # Errors
 /// The recording cannot be read or written, or the labels are refused.
-pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
+pub fn add(
+    recording: &Path,
+    spans: &[LabelSpan],
+    make_room: impl FnOnce(Vec<LabelSpan>) -> Vec<LabelSpan>,
+) -> anyhow::Result<PathBuf> {
     check(recording, spans)?;
     let source = Recording::open(recording)?;
-    let named = || format!("{}: labels refused", recording.display());
-    let with_all = |mut all: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
+    let named = || {
+        let path = recording.display();
+        format!(
+            "{path}: labels refused\n\nhint: --replace cuts labels that are there already; --erase START_S:END_S cuts them out"
+        )
+    };
+    let with_all = |there: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
+        let mut all = make_room(there);
         all.extend_from_slice(spans);
         check_spans(&all, None).with_context(named)?;
         Ok(all)
@@ -219,11 +249,5 @@ pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
 /// recording.
 fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
     let interval_s = source.waveform().frame_interval_s();
-    let mut frame = Frame::zeroed(source.waveform().shape());
-    let mut extent: Option<(f64, f64)> = None;
-    while source::next_frame(source, &mut frame)? {
-        let first_s = extent.map_or(frame.time_s(), |(first_s, _)| first_s);
-        extent = Some((first_s, frame.time_s() + interval_s));
-    }
-    Ok(extent)
+    Ok(source.extent()?.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s)))
 }

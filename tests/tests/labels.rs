@@ -78,6 +78,37 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
 
 /// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
 /// gives its recordings no ending.
+/// Regression test: a wrong label could be taken back on the page alone.
+#[test]
+fn labels_are_replaced_and_erased_where_it_is_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("run.mcap");
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &recording);
+    let label = |options: &[&str]| {
+        let mut command = subcommand("recording label");
+        command.arg(&recording).args(options);
+        command
+    };
+    success(&mut label(&["--span", "0:3=two", "--span", "1:2=a knock"]));
+    let said = failure(&mut label(&["--span", "1:2=one"]));
+    assert!(said.contains("overlap") && said.contains("--replace"), "{said}");
+    let found = || {
+        let spans = json_lines(&mut label(&["--json"])).remove(0);
+        let of = |span: &Value| {
+            format!("{}-{} {}", span["start_s"], span["end_s"], span["label"].as_str().expect("a label"))
+        };
+        let mut found: Vec<String> = spans.as_array().expect("a list").iter().map(of).collect();
+        found.sort();
+        found
+    };
+    success(&mut label(&["--span", "1:2=one", "--replace"]));
+    assert_eq!(found(), ["0.0-1.0 two", "1.0-2.0 a knock", "1.0-2.0 one", "2.0-3.0 two"]);
+    success(&mut label(&["--erase", "0.5:1.5"]));
+    assert_eq!(found(), ["0.0-0.5 two", "1.5-2.0 a knock", "1.5-2.0 one", "2.0-3.0 two"]);
+    let said = failure(&mut label(&["--span", "0.7:0.7=one"]));
+    assert!(said.contains("no duration"), "{said}");
+}
+
 #[test]
 fn labels_beside_a_recording_are_its_own() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -17,6 +17,9 @@ pub enum SpanError {
     /// The end comes before the start.
     #[error("the label '{label}' is reversed: it starts at {} s and ends at {} s", rounded(*.start_s), rounded(*.end_s))]
     Reversed { label: String, start_s: f64, end_s: f64 },
+    /// A label of a class has no duration.
+    #[error("the label '{label}' at {} s has no duration, so it covers no frame", rounded(*.start_s))]
+    NoDuration { label: String, start_s: f64 },
     /// Part of the span lies outside the recording.
     #[error(
         "the label '{label}' from {} to {} s is out of range: the recording's frames are from {} to {} s",
@@ -43,7 +46,7 @@ fn rounded(time_s: f64) -> f64 {
     (time_s * 1e6).round() / 1e6
 }
 
-/// Checks that spans run forwards, lie within `extent_s` if it is given, and that spans of two classes do not overlap.
+/// Checks that spans run forwards, those of classes for some time, lie within `extent_s` if it is given, and that spans of two classes do not overlap.
 /// Free text may overlap anything.
 ///
 /// # Errors
@@ -56,6 +59,9 @@ pub fn check_spans(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<
         }
         if end_s < start_s {
             return Err(SpanError::Reversed { label, start_s, end_s });
+        }
+        if end_s == start_s && span.occupancy().is_some() {
+            return Err(SpanError::NoDuration { label, start_s });
         }
         if let Some((first_s, last_s)) = extent_s
             && (start_s < first_s - ROUNDING_S || end_s > last_s + ROUNDING_S)
@@ -117,7 +123,7 @@ mod tests {
 
         /// Compares with the definition: any two spans of different classes that share more than a rounding.
         #[test]
-        fn overlaps_are_found_as_pairs_would_find_them(parts in prop::collection::vec((0u8..40, 0u8..12, 0usize..4), 0..8)) {
+        fn overlaps_are_found_as_pairs_would_find_them(parts in prop::collection::vec((0u8..40, 1u8..12, 0usize..4), 0..8)) {
             let names = ["empty", "one", "two", "sofa"];
             let spans: Vec<LabelSpan> = parts
                 .iter()
@@ -144,6 +150,7 @@ mod tests {
             assert!(said(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
             assert!(said(&[(1.9000000000000001, 10.6, "one")]).contains("'one' from 1.9 to 10.6 s is out"));
             assert!(said(&[(f64::NAN, 1.0, "one")]).contains("finite"));
+            assert!(said(&[(5.0, 5.0, "one")]).contains("'one' at 5 s has no duration"));
             // A long span covers several others; the one in between does not hide it.
             let text = said(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);
             assert!(text.contains("'empty' (0 to 8 s) and 'one' (2 to 3 s) overlap"), "{text}");
@@ -153,7 +160,13 @@ mod tests {
 
         #[test]
         fn free_text_may_lie_over_anything_and_neighbours_may_touch() {
-            let spans = [(0.0, 5.0, "one"), (5.0 - 1e-6, 10.0 + 1e-6, "two"), (1.0, 9.0, "sofa"), (2.0, 4.0, "window")];
+            let spans = [
+                (0.0, 5.0, "one"),
+                (5.0 - 1e-6, 10.0 + 1e-6, "two"),
+                (1.0, 9.0, "sofa"),
+                (2.0, 4.0, "window"),
+                (3.0, 3.0, "a knock"),
+            ];
             let spans: Vec<LabelSpan> = spans.iter().map(|&(a, b, label)| LabelSpan::new(a, b, label)).collect();
             assert_eq!(check_spans(&spans, Some((0.0, 10.0))), Ok(()));
         }

@@ -18,6 +18,7 @@ use crate::{labels, output, source};
     group = clap::ArgGroup::new("what").multiple(true),
     after_help = "Examples:\n  \
                   radome recording label night.mcap --span 0:60=empty --span 75:120=one\n  \
+                  radome recording label night.mcap --span 20:60=one --replace\n  \
                   radome recording label night.mcap -o night.txt"
 )]
 pub struct Arguments {
@@ -32,6 +33,12 @@ pub struct Arguments {
     /// Add labels from the truth of the frames, which simulations have, or from a classical detector
     #[arg(long, value_name = "PROPOSER", value_enum, group = "what")]
     propose: Option<Proposer>,
+    /// Cut the labels of classes that are there where the new ones overlap them. Without it, overlaps are refused
+    #[arg(long, requires = "what", conflicts_with = "output")]
+    replace: bool,
+    /// Interval from which all labels are cut out; may be given several times
+    #[arg(long, value_name = "START_S:END_S", value_parser = parse_interval, allow_hyphen_values = true, conflicts_with = "output")]
+    erase: Vec<(f64, f64)>,
     /// Write the labels to this file, .txt or .label, instead of adding them to the recording. Without --span, --from and --propose,
     /// write the labels of the recording
     #[arg(short, long, value_name = "FILE")]
@@ -52,6 +59,14 @@ enum Proposer {
     Detector,
 }
 
+fn parse_interval(text: &str) -> Result<(f64, f64), String> {
+    let wrong = || format!("'{text}': expected START_S:END_S such as 0.5:12, the end after the start");
+    let (start, end) = text.split_once(':').ok_or_else(wrong)?;
+    let time = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong());
+    let (start_s, end_s) = (time(start)?, time(end)?);
+    if start_s < end_s { Ok((start_s, end_s)) } else { Err(wrong()) }
+}
+
 fn parse_span(text: &str) -> Result<LabelSpan, String> {
     let wrong = || format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty");
     let (times, label) = text.split_once('=').ok_or_else(wrong)?;
@@ -69,7 +84,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let inputs = arguments.from.iter().chain([&arguments.recording]);
         arguments.overwrite.check(file, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     }
-    if arguments.span.is_empty() && arguments.from.is_none() && arguments.propose.is_none() {
+    let is_given = !arguments.span.is_empty() || arguments.from.is_some() || arguments.propose.is_some();
+    if !is_given && arguments.erase.is_empty() {
         return show(arguments);
     }
     if arguments.who.is_some() && arguments.span.is_empty() && arguments.from.is_none() {
@@ -106,10 +122,20 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             labels::write(file, arguments.overwrite.existing(), &spans)?;
             file.clone()
         }
-        None => labels::add(&arguments.recording, &spans)?,
+        None => labels::add(&arguments.recording, &spans, |there| {
+            let there =
+                arguments.erase.iter().fold(there, |there, interval| labels::cut_out(there, *interval, |_| true));
+            let classes = spans.iter().filter(|span| arguments.replace && span.occupancy().is_some());
+            classes.fold(there, |there, span| {
+                labels::cut_out(there, (span.start_s, span.end_s), |other| other.occupancy().is_some())
+            })
+        })?,
     };
     let word = if spans.len() == 1 { "label" } else { "labels" };
-    message!("{} {word} written to {}", spans.len(), place.display());
+    match spans.len() {
+        0 => message!("labels erased in {}", place.display()),
+        count => message!("{count} {word} written to {}", place.display()),
+    }
     print(&spans, arguments.json)
 }
 
