@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use serde_json::json;
 
 use crate::judge::{BUILT_IN, Model, Prediction};
@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     options.people.get_or_insert(0);
     let source = source::open(&arguments.source.source, &options)?;
     message!("{}; nobody should be in the room", source.description);
-    let waveform = source.frames.waveform().clone();
+    let (waveform, is_live) = (source.frames.waveform().clone(), source.is_live);
     let mut at_work = model.judge(&waveform)?;
     let mut capture = Capture::new();
     let mut start_s = None;
@@ -65,6 +65,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }
     }
+    ensure!(is_live || !output::interrupted(), "interrupted: nothing is written");
     let background: Background =
         capture.finish(&judge, &waveform).with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;

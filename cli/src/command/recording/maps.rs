@@ -127,6 +127,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut processor = RdmProcessor::new(&arguments.spec(&waveform)?, &waveform)?;
     let mut map = processor.empty_map();
     let row_shape = map_shape(&map);
+    let is_live = source.is_live;
     let (mut counts, mut pictured, mut frames) = (Counts::default(), false, 0u64);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     let items = Items::of(source.frames, arguments.source.frames);
@@ -153,9 +154,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 }
             }
         }
-        // Checked before the array gets its final name.
-        if !output::interrupted() {
-            check_maps(arguments, counts.maps, frames, pictured)?;
+        // Checked before the array gets its final name. A board sends until it is stopped; a part of a recording is no array of it.
+        match output::interrupted() {
+            false => check_maps(arguments, counts.maps, frames, pictured)?,
+            true => ensure!(is_live, "interrupted after {} maps: nothing is written", counts.maps),
         }
         anyhow::Ok(counts.maps)
     };
