@@ -14,6 +14,7 @@ use serde_json::json;
 use self::check::{Check, Outcome};
 use self::checks::Examined;
 use self::redact::{Kind, Redactor};
+use crate::judge::{self, BUILT_IN};
 use crate::live::integrations::broker::{self, Broker, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
@@ -126,7 +127,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         None => checks::devices().into_iter().try_for_each(|check| report.say(check))?,
     }
-    checks::disk(&arguments.record_to, waveform.as_ref()).into_iter().try_for_each(|check| report.say(check))?;
+    // Boards that are told no waveform get that of the default model.
+    let waveform = waveform.map_or_else(|| Ok(judge::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
+    checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
         pack(path, &report.checks, examined.as_ref(), arguments, &broker)?;
     }

@@ -9,11 +9,12 @@ use anyhow::Context;
 use radome_driver::RecordingHeader;
 use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
 use radome_driver::recording::utc;
-use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
+use radome_dsp::{Frame, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
 use crate::judge::{Judge, Model, Prediction};
 use crate::live::integrations::broker::Broker;
+use crate::live::screen::lost_besides;
 use crate::source::{self, SourceOptions};
 
 /// Reports the program itself.
@@ -197,7 +198,7 @@ struct Seen {
     /// Frames known to be lost.
     lost: u64,
     /// Gaps of unknown length.
-    unknown: usize,
+    unknown: u64,
     /// Samples at the lowest or highest code.
     saturated: usize,
     slowest: Duration,
@@ -232,7 +233,7 @@ fn frames(
             }
             Ok(SourceEvent::Gap(gap)) => {
                 seen.lost = seen.lost.saturating_add(gap.frames);
-                seen.unknown += usize::from(gap.frames == 0);
+                seen.unknown += u64::from(gap.frames == 0);
             }
             Ok(SourceEvent::End) => break,
             Err(error) => return Check::error("frames", &anyhow::Error::from_boxed(error)),
@@ -245,10 +246,7 @@ impl Seen {
     /// Reports the numbers for `count` frames that came in the time `took`.
     fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool) -> Check {
         let Seen { lost, unknown, saturated, slowest } = self;
-        let more = match unknown {
-            0 => String::new(),
-            _ => format!(", and an unknown number (gaps of unknown length: {unknown})"),
-        };
+        let more = lost_besides(*unknown);
         let found = format!(
             "{count} frames in {:.1} s, {lost} lost{more}, {saturated} samples at a rail, slowest answer {:.1} ms of {:.0} ms",
             took.as_secs_f64(),
@@ -284,19 +282,21 @@ impl Seen {
 }
 
 /// Checks free space and write speed for recordings.
-pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
+pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
     const PROBE_BYTES: usize = 32 << 20;
     let named = folder.display();
-    let paper = FrameShape { rx: 3, chirps: 128, samples: 256 };
-    let (codes, interval_s) = waveform.map_or((paper.codes(), 0.1), |w| (w.shape().codes(), w.frame_interval_s()));
     // Two bytes per code, before compression.
-    let needed_bytes_per_s = 2.0 * codes as f64 / interval_s;
+    let needed_bytes_per_s = 2.0 * waveform.shape().codes() as f64 / waveform.frame_interval_s();
     let mut checks = Vec::new();
     match rustix::fs::statvfs(folder) {
         Ok(fs) => {
             let free_bytes = fs.f_bavail as f64 * fs.f_frsize as f64;
             let hours = free_bytes / needed_bytes_per_s / 3600.0;
-            let found = format!("{named}: {:.1} GiB free, {hours:.1} h of frames", free_bytes / f64::from(1 << 30));
+            let found = format!(
+                "{named}: {:.1} GiB free, {hours:.1} h of frames ({}, not compressed)",
+                free_bytes / f64::from(1 << 30),
+                waveform.shape()
+            );
             checks.push(match hours {
                 h if h < 0.1 => Check::fail("space", found, "free some space, or --record-to another disk"),
                 h if h < 10.0 => {
