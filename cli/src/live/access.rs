@@ -30,12 +30,20 @@ const COOKIE_AGE_S: u32 = 30 * 24 * 3600;
 #[derive(clap::Args, Default)]
 pub struct Arguments {
     /// Another name by which clients reach the page or the metrics, such as radar.example:8060 behind a proxy
-    #[arg(long, value_name = "HOST[:PORT]")]
+    #[arg(long, value_name = "HOST[:PORT]", value_parser = parse_host)]
     allow_host: Vec<String>,
     /// File with the token that the page and the metrics require, also on this machine. It is made if it is absent, and only its
     /// owner may read it. Without it, a page that the network can reach has a new token at each start
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+}
+
+/// Refuses what no client names as its host: an address of a page, for example.
+fn parse_host(text: &str) -> Result<String, String> {
+    match text.is_empty() || text.contains(|letter: char| letter.is_whitespace() || "/?#@".contains(letter)) {
+        true => Err("expected HOST or HOST:PORT, without http:// and without a path".to_owned()),
+        false => Ok(text.to_owned()),
+    }
 }
 
 impl Arguments {

@@ -112,6 +112,9 @@ impl Integrations {
         let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
+        if !keeps {
+            tell_of_unkept_reports()?;
+        }
         if broker.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
             return Ok(integrations);
         }
@@ -163,6 +166,19 @@ impl Integrations {
     pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
         std::mem::take(&mut self.sinks)
     }
+}
+
+/// Says of each SIGUSR1, by which a program reports a wrong answer, that no report is kept. The signal would end this program.
+fn tell_of_unkept_reports() -> anyhow::Result<()> {
+    let cannot = "cannot catch SIGUSR1";
+    let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1]).context(cannot)?;
+    let wait = move || {
+        for _ in signals.forever() {
+            tracing::warn!("SIGUSR1 asks for a report, but --keep-to is not given: nothing is saved");
+        }
+    };
+    std::thread::Builder::new().name("reports".into()).spawn(wait).context(cannot)?;
+    Ok(())
 }
 
 /// Fails for a prefix that is not valid in a topic.
