@@ -48,7 +48,6 @@ impl Reconnect {
         error: BoardError,
         mut reopen: impl FnMut() -> Result<(), BoardError>,
     ) -> Result<(), BoardError> {
-        tracing::warn!(%error, "the board is opened again");
         for wait in self.waits() {
             let left = self.give_up_after.saturating_sub(noticed.elapsed());
             if left.is_zero() {
@@ -97,6 +96,22 @@ impl Recovery {
             _ => self.loss.insert((last_frame, Instant::now())).1,
         }
     }
+
+    /// Notes that the board is away, and reports it unless it was away already.
+    fn is_lost(&self, policy: Reconnect, error: &BoardError) {
+        if !self.outage.0.swap(true, Ordering::SeqCst) {
+            let give_up_after_s = policy.give_up_after.as_secs_f64();
+            tracing::warn!(%error, give_up_after_s, "the board is lost: its port is opened again and again");
+        }
+    }
+
+    /// Notes that a frame has come, and reports the end of an outage.
+    fn frame_came(&self) {
+        if self.outage.0.swap(false, Ordering::SeqCst) {
+            let away_s = self.loss.map_or(0.0, |(last_frame, _)| last_frame.elapsed().as_secs_f64());
+            tracing::warn!(away_s, "the board is back");
+        }
+    }
 }
 
 /// Stream that can open the connection to its board again.
@@ -124,14 +139,14 @@ pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> 
             Ok(event) => {
                 // The gap of an outage comes first. Until its frame has come too, the board may be away for longer.
                 if event == SourceEvent::Frame {
-                    stream.recovery().outage.0.store(false, Ordering::SeqCst);
+                    stream.recovery().frame_came();
                 }
                 return Ok(event);
             }
             Err(error) => error,
         };
         let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
-        stream.recovery().outage.0.store(true, Ordering::SeqCst);
+        stream.recovery().is_lost(policy, &error);
         stream.close();
         let last_frame = stream.last_frame();
         let noticed = stream.recovery().noticed(last_frame);
