@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use radome_driver::recording::{Existing, Partial};
 
+use crate::shell;
+
 /// Finds a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
 ///
 /// # Errors
@@ -138,7 +140,12 @@ pub fn check_parent(path: &Path) -> anyhow::Result<()> {
         parent.display(),
         path.display()
     );
-    ensure!(parent.is_dir(), "folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
+    ensure!(
+        parent.is_dir(),
+        "folder {} does not exist\n\nhint: mkdir -p {}",
+        parent.display(),
+        shell::word(&parent.to_string_lossy())
+    );
     Ok(())
 }
 

@@ -35,7 +35,8 @@ pub enum BoardError {
     Busy { path: PathBuf },
     /// The user may not open the port.
     #[error(
-        "{path}: permission denied\n\nhint: {remedy}",
+        "{path}: permission denied\n\nhint: {remedy}; for a serial port of another board, such as an ESP32: \
+         sudo usermod -aG dialout \"$USER\", and log in again",
         remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied { path: PathBuf },

@@ -2,7 +2,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{bail, ensure};
+use anyhow::{Context, bail, ensure};
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, rename_synced};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
@@ -10,6 +10,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
 use super::preview;
+use crate::live::recorder::ended_after;
 use crate::output_file::{Overwrite, check_is_mcap};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
@@ -147,8 +148,13 @@ impl Simulated {
         let mut all = Simulated { frames: 0, estimate_db: None, clamped: 0, clipped: 0, seconds: 0.0 };
         while !output::interrupted() {
             match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::Frame => recorder.as_mut().map_or(Ok(()), |r| r.frame(&frame))?,
-                SourceEvent::Gap(gap) => recorder.as_mut().map_or(Ok(()), |r| r.gap(&gap))?,
+                SourceEvent::Frame => {
+                    if let Some(recorder) = &mut recorder {
+                        recorder.frame(&frame).with_context(|| ended_after(recorder.frames_written()))?;
+                    }
+                }
+                // A simulation loses no frame.
+                SourceEvent::Gap(_) => {}
                 SourceEvent::End => break,
             }
             if let Some(report) = simulator.last_report() {
