@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
-use radome_tests::{failure, fixture, frames, limited, outcome, radome, simulate, skip, subcommand};
+use radome_tests::{failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Simulates a desk recording with this number of frames.
@@ -81,6 +81,7 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
         let summary: Value = serde_json::from_str(summary.last().expect("a summary")).expect("JSON");
         let (is_finished, frames, gaps) = read(&recording);
         assert!(is_finished && frames >= 5 && summary["frames"] == frames, "{protocol}: {frames}, {summary}");
+        assert_eq!(summary["gaps_of_unknown_length"], 1, "{protocol}: {summary}");
         // The frames that the board would have sent form a gap of unknown length.
         let last = gaps.last().expect("a gap");
         assert_eq!((last.frames, last.reason), (0, GapReason::Disconnected), "{protocol}: {gaps:?}");
@@ -104,6 +105,9 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     command.args(["live", &format!("serial:{port}"), "--model", "cfar"]);
     let mut live = patient(command, &recording);
     wait_for_frames(&live);
+    // Regression test: the signal for a report ended a run that keeps none.
+    live.signal("USR1");
+    live.stderr.find(0, "a word on reports", |line| line.contains("--keep-to").then_some(()));
     unplug(&board, &port);
     let status = live.wait();
     let said = live.stderr.all().join("\n");
@@ -112,6 +116,7 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     let answers = live.stdout.all();
     let summary: Value = serde_json::from_str(answers.last().expect("a summary")).expect("JSON");
     assert!(summary["summary"]["frames"].as_u64().is_some_and(|frames| frames >= 1), "{summary}");
+    assert_eq!(summary["summary"]["gaps_of_unknown_length"], 1, "{summary}");
     let (is_finished, frames, gaps) = read(&recording);
     assert!(is_finished && frames >= 5, "{frames} frames");
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
@@ -129,7 +134,7 @@ fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3
         let mut run = Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"));
         wait_for_frames(&run);
         unplug(&board, &port);
-        run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
+        run.stderr.find(0, "the loss", |line| line.contains("the board is lost").then_some(()));
         run.signal("INT");
         let status = run.wait();
         let said = run.stderr.all().join("\n");
@@ -167,11 +172,36 @@ fn a_stop_while_the_board_is_away_keeps_what_was_taken_by_every_command() {
             _ => run.stderr.all().iter().any(|line| line.contains("nobody should be")).then_some(()),
         });
         unplug(&board, &port);
-        run.stderr.find(0, "the loss", |line| line.contains("is opened again").then_some(()));
+        run.stderr.find(0, "the loss", |line| line.contains("the board is lost").then_some(()));
         run.signal("TERM");
         assert_eq!(run.wait().code(), Some(status), "{command}: {:?}", run.stderr.all());
     }
     assert!(written("maps.npy") && !at("empty.json").exists());
+}
+
+/// Regression test: the part that was done took the place of a whole array, with status 0.
+#[test]
+fn maps_of_a_recording_that_are_stopped_replace_no_array() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let maps = folder.path().join("maps.npy");
+    std::fs::write(&maps, "whole").expect("writes");
+    let mut command = subcommand("recording maps");
+    command.arg(fixture("scenes/desk.toml")).args(["--frames", "1000000", "--overwrite", "-o"]).arg(&maps);
+    let mut run = Running::start(&mut command);
+    let part = folder.path().join(".maps.npy.partial");
+    wait_for("maps", || std::fs::metadata(&part).is_ok_and(|file| file.len() > 100_000).then_some(()));
+    run.signal("TERM");
+    assert_eq!(run.wait().code(), Some(1));
+    assert!(run.stderr.all().iter().any(|line| line.contains("interrupted after")), "{:?}", run.stderr.all());
+    assert_eq!((std::fs::read(&maps).expect("there"), part.exists()), (b"whole".to_vec(), false));
+}
+
+/// Regression test: the description of a recording did not say that frames are missing.
+#[test]
+fn a_recording_says_how_many_frames_it_lacks() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let info = json_lines(subcommand("recording info").arg(with_a_gap(folder.path())).arg("--json")).remove(0);
+    assert_eq!((&info["frames"], &info["gaps"], &info["missing"]), (&17.into(), &1.into(), &3.into()), "{info}");
 }
 
 #[test]

@@ -99,7 +99,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if let (Some(background), Some(path)) = (&background, &arguments.background) {
         background.check_waveform(path, &waveform)?;
     }
-    let mut judge = FrameClassifier::new(model, &waveform, delays, started)?.with_background(background);
+    let mut judge = FrameClassifier::new(model, &waveform, delays, started)?
+        .with_background(background)
+        .with_outage(source.outage.clone());
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
     }

@@ -80,7 +80,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let Tally { frames, dropped, gaps, unknown } = tally;
     let more = screen::lost_besides(unknown);
     let said = match arguments.json {
-        true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
+        true => output::json_line(&json!({
+            "file": file, "frames": frames, "dropped": dropped, "gaps": gaps, "gaps_of_unknown_length": unknown,
+        })),
         false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),
     };
     end?;

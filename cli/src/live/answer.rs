@@ -72,8 +72,8 @@ pub struct Answer {
     pub latency_ms: f64,
 }
 
-fn is_zero(n: &u32) -> bool {
-    *n == 0
+fn is_zero<T: Default + PartialEq>(n: &T) -> bool {
+    *n == T::default()
 }
 
 /// Quantiles of the latency, ms.
@@ -96,6 +96,9 @@ pub struct Summary {
     /// Number of lost frames by reason.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub dropped_by_reason: BTreeMap<&'static str, u64>,
+    /// Gaps of unknown length, whose frames are not counted.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub gaps_of_unknown_length: u64,
     /// Frames with a label.
     pub labelled: u64,
     /// Number of frames with each label.

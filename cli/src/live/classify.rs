@@ -3,6 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use radome_driver::Outage;
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Truth, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
@@ -27,6 +28,7 @@ pub struct FrameClassifier {
     judge: Judge,
     filter: OccupancyFilter,
     background: Option<Background>,
+    outage: Outage,
     people: PeopleCount,
     delays: Delays,
     smoothing: Smoothing,
@@ -61,6 +63,7 @@ impl FrameClassifier {
             filter: OccupancyFilter::new(smoothing, waveform.frame_interval_s()),
             judge: model.judge(waveform)?,
             background: None,
+            outage: Outage::default(),
             people: PeopleCount::new(delays.on_s, delays.off_s),
             delays,
             smoothing,
@@ -85,6 +88,12 @@ impl FrameClassifier {
         self
     }
 
+    /// Counts an outage in which the run is stopped.
+    pub fn with_outage(mut self, outage: Outage) -> Self {
+        self.outage = outage;
+        self
+    }
+
     /// Newest map.
     pub fn map(&self) -> &Rdm {
         self.judge.map()
@@ -98,7 +107,7 @@ impl FrameClassifier {
 
     /// Notes missing frames and resets state that must not persist across them.
     pub fn gap(&mut self, gap: &Gap) {
-        self.health.lost(gap.reason, gap.frames);
+        self.health.lost(gap);
         self.judge.reset();
     }
 
@@ -180,6 +189,7 @@ impl FrameClassifier {
         Summary {
             frames: health.frames,
             dropped: health.dropped_total(),
+            gaps_of_unknown_length: health.unknown_gaps,
             dropped_by_reason: health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect(),
             labelled: health.labels.iter().sum(),
             labels: Occupancy::ALL.iter().map(|o| (o.name(), health.labels[o.index()])).collect(),
@@ -258,10 +268,17 @@ fn judge_all(
             }
             Item::Gap(gap) => tell_gap(&gap, judge, sinks)?,
             Item::End(end) => {
+                let next_sequence = missed.next_sequence;
                 missed.note(u64::MAX, judge, sinks)?;
+                if let Some(gap) = end.as_ref().err().and_then(|failure| failure.gap(next_sequence)) {
+                    judge.gap(&gap);
+                }
                 return end.map_err(anyhow::Error::from);
             }
         }
+    }
+    if let Some(gap) = judge.outage.gap(missed.next_sequence) {
+        judge.gap(&gap);
     }
     missed.note(u64::MAX, judge, sinks)
 }

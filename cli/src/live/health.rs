@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use radome_dsp::{GapReason, Occupancy};
+use radome_dsp::{Gap, GapReason, Occupancy};
 
 /// Arrival times of the newest frames, which determine the frame rate.
 #[derive(Debug, Clone, Default)]
@@ -44,6 +44,8 @@ pub struct Health {
     pub labels: [u64; Occupancy::ALL.len()],
     /// Frames lost, by reason.
     pub dropped: BTreeMap<GapReason, u64>,
+    /// Gaps of unknown length, whose frames are not counted.
+    pub unknown_gaps: u64,
     /// Number of codes at either end of the ADC range, over all frames.
     pub saturated_samples: u64,
     /// Latency from a frame's last byte to its label.
@@ -63,6 +65,7 @@ impl Health {
             frames: 0,
             labels: [0; Occupancy::ALL.len()],
             dropped: BTreeMap::new(),
+            unknown_gaps: 0,
             saturated_samples: 0,
             latency: LatencyHistogram::new(),
             first_label: None,
@@ -77,6 +80,7 @@ impl Health {
         (self.started, self.frames, self.labels, self.saturated_samples) =
             (*started, *frames, *labels, *saturated_samples);
         (self.first_label, self.temperature_millicelsius) = (*first_label, other.temperature_millicelsius);
+        self.unknown_gaps = other.unknown_gaps;
         if self.dropped != *dropped {
             self.dropped.clone_from(dropped);
         }
@@ -93,8 +97,9 @@ impl Health {
     }
 
     /// Counts missing frames.
-    pub fn lost(&mut self, reason: GapReason, frames: u64) {
-        *self.dropped.entry(reason).or_default() += frames;
+    pub fn lost(&mut self, gap: &Gap) {
+        *self.dropped.entry(gap.reason).or_default() += gap.frames;
+        self.unknown_gaps += u64::from(gap.frames == 0);
     }
 
     /// Number of frames lost for all reasons.

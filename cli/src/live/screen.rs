@@ -166,7 +166,8 @@ impl Sink for Screen {
         if self.is_terminal {
             self.print("\n".to_owned())?;
         }
-        let mut line = format!("{} frames, {} dropped", summary.frames, summary.dropped);
+        let more = lost_besides(summary.gaps_of_unknown_length);
+        let mut line = format!("{} frames, {} dropped{more}", summary.frames, summary.dropped);
         if let Some(accuracy) = summary.balanced_accuracy {
             line += &format!(", balanced accuracy {accuracy:.3}");
         }

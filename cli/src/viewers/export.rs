@@ -185,6 +185,7 @@ impl<W: Write + Seek> Export<W> {
         self.processor.reset();
         self.report.gaps += 1;
         self.report.frames_lost = self.report.frames_lost.saturating_add(gap.frames);
+        self.report.unknown_gaps += u64::from(gap.frames == 0);
         let lost = match gap.frames {
             0 => "frames".to_owned(),
             1 => "1 frame".to_owned(),

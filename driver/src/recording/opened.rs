@@ -78,6 +78,14 @@ impl Recording {
         }
     }
 
+    /// Returns the number of gaps; `None` for the vendor's formats, which cannot hold them.
+    pub fn gap_count(&self) -> Option<u64> {
+        match self {
+            Recording::Mcap(reader) => Some(reader.gap_count()),
+            Recording::Infineon(_) | Recording::Text(_) => None,
+        }
+    }
+
     /// Reads all labels; the vendor's formats have none.
     ///
     /// # Errors

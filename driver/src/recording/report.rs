@@ -15,6 +15,8 @@ pub struct WriteReport {
     pub gaps: u64,
     /// Frames known to be lost in the gaps.
     pub frames_lost: u64,
+    /// Gaps of unknown length, whose frames are not counted.
+    pub unknown_gaps: u64,
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
     /// Descriptions of the information that the format could not hold; empty if none.
@@ -43,6 +45,7 @@ pub(super) struct Tally {
     frames: u64,
     gaps: u64,
     frames_lost: u64,
+    unknown_gaps: u64,
     truths: u64,
     pub labels: u64,
     pub results: u64,
@@ -62,13 +65,18 @@ impl Tally {
     pub fn gap(&mut self, gap: &Gap) {
         self.gaps += 1;
         self.frames_lost = self.frames_lost.saturating_add(gap.frames);
+        self.unknown_gaps += u64::from(gap.frames == 0);
     }
 
     /// Descriptions of the information that the vendor's formats cannot hold.
     pub fn omitted(&self) -> Vec<String> {
         let mut omitted = Vec::new();
         if self.gaps > 0 {
-            omitted.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
+            let more = match self.unknown_gaps {
+                0 => String::new(),
+                unknown => format!(" and, in {unknown} of them, an unknown number"),
+            };
+            omitted.push(format!("{} gaps, in which {} frames were lost{more}", self.gaps, self.frames_lost));
         }
         if self.renumbered {
             omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
@@ -86,7 +94,7 @@ impl Tally {
     }
 
     pub fn report(&self) -> WriteReport {
-        let Tally { frames, gaps, frames_lost, .. } = *self;
-        WriteReport { frames, gaps, frames_lost, bytes: 0, omitted: Vec::new() }
+        let Tally { frames, gaps, frames_lost, unknown_gaps, .. } = *self;
+        WriteReport { frames, gaps, frames_lost, unknown_gaps, bytes: 0, omitted: Vec::new() }
     }
 }

@@ -7,8 +7,9 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
+use crate::live::screen::lost_besides;
 use crate::output_file::Overwrite;
-use crate::{files, labels, output, viewers};
+use crate::{files, labels, output, shell, viewers};
 
 const REPAIR_HINT: &str = "\n\nhint: radome recording repair saves what can be read of it";
 const INTERRUPTED: &str = "interrupted: nothing has been written";
@@ -87,22 +88,29 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for what in &report.omitted {
         message!("not held by this format: {what}");
     }
+    let is_labelled = labels::of(input).is_ok_and(|spans| !spans.is_empty());
+    if is_labelled && matches!(format, Some(Format::Infineon | Format::Text)) {
+        let [from, to] = [input, &labels::name_beside(path)].map(|path| shell::word(&path.to_string_lossy()));
+        message!("hint: radome recording label {from} -o {to} writes the labels beside it");
+    }
     if arguments.json {
         return output::json_line(&json!({
             "file": path.display().to_string(),
             "frames": report.frames,
             "gaps": report.gaps,
+            "gaps_of_unknown_length": report.unknown_gaps,
             "lost": report.frames_lost,
             "written": report.bytes,
             "not_held": report.omitted,
         }));
     }
     output::text_line(&format!(
-        "{}: {} frames, {} gaps with {} frames lost, {} bytes",
+        "{}: {} frames, {} gaps with {} frames lost{}, {} bytes",
         path.display(),
         report.frames,
         report.gaps,
         report.frames_lost,
+        lost_besides(report.unknown_gaps),
         report.bytes
     ))
 }

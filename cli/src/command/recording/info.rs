@@ -33,9 +33,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Recording::Infineon(reader) => Some(reader.whole_frames()),
         other => other.frame_count(),
     };
-    let duration_s = recording
-        .extent()?
-        .map_or(0.0, |extent| extent.last.time_s() - extent.first.time_s() + waveform.frame_interval_s());
+    let gaps = recording.gap_count();
+    let extent = recording.extent()?;
+    let duration_s =
+        extent.map_or(0.0, |extent| extent.last.time_s() - extent.first.time_s() + waveform.frame_interval_s());
+    let numbers =
+        extent.map_or(0, |extent| (extent.last.sequence.saturating_add(1)).saturating_sub(extent.first.sequence));
+    let missing = frames.map(|frames| numbers.saturating_sub(frames));
     let format = match &recording {
         Recording::Mcap(_) => "mcap",
         Recording::Infineon(_) => "infineon",
@@ -62,6 +66,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "format": format,
             "finished": is_finished,
             "frames": frames,
+            "gaps": gaps,
+            "missing": missing,
             "duration_s": duration_s,
             "waveform": waveform,
             "board": board,
@@ -71,10 +77,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let labels: Vec<String> =
         labelled_s.iter().map(|(label, seconds)| format!("{} {seconds:.1} s", output::on_one_line(label))).collect();
+    let or_unknown = |count: Option<u64>| count.map_or_else(|| "unknown".to_owned(), |count| count.to_string());
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".to_owned());
     for (name, value) in [
         ("format", format.to_owned()),
-        ("frames", frames.map_or_else(|| "unknown".to_owned(), |frames| frames.to_string())),
+        ("frames", or_unknown(frames)),
+        ("missing", format!("{} frames by their numbers; gaps: {}", or_unknown(missing), or_unknown(gaps))),
         ("duration", format!("{duration_s:.3} s")),
         ("frame", waveform.shape().to_string()),
         (

@@ -21,15 +21,16 @@ pub(super) struct Chunk {
     pub offset: u64,
     pub has_labels: bool,
     pub has_results: bool,
-    /// Number of frames, where the message indexes were read.
+    /// Numbers of frames and gaps, where the message indexes were read.
     frames: u64,
+    gaps: u64,
     /// First frame of the chunk, `None` until it has been looked up; `Some(None)` if no frame of the chunk can be read.
     pub first: Option<Option<Position>>,
 }
 
 impl Chunk {
     fn new(offset: u64) -> Self {
-        Chunk { offset, has_labels: false, has_results: false, frames: 0, first: None }
+        Chunk { offset, has_labels: false, has_results: false, frames: 0, gaps: 0, first: None }
     }
 }
 
@@ -37,6 +38,7 @@ impl Chunk {
 pub(super) struct Index {
     pub chunks: Vec<Chunk>,
     pub frames: u64,
+    pub gaps: u64,
     /// Whether the file was finished.
     pub complete: bool,
     /// End of the readable part of an unfinished file, if that is before its end.
@@ -65,6 +67,7 @@ impl Index {
             warn_of_missing_end(&records.path);
         }
         index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
+        index.gaps = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.gaps));
         Ok(index)
     }
 
@@ -144,15 +147,19 @@ fn from_summary(
         }
     }
     let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
-    let frames = statistics.channel_message_counts.iter().filter(|(id, _)| channels.get(id) == Some(&Topic::Frame));
-    let frames = frames.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
-    Ok(Some(Index { chunks, frames, complete: true, end: None }))
+    let count = |topic: Topic| {
+        let counts = statistics.channel_message_counts.iter().filter(|(id, _)| channels.get(id) == Some(&topic));
+        counts.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
+    };
+    let (frames, gaps) = (count(Topic::Frame), count(Topic::Gap));
+    Ok(Some(Index { chunks, frames, gaps, complete: true, end: None }))
 }
 
 /// Scans the records of the file; the contents of chunks are skipped.
 fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>) -> Result<Index, RecordingError> {
     records.go_to(8)?;
-    let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false, end: None });
+    let (mut body, mut index) =
+        (Vec::new(), Index { chunks: Vec::new(), frames: 0, gaps: 0, complete: false, end: None });
     loop {
         let at = records.offset;
         let next = match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
@@ -175,7 +182,8 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
                     Some(Topic::Frame) => chunk.frames += messages.records.len() as u64,
                     Some(Topic::Label) => chunk.has_labels = true,
                     Some(Topic::Result) => chunk.has_results = true,
-                    Some(Topic::Gap) | None => {}
+                    Some(Topic::Gap) => chunk.gaps += messages.records.len() as u64,
+                    None => {}
                 }
             }
             Next::Record(..) => {}

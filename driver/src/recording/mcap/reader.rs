@@ -90,6 +90,11 @@ impl McapReader {
         self.index.complete
     }
 
+    /// Returns the number of gaps.
+    pub fn gap_count(&self) -> u64 {
+        self.index.gaps
+    }
+
     /// Returns the header of the recording.
     pub fn header(&self) -> &RecordingHeader {
         &self.header

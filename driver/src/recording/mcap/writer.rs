@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Recorder, RecordingHeader, staged};
+use super::{Recorder, RecordingHeader, RecordingSummary, staged};
 use crate::recording::partial::Partial;
 use crate::recording::{Existing, RecordingError, WriteReport};
 
@@ -34,7 +34,7 @@ impl McapWriter {
         self.partial.finish()?;
         // The labels belong to an earlier recording of this name.
         staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
-        let (frames, gaps, frames_lost, bytes) = (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
-        Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
+        let RecordingSummary { frames, gaps, frames_lost, unknown_gaps, bytes, .. } = summary;
+        Ok(WriteReport { frames, gaps, frames_lost, unknown_gaps, bytes, omitted: Vec::new() })
     }
 }
