@@ -15,7 +15,7 @@ use crate::people::route::Ground;
 use crate::people::wander;
 use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
-use crate::scene::ground::{blocks, walls};
+use crate::scene::ground::{Floor, blocks, walls};
 use crate::scene_file::{
     ActorFile, BedFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, StepFile, VisitsFile,
 };
@@ -133,7 +133,7 @@ struct Script<'a> {
     facing_rad: f64,
     /// Index of the person.
     index: u64,
-    /// Whether a goal without a way was found: the first of a person is enough to look at.
+    /// Whether something was said about a place: the first of a person is enough to look at.
     has_told: Cell<bool>,
 }
 
@@ -179,8 +179,14 @@ impl Script<'_> {
     fn follow(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         let door = |number: usize| self.file.door.get(number);
-        if let (Some(to), false) = (step.walk_to_m, is_first) {
-            path = self.go(path, to, speed);
+        if let Some(to) = step.walk_to_m {
+            let is_within = |[low, high]: &[[f64; 2]; 2]| (0..2).all(|axis| to[axis] > low[axis] && to[axis] < high[axis]);
+            if blocks(self.scene).iter().any(is_within) {
+                self.tell(to, "stands at", "lies within furniture or a wall");
+            }
+            if !is_first {
+                path = self.go(path, to, speed);
+            }
         }
         if let Some(duration_s) = step.stand_s {
             path = path.stand(duration_s);
@@ -220,21 +226,21 @@ impl Script<'_> {
         let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
         if !(0..2).all(|axis| (0.0..=self.size_m[axis]).contains(&to[axis])) {
             if !is_meant_outside(self.file, to) {
-                self.tell(to, "lies outside the room");
+                self.tell(to, "goes straight to", "lies outside the room");
             }
         } else if way.is_none() {
-            self.tell(to, "cannot be reached around walls and furniture");
+            self.tell(to, "goes straight to", "cannot be reached around walls and furniture");
         }
         along(path, way.unwrap_or_else(|| vec![to]), speed_m_per_s)
     }
 
-    /// Says why the person goes straight to a place, once for the first such goal of each person of a scene's file: a
-    /// scene is simulated for many seeds.
-    fn tell(&self, [x, y]: [f64; 2], why: &str) {
+    /// Says what is unusual about a place, once for the first such place of each person of a scene's file: a scene is
+    /// simulated for many seeds.
+    fn tell(&self, [x, y]: [f64; 2], what: &str, why: &str) {
         let (path, index) = (self.scene.path().to_string_lossy(), self.index.to_string());
         let goal = format!("[{x:.2}, {y:.2}]");
         if !self.has_told.replace(true) && is_first_warning(&["goal", &path, &index, &goal]) {
-            tracing::warn!("{}: person {index} goes straight to {goal} m, which {why}", self.file.name);
+            tracing::warn!("{}: person {index} {what} {goal} m, which {why}", self.file.name);
         }
     }
 }
@@ -408,6 +414,15 @@ impl DeskDraws<'_> {
         let hips = distance + 0.115 * person.build.girth;
         let radar = self.scene.radar_position();
         let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];
+        let [is_in, _] = Floor::of(self.scene).meets(DVec3::new(place[0], place[1], 1.0), DVec3::ZERO);
+        let path = self.scene.path().to_string_lossy();
+        if !is_in && is_first_warning(&["desk", &path]) {
+            let ([x, y], name) = (place, &self.scene.file().name);
+            tracing::warn!(
+                "{name}: the person at the desk sits at [{x:.2}, {y:.2}] m, outside the room: turn the radar (azimuth_deg), or \
+                 change distance_m under [people.desk]"
+            );
+        }
         let facing = angle + std::f64::consts::PI + rng.random_range(-0.3..0.3);
         let mut motion = MotionBuilder::new(person, 0.0, place, facing).seated(0.45).stay();
         motion.start_s = f64::NEG_INFINITY;

@@ -121,6 +121,7 @@ mod hard_cases {
         for (goals, expected) in [
             ("{ walk_to_m = [5.0, 9.0] }, { walk_to_m = [5.0, 12.0] }", "[5.00, 9.00] m, which lies outside the room"),
             ("{ walk_to_m = [9.0, 1.0] }", "[9.00, 1.00] m, which cannot be reached around"),
+            ("{ walk_to_m = [6.5, 1.0] }", "[6.50, 1.00] m, which lies within furniture"),
         ] {
             let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = [4.0, 1.0] }}, {goals}]\n");
             std::fs::write(&scene, format!("{room}{wardrobe}[people]\nkeep_off_m = 0.3\n{actor}")).expect("written");

@@ -7,6 +7,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::draw;
 use super::walker::{Limits, Pose};
+use crate::first_warning::is_first_warning;
 use crate::people::body::Build;
 use crate::people::route::Ground;
 use crate::scene_file::{PeopleFile, WanderFile};
@@ -108,11 +109,22 @@ impl Setting {
         /// Number of grid places along each axis, for rooms where random draws find none.
         const GRID: usize = 40;
         let off = |at: [f64; 2]| taken.iter().map(|other| distance_m(at, *other)).fold(BEGIN_APART_M, f64::min);
+        let mut is_found = true;
         for _ in 0..PLACES {
-            let Some(at) = self.goal(rng) else { break };
+            let Some(at) = self.goal(rng) else {
+                is_found = false;
+                break;
+            };
             if off(at) >= BEGIN_APART_M {
                 return at;
             }
+        }
+        if self.view.is_some() && !is_found && is_first_warning(&["wander"]) {
+            let WanderFile { range_m: [nearest, farthest], off_boresight_deg, .. } = self.file;
+            tracing::warn!(
+                "no free place is {nearest} to {farthest} m from the radar and within {off_boresight_deg} degrees of its boresight, so \
+                 people stand elsewhere, perhaps behind it: turn the radar (azimuth_deg), or widen range_m or off_boresight_deg"
+            );
         }
         let mut best = (-1.0, self.size_m.map(|size| 0.5 * size));
         for i in 1..GRID * GRID {
