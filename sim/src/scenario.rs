@@ -180,7 +180,8 @@ impl Script<'_> {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         let door = |number: usize| self.file.door.get(number);
         if let Some(to) = step.walk_to_m {
-            let is_within = |[low, high]: &[[f64; 2]; 2]| (0..2).all(|axis| to[axis] > low[axis] && to[axis] < high[axis]);
+            let is_within =
+                |[low, high]: &[[f64; 2]; 2]| (0..2).all(|axis| to[axis] > low[axis] && to[axis] < high[axis]);
             if blocks(self.scene).iter().any(is_within) {
                 self.tell(to, "stands at", "lies within furniture or a wall");
             }

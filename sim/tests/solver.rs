@@ -2,13 +2,16 @@
 //! quadrature.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::em::image::Wall;
 use radome_sim::em::triangle;
 use radome_sim::geometry::{Mesh, Surface, shape};
 use radome_sim::material::SKIN_PERMITTIVITY;
+use radome_sim::paths::{Environment, Facet, ImagePaths};
 use radome_sim::validation::bistatic_path::BistaticPath;
 use radome_sim::validation::endpoint::Endpoint;
 use radome_sim::validation::facet::{self, Accuracy};
@@ -44,6 +47,35 @@ fn solve(target: &Target, setup: &Setup, method: Method, edge_m: Option<f64>, to
 
 fn known_db(target: &Target, setup: &Setup) -> f64 {
     db(known(target, setup).expect("a closed form").sigma_m2)
+}
+
+/// Regression test: edges of one face took from the field on the way to the other, and parts of both were multiplied. Corners
+/// of scenes were wrong by up to 6 dB.
+#[test]
+fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
+    let range_m = 3.0;
+    for (edge_m, within_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
+        let half_m = 0.5 * edge_m;
+        let face = |corners: [[f64; 3]; 4]| Facet::new(corners.map(DVec3::from_array).to_vec(), Wall::Conductor);
+        let faces = vec![
+            face([[0.0, 0.0, -half_m], [0.0, 0.0, half_m], [edge_m, 0.0, half_m], [edge_m, 0.0, -half_m]]),
+            face([[0.0, 0.0, -half_m], [0.0, edge_m, -half_m], [0.0, edge_m, half_m], [0.0, 0.0, half_m]]),
+        ];
+        let environment = Environment::new(faces, 2.0 * PI * 60e9 / SPEED_OF_LIGHT_M_PER_S).expect("two faces");
+        let antenna = range_m * DVec3::new(1.0, 1.0, 0.0).normalize();
+        let paths = ImagePaths::with_sequences(Arc::new(environment), antenna, [vec![0, 1], vec![1, 0]]);
+        assert_eq!(paths.images().len(), 2, "both orders make one image");
+        let target = Target::Dihedral { width_m: edge_m, height_m: edge_m };
+        let alone = solve(&target, &setup(Some(range_m), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.1);
+        // A path through the common edge, and one beside it.
+        for beside_m in [DVec3::ZERO, DVec3::new(-0.003, 0.003, 0.0)] {
+            let field =
+                paths.illuminate(&common::isotropic(antenna, DVec3::Z), 1, antenna + beside_m).field.magnitude();
+            // The echo of a cross-section that is as strong as an image at twice the range.
+            let [got, expected] = [PI * range_m * range_m * field * field, alone.sigma_m2].map(db);
+            assert!((got - expected).abs() < within_db, "{edge_m} m, {beside_m}: {got} dBsm, expected {expected}");
+        }
+    }
 }
 
 #[test]

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use super::corners::Corners;
 use super::environment::Environment;
 use super::flat::{FacetId, Flat};
 use crate::geometry::shape::icosahedron;
@@ -99,6 +100,7 @@ pub struct ImagePaths {
     pub(super) images: Vec<Image>,
     /// The facet on which the antenna is mounted, if any.
     pub(super) mount: Option<FacetId>,
+    pub(super) corners: Corners,
     report: DiscoveryReport,
 }
 
@@ -125,8 +127,9 @@ impl ImagePaths {
         let count = all.len();
         let images = merged(&environment, origin, all.into_iter().map(|(_, sequence)| sequence));
         let report = DiscoveryReport { sequences: count, images: images.len(), ..DiscoveryReport::default() };
-        let mount = environment.below(origin);
-        ImagePaths { environment, images, mount, report }
+        let sequences = images.iter().flat_map(|image| &image.sequences);
+        let (mount, corners) = (environment.below(origin), Corners::among(&environment, sequences));
+        ImagePaths { environment, images, mount, corners, report }
     }
 
     /// The images, the antenna itself first, then by order.

@@ -17,6 +17,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
+use super::aperture::{Aperture, Kept};
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edges::SoftEdge;
 use super::environment::Environment;
@@ -26,8 +27,6 @@ use crate::em::fresnel::Reflection;
 use crate::em::image::{Element, Illumination};
 use crate::em::{Phasor3, incidence_frame};
 
-/// Clearance from an edge below which f64 does not tell the side, m, for a point on a facet or beside it.
-const UNSURE_ON_FACET_M: f64 = 1e-8;
 /// Distance beside an edge at which a free path past it is searched, m.
 const BESIDE_M: f64 = 1e-4;
 /// Smallest change of a relative field by an edge that counts: the accuracy of the Fresnel integrals.
@@ -54,15 +53,6 @@ impl Folded {
     fn point(&self, i: usize) -> DVec3 {
         self.points.get(i).copied().unwrap_or(DVec3::ZERO)
     }
-}
-
-/// Relative field that remains.
-#[derive(Debug, Clone, Copy)]
-struct Kept {
-    /// Relative field.
-    field: Complex64,
-    /// Whether rays also take this path, so that edges change the field only a little.
-    is_whole: bool,
 }
 
 /// Relative field of an image past facets, edges and walls, about a point. It also gives the fields at nearby points
@@ -106,6 +96,15 @@ impl EdgesBeside {
 
 /// Known edges beside a leg, and the leg's number.
 type KnownBeside<'a> = Option<(&'a mut EdgesBeside, (u32, u32))>;
+
+/// Facets of a leg's path that do not diffract beside it.
+#[derive(Debug, Clone, Copy)]
+struct Ends<'a> {
+    /// Facets on which the leg begins and ends.
+    on: [Option<FacetId>; 2],
+    /// Facets of the whole path: those that make a corner with one of these belong to its aperture.
+    sequence: &'a [FacetId],
+}
 
 /// Relative field that passes a leg.
 #[derive(Debug, Clone)]
@@ -159,13 +158,6 @@ impl Followed {
         self.others = next;
         self.kept = self.kept.and(on_leg.kept);
         self.crossed.extend(on_leg.crossed.into_iter().map(|facet| (leg, facet)));
-    }
-}
-
-impl Kept {
-    /// Combines two successive relative fields.
-    fn and(self, other: Kept) -> Kept {
-        Kept { field: self.field * other.field, is_whole: self.is_whole && other.is_whole }
     }
 }
 
@@ -278,7 +270,9 @@ impl ImagePaths {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
         let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
-        let Some(OnLeg { kept, crossed, others }) = self.on_leg(&leg, to, on, None) else { return 0.0 };
+        let Some(OnLeg { kept, crossed, others }) = self.on_leg(&leg, to, Ends { on, sequence: &[] }, None) else {
+            return 0.0;
+        };
         let through = |&facet: &FacetId| {
             self.environment.flat(facet).map_or(Complex64::ONE, |flat| {
                 let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
@@ -364,12 +358,28 @@ impl ImagePaths {
             Leg { from, direction: (to - from) / length_m.max(1e-12), length_m, before_m, total_m }
         };
         let mut weight = Kept { field: Complex64::ONE, is_whole: true };
+        let mut aperture: Option<Aperture> = None;
+        let (mut last, mut reflected): (Option<FacetId>, DVec3) = (None, DVec3::ZERO);
         let mut before_m = 0.0;
         // Facets are tested first, because paths that they reject need no rays.
         for (i, &facet) in sequence.iter().enumerate() {
-            let leg = leg(i, before_m);
+            let mut leg = leg(i, before_m);
             before_m += leg.length_m;
-            weight = weight.and(self.on_facet(facet, &leg, folded.point(i + 1))?);
+            if leg.length_m < BEFORE_M && i > 0 {
+                // From face to face in their common edge.
+                leg.direction = reflected;
+            }
+            reflected = self.environment.flat(facet)?.mirror() * leg.direction;
+            let own = self.on_facet(facet, &leg, folded.point(i + 1))?;
+            let corner = aperture.filter(|_| last.is_some_and(|last| self.corners.holds(last, facet)));
+            let before = std::mem::replace(&mut aperture, Some(corner.map_or(own, |corner| corner.beside(own))));
+            if let (Some(before), None) = (before, corner) {
+                weight = weight.and(before.kept);
+            }
+            last = Some(facet);
+        }
+        if let Some(aperture) = aperture {
+            weight = weight.and(aperture.kept);
         }
         let mut before_m = 0.0;
         let mut followed = Followed { kept: weight, crossed: Vec::new(), others: Vec::new() };
@@ -380,8 +390,8 @@ impl ImagePaths {
             let leg = if is_from_edge { leg.off_edge() } else { leg };
             is_from_edge = leg.length_m < BEFORE_M;
             let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
-            let on = self.ends_on(sequence, i, antenna);
-            followed.over(i, self.on_leg(&leg, folded.point(i + 1), on, known)?);
+            let ends = Ends { on: self.ends_on(sequence, i, antenna), sequence };
+            followed.over(i, self.on_leg(&leg, folded.point(i + 1), ends, known)?);
         }
         let Followed { kept, crossed, others } = followed;
         let first = Arrival { sequence, part: kept.field, is_whole: kept.is_whole, crossed };
@@ -389,54 +399,22 @@ impl ImagePaths {
         Some((first, others.collect()))
     }
 
-    /// Reflection of a facet relative to that of its infinite plane.
-    fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Kept> {
-        let flat = self.environment.flat(facet)?;
-        let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
-        if flat.is_far(met, leg.reach_m(&self.environment) / cosine + UNSURE_M) {
-            return None;
-        }
-        let is_on = flat.contains(met);
-        // The path continues behind the mirror: edges may lie beyond the point of reflection.
-        let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
-        let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
-        let mut field = if is_on { Complex64::ONE } else { Complex64::ZERO };
-        let mut is_left = is_on;
-        // On an edge, two facets of a seam each reflect their half of the field.
-        let mut is_on_edge = false;
-        for &number in &flat.soft {
-            let Some(edge) = self.environment.soft_edges().get(number as usize) else { continue };
-            // The field that leaves a facet beyond an inner corner meets the next facet, in a separate sequence.
-            if !is_on && edge.is_beyond(met) {
-                continue;
-            }
-            let passage = unfolded.past(edge, edge.inwards(facet), wavelength_m);
-            let Some(passage) = passage.filter(|passage| passage.nu < reach) else { continue };
-            let is_on_line = passage.clearance_m < UNSURE_ON_FACET_M;
-            is_on_edge |= is_on_line && passage.along[0] <= 0.0 && passage.along[1] >= 0.0;
-            let is_over = if is_on_line { is_on } else { passage.is_behind };
-            field += if is_over { -passage.part(reach) } else { passage.part(reach) };
-            is_left |= !is_over;
-        }
-        is_left.then_some(Kept { field, is_whole: is_on && !is_on_edge })
-    }
-
     /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses.
-    fn on_leg(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], known: KnownBeside) -> Option<OnLeg> {
+    fn on_leg(&self, leg: &Leg, to: DVec3, ends: Ends, known: KnownBeside) -> Option<OnLeg> {
         let environment = &*self.environment;
         let mut others: Vec<(Complex64, Vec<FacetId>)> = Vec::new();
         if leg.length_m < BEFORE_M {
             let kept = Kept { field: Complex64::ONE, is_whole: true };
             return Some(OnLeg { kept, crossed: Vec::new(), others });
         }
-        let passing = environment.passing([leg.from, to], on);
+        let passing = environment.passing([leg.from, to], ends.on);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
         let found;
         let edges: &[Beside] = match known {
-            Some((known, number)) => known.0.entry(number).or_insert_with(|| self.edges_beside(leg, to, on, MOVED_M)),
+            Some((known, number)) => known.0.entry(number).or_insert_with(|| self.edges_beside(leg, to, ends, MOVED_M)),
             None => {
-                found = self.edges_beside(leg, to, on, 0.0);
+                found = self.edges_beside(leg, to, ends, 0.0);
                 &found
             }
         };
@@ -474,9 +452,15 @@ impl ImagePaths {
 
     /// Diffracting edges beside a leg: within reach (or up to `farther_m` beyond), seen from both ends, and with other
     /// walls on one side than on the other. Where no wall transmits, these are edges on the outline of their facets.
-    fn edges_beside(&self, leg: &Leg, to: DVec3, on: [Option<FacetId>; 2], farther_m: f64) -> Vec<Beside> {
-        let environment = &*self.environment;
-        let planes = on.map(|facet| facet.and_then(|facet| environment.flat(facet)).map(|flat| flat.plane));
+    fn edges_beside(&self, leg: &Leg, to: DVec3, ends: Ends, farther_m: f64) -> Vec<Beside> {
+        let (environment, on) = (&*self.environment, ends.on);
+        let of_corners = ends
+            .sequence
+            .iter()
+            .copied()
+            .filter(|&facet| on.into_iter().flatten().any(|end| end != facet && self.corners.holds(end, facet)));
+        let facets = on.into_iter().flatten().chain(of_corners);
+        let planes: Vec<u32> = facets.filter_map(|facet| Some(environment.flat(facet)?.plane)).collect();
         let wavelength_m = environment.wavelength_m();
         let reach_m = leg.own_reach_m(environment);
         // At the ends of a path, where zones are narrow, edges out of reach stay out of reach.
@@ -486,7 +470,7 @@ impl ImagePaths {
         let found = |number: u32| {
             let edge = environment.soft_edges().get(number as usize)?;
             if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m + farther_m)
-                || planes.into_iter().flatten().any(|plane| edge.bounds_plane(plane))
+                || planes.iter().any(|&plane| edge.bounds_plane(plane))
                 || !(environment.lets_through() || edge.is_outline(leg.from, leg.direction))
             {
                 return None;
@@ -652,7 +636,7 @@ mod tests {
         let [from, to] = [-2.0, 2.0].map(|x| DVec3::new(x, 0.05, 1.5));
         let paths = passable(facets, from, &[]);
         let leg = Leg { from, direction: DVec3::X, length_m: 4.0, before_m: 0.0, total_m: 4.0 };
-        let found = paths.edges_beside(&leg, to, [None; 2], 0.0);
+        let found = paths.edges_beside(&leg, to, Ends { on: [None; 2], sequence: &[] }, 0.0);
         let place = |facet: &FacetId| paths.environment().facet(*facet).map_or(f64::NAN, |facet| facet.corners[0].x);
         let places = |walls: &Option<Vec<FacetId>>| walls.iter().flatten().map(place).collect::<Vec<f64>>();
         let all: Vec<[Vec<f64>; 2]> = found.iter().map(|b| [places(&b.behind), places(&b.beside)]).collect();

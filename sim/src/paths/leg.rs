@@ -126,7 +126,7 @@ fn clipped([a, b]: [DVec3; 2], [at_a, at_b]: [f64; 2], length_m: f64) -> Option<
 }
 
 /// Smooth step from 0 at 0 to 1 at 1.
-fn fade(x: f64) -> f64 {
+pub(super) fn fade(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)
 }

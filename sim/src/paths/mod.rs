@@ -10,6 +10,8 @@
 //!
 //! [`Surroundings`] are those of a scene: its polygons, or a box whose images are a lattice in closed form.
 
+mod aperture;
+mod corners;
 pub mod discovery;
 pub mod edge_field;
 mod edge_index;

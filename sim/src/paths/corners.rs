@@ -1,0 +1,52 @@
+//! Pairs of facets that meet in a corner. Waves that meet both one after the other pass one aperture, which the edges of both
+//! bound.
+
+use super::environment::Environment;
+use super::flat::{FacetId, Flat, PLANAR_M};
+
+/// Largest cosine between the normals of facets that make a corner.
+const MOST_COSINE: f64 = 0.99;
+
+/// Pairs of facets, of those that some sequence holds, that share an edge or a part of one.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Corners(Vec<(FacetId, FacetId)>);
+
+impl Corners {
+    /// Finds the pairs in these sequences.
+    pub fn among<'a>(environment: &Environment, sequences: impl Iterator<Item = &'a Vec<FacetId>>) -> Self {
+        let mut all = Vec::new();
+        for sequence in sequences {
+            for (number, &facet) in sequence.iter().enumerate() {
+                all.extend(sequence.iter().skip(number + 1).map(|&other| in_order(facet, other)));
+            }
+        }
+        all.sort_unstable();
+        all.dedup();
+        all.retain(|&(a, b)| match (environment.flat(a), environment.flat(b)) {
+            (Some(a), Some(b)) => meet(a, b),
+            _ => false,
+        });
+        Corners(all)
+    }
+
+    /// Returns whether two facets meet in a corner.
+    pub fn holds(&self, a: FacetId, b: FacetId) -> bool {
+        self.0.binary_search(&in_order(a, b)).is_ok()
+    }
+}
+
+fn in_order(a: FacetId, b: FacetId) -> (FacetId, FacetId) {
+    (a.min(b), a.max(b))
+}
+
+/// Returns whether a side of one facet lies on the other facet.
+fn meet(a: &Flat, b: &Flat) -> bool {
+    let has_side_on = |one: &Flat, other: &Flat| {
+        let corners = &one.facet.corners;
+        let lies_on = |p, q| {
+            other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))
+        };
+        corners.iter().zip(corners.iter().cycle().skip(1)).any(|(&p, &q)| lies_on(p, q))
+    };
+    a.normal.dot(b.normal).abs() < MOST_COSINE && (has_side_on(a, b) || has_side_on(b, a))
+}
