@@ -148,6 +148,11 @@ fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
     for at in plan.corners_m.iter().flatten() {
         within("corners_m", *at, 0.0, 100.0, "m")?;
     }
+    if let (Some(first), Some(last), 4..) = (plan.corners_m.first(), plan.corners_m.last(), plan.corners_m.len())
+        && first == last
+    {
+        return fault("corners_m", *last, "a last corner other than the first: the line closes by itself");
+    }
     let low = corners(plan).into_iter().fold(DVec2::INFINITY, DVec2::min);
     if low.abs().max_element() > 1e-9 {
         return fault("corners_m", low.to_array(), "0 as the least x and as the least y");

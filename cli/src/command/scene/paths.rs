@@ -73,8 +73,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let list = PathList::new(&scene, &options)?;
     if let Some(person) = arguments.person.filter(|person| !list.people.contains(person)) {
         let there: Vec<String> = list.people.iter().map(usize::to_string).collect();
-        let there = if there.is_empty() { "nobody".to_owned() } else { there.join(", ") };
-        bail!("person {person} is not there at {} s\n\nhint: at that time there is {there}", arguments.time);
+        let there = match there.as_slice() {
+            [] => "nobody is there".to_owned(),
+            numbers => format!("those who are there have the numbers {}", numbers.join(", ")),
+        };
+        bail!("person {person} is not there at {} s\n\nhint: at that time {there}", arguments.time);
     }
     if let Some(path) = &arguments.output {
         draw_preview(arguments, &scene, &list, path)?;

@@ -42,7 +42,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         line: count.get().saturating_sub(1),
         problem: match error {
             LoadError::FaceVertexOutOfBounds => {
-                "in the object that ends here a face names a vertex that does not exist".to_owned()
+                "a face of the object that ends on this line names a vertex that does not exist".to_owned()
             }
             LoadError::PositionParseError => "a vertex is not three numbers".to_owned(),
             LoadError::FaceParseError => "a face is not a list of vertex numbers".to_owned(),
