@@ -47,4 +47,6 @@ def angles(array: Any, axes: int, what: str) -> np.ndarray:
         raise ArrayTypeError(f"{what} is {array.dtype}, expected real numbers")
     if array.ndim != axes:
         raise ArrayValueError(f"{what} has {array.ndim} axes, expected {axes}")
+    if not np.isfinite(array).all():
+        raise ArrayValueError(f"{what} has a number that is not finite")
     return np.require(array, dtype=np.float64, requirements=["C", "A"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from pathlib import Path
 from types import TracebackType
@@ -87,6 +88,7 @@ class Dataset:
         return shard
 
     def __getitem__(self, index: int) -> Tuple[Any, int]:
+        index = operator.index(index)
         if not -len(self) <= index < len(self):
             raise IndexError(f"there is no map {index}: there are {len(self)}")
         cells = self.map(index)

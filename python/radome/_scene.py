@@ -73,4 +73,6 @@ def paths(
     """
     options = {"time_s": time_s, "seed": seed, "people": people, "person": person, "margin_db": margin_db}
     found = _radome.paths(os.fspath(scene), options)
+    if person is not None and person not in found["people"]:
+        raise ValueError(f"person {person} is not there at {time_s} s; those who are: {found['people']}")
     return Paths(**{**found, "paths": [Path(**path) for path in found["paths"]]})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import os
 from dataclasses import dataclass
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple, Union
@@ -215,11 +216,14 @@ def open(  # noqa: A001 - users write radome.open
     """
     if waveform is not None and not isinstance(waveform, Waveform):
         waveform = Waveform.load(waveform)
+    for name, count in (("seed", seed), ("people", people), ("frames", frames)):
+        if count is not None and not 0 <= operator.index(count) < 2**64:
+            raise ValueError(f"{name} is {count}, expected 0 to 2**64 - 1")
     for name, value in (("speed", speed), ("give_up_after_s", give_up_after_s)):
         if value is not None and not 0.0 <= value < math.inf:
             raise ValueError(f"{name} is {value}, expected 0 or a positive number")
     options = {
-        "seed": seed,
+        "seed": operator.index(seed),
         "people": people,
         "frames": frames,
         "tolerance_db": tolerance_db,

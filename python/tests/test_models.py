@@ -229,6 +229,8 @@ class TestHardCases:
             radome.circuit([0.1, 0.2], [0.1])
         with pytest.raises(radome.ArrayTypeError):
             radome.circuit([0.1, 0.2], ["a", "b", "c", "d"])
+        with pytest.raises(ValueError, match="not finite"):
+            radome.circuit([0.1, float("nan")], [0.1] * 4)
         with pytest.raises(radome.ArrayValueError):
             radome.circuit(0.1, [0.1] * 4)
         with pytest.raises(radome.RadomeError, match="qubits"):

@@ -347,6 +347,13 @@ class TestHardCases:
         spec = {"channels": {"one": np.int64(1)}, "chirp_mean_removal": np.bool_(True)}
         assert radome.rdm(desk_frames[0], spec).shape[0] == 1
 
+    def test_counts_and_people_that_cannot_be_are_named(self):
+        for name, value in [("frames", -1), ("seed", -1), ("seed", 2**64), ("people", -1)]:
+            with pytest.raises(ValueError, match=f"^{name} is {value}, expected"):
+                radome.simulate(DESK, **{name: value})
+        with pytest.raises(ValueError, match="person 5 is not there"):
+            radome.paths(FIXTURES / "scenes" / "corridor.toml", person=5)
+
     @pytest.mark.parametrize("value", [float("nan"), float("-inf"), np.float32("inf")])
     def test_numbers_that_are_not_finite_are_named(self, desk_frames, value):
         with pytest.raises(ValueError, match="tolerance_db is"):
