@@ -190,8 +190,9 @@ impl Simulated {
                 "clipped_codes": clipped,
             }));
         }
-        let estimate = estimate_db
-            .map_or_else(String::new, |e| format!(", echoes by the strongest path within {e:.2} dB by its own estimate"));
+        let estimate = estimate_db.map_or_else(String::new, |e| {
+            format!(", echoes by the strongest path within {e:.2} dB by its own estimate")
+        });
         let what = file.unwrap_or(&arguments.scene).display();
         output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
     }
