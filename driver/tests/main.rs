@@ -17,5 +17,4 @@ mod recordings;
 mod repair;
 mod seek;
 mod staying_alive;
-mod test_pattern;
 mod transcripts;

@@ -6,7 +6,6 @@ mod register;
 mod spi;
 mod supply;
 mod table;
-pub mod test_pattern;
 mod timing;
 
 pub use configuration::{ChipConfiguration, ChipError, RegisterList, RegisterValue};

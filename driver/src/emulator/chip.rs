@@ -288,8 +288,7 @@ impl Chip {
             Ok(configuration) => configuration.waveform,
             Err(error) => return self.source.refuse(&error.to_string()),
         };
-        let has_test_pattern = self.registers.field(field::SFCTL::LFSR_EN) == 1;
-        self.source.restart(&waveform, has_test_pattern);
+        self.source.restart(&waveform);
         self.power = Power::Active;
         self.frames = Some(waveform);
         self.starts += 1;

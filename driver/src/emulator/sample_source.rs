@@ -10,7 +10,7 @@ use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Wave
 
 use super::feed::Maker;
 use super::{Feed, Pace, Shared};
-use crate::chip::{ChipConfiguration, SampleTiming, test_pattern};
+use crate::chip::{ChipConfiguration, SampleTiming};
 use crate::error_text::with_causes;
 use crate::protocol::fifo;
 
@@ -62,8 +62,6 @@ pub(super) struct SampleSource {
     /// Indices of the source's receivers that the chip has switched on.
     channels: Vec<usize>,
     codes_per_frame: u64,
-    /// Position of RX1 among the channels, and the next word of the test pattern, if the chip sends it.
-    test_pattern: Option<(usize, u16)>,
     pace: Pace,
     /// Frame that is not due yet.
     upcoming: Option<Frame>,
@@ -113,7 +111,6 @@ impl SampleSource {
             channels: (0..waveform.shape().rx).collect(),
             codes_per_frame: waveform.shape().codes() as u64,
             source: waveform,
-            test_pattern: None,
             pace,
             upcoming: None,
             next_ns: 0,
@@ -153,9 +150,8 @@ impl SampleSource {
         self.shared.refuse(reason);
     }
 
-    /// Starts frames with this waveform, with the test pattern as RX1 if it is switched on. If the source has no such
-    /// frames, sets the refusal and starts none.
-    pub fn restart(&mut self, waveform: &Waveform, has_test_pattern: bool) {
+    /// Starts frames with this waveform. If the source has no such frames, sets the refusal and starts none.
+    pub fn restart(&mut self, waveform: &Waveform) {
         self.is_silent = false;
         self.shared.accept();
         if !self.has(waveform) {
@@ -167,8 +163,6 @@ impl SampleSource {
         let antennas = self.source.request.rx_antennas.antennas();
         let wanted = waveform.request.rx_antennas.antennas();
         self.channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
-        let first_receiver = wanted.iter().position(|a| *a == 1).filter(|_| has_test_pattern);
-        self.test_pattern = first_receiver.map(|channel| (channel, test_pattern::FIRST));
         self.timing = SampleTiming::new(waveform);
         self.codes_per_frame = (self.channels.len() * self.shape.chirps * self.shape.samples) as u64;
         self.codes.clear();
@@ -265,14 +259,7 @@ impl SampleSource {
         }
         self.started_ns = None;
         self.frames.push_back((self.put, frame.time_ns));
-        let start = self.codes.len();
         fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
-        if let Some((channel, word)) = &mut self.test_pattern {
-            for code in self.codes.iter_mut().skip(start + *channel).step_by(self.channels.len().max(1)) {
-                *code = *word;
-                *word = test_pattern::next(*word);
-            }
-        }
         self.put += self.codes_per_frame;
         let _ = self.spare.try_send(frame);
     }

@@ -11,7 +11,7 @@ use super::link::Incoming;
 use crate::board::BoardError;
 use crate::board::host::now_ns;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
-use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
+use crate::chip::{ChipConfiguration, RegisterList, SpiWord};
 use crate::protocol::mcu7::{Command, DataError, SliceLayout};
 use crate::transport::Address;
 
@@ -42,28 +42,9 @@ impl Mcu7Board {
     /// # Errors
     /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
     pub fn start(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
-        Mcu7Stream::start(self, waveform, false)
-    }
-
-    /// Starts frames like [`Mcu7Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
-    /// samples of RX1, which the waveform must have.
-    ///
-    /// # Errors
-    /// Those of [`Mcu7Board::start`].
-    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
-        Mcu7Stream::start(self, waveform, true)
-    }
-}
-
-impl Mcu7Stream {
-    fn start(board: Mcu7Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
-        let slice = SliceLayout::for_frame_as(waveform.shape().codes(), board.link.framing());
+        let slice = SliceLayout::for_frame_as(waveform.shape().codes(), self.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
-        let mut registers = configuration.compile()?;
-        if test_pattern {
-            let lfsr = field::SFCTL::LFSR_EN;
-            registers.iter_mut().filter(|r| r.address == lfsr.address).for_each(|r| r.value = lfsr.put(r.value, 1));
-        }
+        let registers = configuration.compile()?;
         // The registers hold the chirp interval only approximately: the stream's waveform has the interval that they
         // realise.
         let mut realised = waveform.clone();
@@ -71,12 +52,12 @@ impl Mcu7Stream {
         let assembler = Assembler::new(&realised, slice);
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
         let mut stream = Mcu7Stream {
-            path: board.link.path.clone(),
-            address: board.link.address.clone(),
-            uuid: board.identity().uuid.clone(),
+            path: self.link.path.clone(),
+            address: self.link.address.clone(),
+            uuid: self.identity().uuid.clone(),
             recovery: Recovery::default(),
             last_frame: Instant::now(),
-            board: Some(board),
+            board: Some(self),
             waveform: realised,
             registers,
             slice,
@@ -87,7 +68,9 @@ impl Mcu7Stream {
         stream.program()?;
         Ok(stream)
     }
+}
 
+impl Mcu7Stream {
     fn board(&mut self) -> Result<&mut Mcu7Board, BoardError> {
         self.board.as_mut().ok_or(BoardError::Stopped)
     }
