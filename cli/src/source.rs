@@ -13,7 +13,7 @@
 use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::chip::RegisterList;
@@ -23,7 +23,7 @@ use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
     Player, RealTime, Reconnect, Transport, candidates,
 };
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
@@ -221,37 +221,11 @@ pub fn next_frame(source: &mut dyn FrameSource, frame: &mut Frame) -> anyhow::Re
 /// # Errors
 /// There is no such source, it cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let mut source = open_unstamped(spec, options)?;
-    if source.is_live {
-        source.frames = Box::new(Stamped(source.frames));
-    }
+    let source = open_unguarded(spec, options)?;
     Ok(Source { frames: Box::new(Guarded::new(source.frames)), ..source })
 }
 
-/// Frames of a board, stamped with the host's time where the driver gives none.
-struct Stamped(Box<dyn FrameSource>);
-
-impl FrameSource for Stamped {
-    fn waveform(&self) -> &Waveform {
-        self.0.waveform()
-    }
-
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        frame.host_time_ns = 0;
-        let event = self.0.next_frame(frame)?;
-        if event == SourceEvent::Frame && frame.host_time_ns == 0 {
-            let now = SystemTime::now().duration_since(UNIX_EPOCH);
-            frame.host_time_ns = now.map_or(0, |now| now.as_nanos() as u64);
-        }
-        Ok(event)
-    }
-
-    fn frame_count(&self) -> Option<u64> {
-        self.0.frame_count()
-    }
-}
-
-fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
+fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }
@@ -425,7 +399,7 @@ fn the_one_board() -> anyhow::Result<Address> {
 
 /// Opens the same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open_unstamped(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
+    let source = open_unguarded(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
     let emulated =

@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use pyo3::exceptions::PyTimeoutError;
 use pyo3::prelude::*;
@@ -96,19 +96,13 @@ impl Drop for Reader {
 }
 
 /// Reads a source until it ends or the receiver is dropped.
-fn read(mut source: Box<dyn FrameSource>, is_live: bool, items: &SyncSender<Item>) {
+fn read(mut source: Box<dyn FrameSource>, items: &SyncSender<Item>) {
     let shape = source.waveform().shape();
     loop {
         let mut frame = radome_dsp::Frame::zeroed(shape);
         let event = catch_unwind(AssertUnwindSafe(|| source.next_frame(&mut frame)));
         let item = match event {
-            Ok(Ok(SourceEvent::Frame)) => {
-                if is_live && frame.host_time_ns == 0 {
-                    let now = SystemTime::now().duration_since(UNIX_EPOCH);
-                    frame.host_time_ns = now.map_or(0, |now| now.as_nanos() as u64);
-                }
-                Item::Frame(Box::new(frame))
-            }
+            Ok(Ok(SourceEvent::Frame)) => Item::Frame(Box::new(frame)),
             Ok(Ok(SourceEvent::Gap(gap))) => Item::Gap(gap),
             Ok(Ok(SourceEvent::End)) => Item::End,
             Ok(Err(failure)) => Item::Failed(failure),
@@ -135,7 +129,7 @@ fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start
     let (waveform, frame_count) = (Arc::new(frames.waveform().clone()), frames.frame_count());
     let header = Header { waveform, description, is_live, board, labels, frame_count };
     if start.send(Ok((header, items))).is_ok() {
-        read(frames, is_live, &sender);
+        read(frames, &sender);
     }
 }
 
