@@ -92,8 +92,6 @@ impl Snapshot {
 /// Counters of the computation of echoes.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EchoReport {
-    /// Number of evaluated paths (segments times image pairs).
-    pub paths: usize,
     /// Number of skin patches that exceed the audibility threshold and were synthesised.
     pub synthesised: usize,
     /// Number of amplitudes with a clamped distance or with an antenna inside a body.
@@ -246,7 +244,6 @@ impl<'a> Paths<'a> {
         report: &mut EchoReport,
     ) -> Option<DVec3> {
         let (prepared, Pair { there: way_there, back: way_back, sinks, .. }) = (self.prepared, pair);
-        report.paths += 1;
         let own = instant.own;
         let ellipsoid = own.body.get(segment)?;
         let met = if instant.is_dark(pair, segment) {

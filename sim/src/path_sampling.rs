@@ -101,14 +101,8 @@ pub struct SamplingTolerance {
 pub struct KeyedPaths {
     /// The paths, to all receivers.
     pub tracks: Tracks,
-    /// Number of paths that were traced.
-    pub traced: usize,
     /// Number of traced paths that are audible.
     pub received: usize,
-    /// Largest number of sample times of a path.
-    pub keys: usize,
-    missed: f64,
-    power: f64,
 }
 
 /// Sample of a receiver; `None` where there is no such path.
@@ -134,14 +128,8 @@ fn keys_of(five: [&TracedPath; 5], apart_s: f64) -> Vec<FiveSamples> {
 }
 
 impl KeyedPaths {
-    /// Greatest error within segments relative to the echoes, rms by power.
-    pub fn error(&self) -> f64 {
-        if self.power > 0.0 { (self.missed / self.power).sqrt() } else { 0.0 }
-    }
-
     /// Adds the paths of a person.
     pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &SamplingTolerance, report: &mut EchoReport) {
-        self.traced += paths.count();
         Tracer { instants, paths, demand, report, out: self }.follow();
     }
 }
@@ -150,8 +138,6 @@ impl KeyedPaths {
 #[derive(Debug, Clone, Copy)]
 struct Open {
     path: usize,
-    /// Index among the audible paths.
-    number: usize,
     /// Path at both ends and in the middle of the segment.
     met: [TracedPath; 3],
 }
@@ -183,18 +169,14 @@ impl Tracer<'_> {
     fn follow(&mut self) {
         let open = self.received();
         self.out.received += open.len();
-        let mut intervals = vec![0usize; open.len()];
         // The lists are ordered by segment, and within a segment by path.
         let (mut halvings, mut level) = (0, vec![open]);
         while level.iter().any(|open| !open.is_empty()) {
             let mut next: Vec<Vec<Open>> = vec![Vec::new(); 2 * level.len()];
             for (place, open) in level.iter().enumerate().filter(|(_, open)| !open.is_empty()) {
-                self.cut(halvings, place, open, &mut next, &mut intervals);
+                self.cut(halvings, place, open, &mut next);
             }
             (halvings, level) = (halvings + 1, next);
-        }
-        if let Some(most) = intervals.iter().max() {
-            self.out.keys = self.out.keys.max(most + 1);
         }
     }
 
@@ -213,7 +195,7 @@ impl Tracer<'_> {
         let is_loud = |met: &TracedPath| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
         // Diffraction by people in the way makes no path louder.
         let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
-        let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
+        let open = |path: usize| Open { path, met: [first[path], middle[path], last[path]] };
         let mut received = Vec::with_capacity((0..first.len()).filter(may_be_heard).count());
         received.extend((0..first.len()).filter(may_be_heard).map(open));
         for (i, instant) in at.into_iter().enumerate() {
@@ -221,25 +203,18 @@ impl Tracer<'_> {
             self.paths.shade(numbered, self.instants.people(instant));
         }
         received.retain(|open| open.met.iter().any(is_loud));
-        received.iter_mut().enumerate().for_each(|(number, open)| open.number = number);
         received
     }
 
     /// Keeps the paths of a segment whose samples predict its middle, and passes the others to its halves in `next`.
-    /// `intervals` counts the segments of each path.
-    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], intervals: &mut [usize]) {
+    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>]) {
         let interval_s = self.instants.span_s / f64::from(1u32 << halvings);
         let mut rest = Vec::with_capacity(all.len());
         let middle = ((4 * place + 2) * self.instants.count) >> (halvings + 2);
         let exposed = self.paths.exposed(self.instants.people(middle), 0.5 * interval_s);
         for open in all {
             match self.calm(open, &exposed, interval_s) {
-                Some((track, missed_lsb, loudest_lsb)) => {
-                    self.keep((halvings, place), track, [missed_lsb, loudest_lsb], interval_s);
-                    if let Some(count) = intervals.get_mut(open.number) {
-                        *count += 1;
-                    }
-                }
+                Some(track) => self.out.tracks.push(halvings, place, track),
                 None => rest.push(*open),
             }
         }
@@ -256,17 +231,14 @@ impl Tracer<'_> {
         for ((open, before), after) in all.iter().zip(before).zip(after) {
             let [first, middle, last] = open.met;
             let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * interval_s);
-            let count = &mut intervals[open.number];
             let Some((track, missed_lsb)) = Track::through(&keys, interval_s, self.demand.frequency_hz) else {
-                *count += 1;
                 continue;
             };
             let between = [&before, &middle, &after].into_iter().filter_map(|met| met.keys().first());
             let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
             let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
             if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-                *count += 1;
-                self.keep((halvings, place), track, [missed_lsb, loudest_lsb], interval_s);
+                self.out.tracks.push(halvings, place, track);
                 continue;
             }
             next[2 * place].push(Open { met: [first, before, middle], ..*open });
@@ -275,9 +247,8 @@ impl Tracer<'_> {
     }
 
     /// Interpolates a path by its samples at both ends and in the middle, if these suffice: it has the same error bound
-    /// as others, and nothing can obstruct it between two samples alone. `exposed` tells this by segment. Returns also
-    /// the error estimate and the largest amplitude, LSB.
-    fn calm(&self, open: &Open, exposed: &[bool; SEGMENTS], interval_s: f64) -> Option<(Track, f64, f64)> {
+    /// as others, and nothing can obstruct it between two samples alone. `exposed` tells this by segment.
+    fn calm(&self, open: &Open, exposed: &[bool; SEGMENTS], interval_s: f64) -> Option<Track> {
         let is_clear = |met: &TracedPath| met.is_clear && met.place.is_some();
         let is_exposed = self.paths.segment(open.path).is_none_or(|segment| exposed[segment]);
         if self.demand.halvings.is_some() || is_exposed || !open.met.iter().all(is_clear) {
@@ -288,20 +259,7 @@ impl Tracer<'_> {
         let loudest_lsb =
             keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
         let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
-        is_met.then_some((track, missed_lsb, loudest_lsb))
-    }
-
-    /// Keeps a track over segment `place` of a frame that is halved `halvings` times.
-    fn keep(
-        &mut self,
-        (halvings, place): (u32, usize),
-        track: Track,
-        [missed_lsb, loudest_lsb]: [f64; 2],
-        interval_s: f64,
-    ) {
-        self.out.missed += missed_lsb * missed_lsb * interval_s;
-        self.out.power += loudest_lsb * loudest_lsb * interval_s;
-        self.out.tracks.push(halvings, place, track);
+        is_met.then_some(track)
     }
 }
 

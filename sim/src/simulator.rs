@@ -159,14 +159,9 @@ impl Simulator {
         self.inner.echo_samples(index, Some(halvings.min(12)))
     }
 
-    /// Simulates the echoes of people by the slow reference method, on all threads: dense physical optics over the
-    /// skins, anew in every chirp, in f64. It includes all pairs of images whose level is above the noise of a cell
-    /// less `margin_db`. It takes minutes per frame. People modelled as ellipsoids have no such echoes.
-    pub fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
-        self.inner.dense_echo_samples(index, margin_db)
-    }
-
-    /// Simulates one chirp of [`dense_echo_samples`](Simulator::dense_echo_samples) on this thread: `[rx][sample]`.
+    /// Simulates one chirp of the echoes of people by the slow reference method, LSB: `[rx][sample]`. It is dense physical
+    /// optics over the skins, anew in every chirp, in f64, by all pairs of images whose level is above the noise of a cell
+    /// less `margin_db`. A frame takes minutes. People modelled as ellipsoids have no such echoes.
     pub fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         self.inner.dense_echo_chirp(index, chirp, margin_db)
     }

@@ -114,22 +114,10 @@ pub struct SynthesisScratch {
 }
 
 impl Grid {
-    /// Sets all cells to zero.
-    pub fn clear(&mut self) {
-        self.cells.fill(Complex::default());
-    }
-
     /// Adds another grid.
     pub fn add(&mut self, other: &Grid) {
         for (cell, other) in self.cells.iter_mut().zip(&other.cells) {
             *cell += *other;
-        }
-    }
-
-    /// Sets the grid to `a (1 - w) + b w`.
-    pub fn blend(&mut self, a: &Grid, b: &Grid, w: f32) {
-        for ((x, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
-            *x = a + (b - a) * w;
         }
     }
 }

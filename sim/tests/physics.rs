@@ -295,8 +295,7 @@ mod hard_cases {
         let through = parse(&walker(3.0, -1.5, 1.0));
         let simulator = simulator(&through, 4, None);
         for index in 0..50 {
-            let (frame, report) = simulator.frame_with_report(index);
-            assert!(report.between_keys.is_finite());
+            let (frame, _) = simulator.frame_with_report(index);
             assert_eq!(frame.codes.len(), frame.shape.codes());
         }
         assert!((0..50).any(|i| simulator.frame_with_report(i).1.clamped > 0));

@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::DVec3;
 use radome_sim::Scene;
 use radome_sim::em::image::Wall;
-use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Owner, Sides, Surfaces};
+use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Sides, Surfaces};
 use rooms::{
     M, MM, Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_file, gltf, is_flat, is_free, is_inner,
     is_seam, is_wedge, obj, parse, room_files, small_triangles, stl, surfaces, triangles,
@@ -74,10 +74,9 @@ fn a_box_has_six_faces_that_look_inwards_and_no_edge_that_diffracts() {
     }
     assert_eq!((count(&room, is_inner), room.edges.len(), diffracting(&room).count()), (24, 24, 0));
     assert!(room.small.is_empty() && room.coincident.is_empty());
-    let (mesh, owners) = room.triangles();
-    assert_eq!((mesh.triangles.len(), owners.len()), (12, 12));
+    let mesh = room.triangles();
+    assert_eq!(mesh.triangles.len(), 12);
     assert!((mesh.area_m2() - area_m2).abs() < 1e-12);
-    assert!((0..6).all(|face| owners.iter().filter(|owner| **owner == Owner::Face(face)).count() == 2));
 }
 
 #[test]
@@ -281,8 +280,7 @@ fn fixtures_have_the_surfaces_that_they_are_for() {
 fn an_open_plan_room_of_ten_thousand_triangles_is_faces() {
     let scene = common::scene("open-plan");
     let room = scene.surfaces();
-    let (mesh, owners) = room.triangles();
-    assert_eq!(mesh.triangles.len(), owners.len());
+    let mesh = room.triangles();
     assert!((8_000..12_000).contains(&mesh.triangles.len()), "{}", mesh.triangles.len());
     assert!(small_triangles(&room) * 2 < mesh.triangles.len(), "{}", small_triangles(&room));
     assert!(diffracting(&room).count() > 1000);

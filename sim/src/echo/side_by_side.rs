@@ -200,7 +200,6 @@ impl Paths<'_> {
         reflected(self.level, SKIN_PERMITTIVITY, &seen, &fields, &factors, &mut amplitude);
         for (l, &at) in lanes.iter().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
             let Some(met) = met.get_mut(at) else { continue };
-            report.paths += 1;
             met.receivers = self.prepared.rx.len().min(RECEIVERS);
             if seen.cosine[l] <= LEAST_COSINE {
                 let delay_s = (pairs[l].there.source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;

@@ -131,7 +131,6 @@ impl SkinnedPerson {
                 if !solver.integrate(&work, patch, pair) {
                     continue;
                 }
-                report.paths += patch.triangles.len() * times.keys_s.len();
                 if number == 0 {
                     solver.add_missed(&work, patch, pair, &mut missed);
                 }

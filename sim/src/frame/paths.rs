@@ -97,10 +97,7 @@ impl FrameSimulator {
         let (paths, echo_report) = self.keyed_paths(instants, halvings);
         let report = FrameReport {
             static_paths: self.prepared.static_paths.len(),
-            traced_paths: paths.traced,
             moving_paths: paths.received,
-            keys: paths.keys,
-            between_keys: paths.error(),
             estimate_db: None,
             clamped: echo_report.clamped,
             clipped: 0,

@@ -24,14 +24,8 @@ pub struct PersonState {
 pub struct FrameReport {
     /// Number of static paths.
     pub static_paths: usize,
-    /// Number of moving paths that were evaluated at the key times.
-    pub traced_paths: usize,
     /// Number of moving paths that exceed the audibility threshold and were synthesised.
     pub moving_paths: usize,
-    /// Number of key times of the path that needed the most.
-    pub keys: usize,
-    /// Estimated error of interpolation between key times, relative to the echoes, rms by power.
-    pub between_keys: f64,
     /// Estimated error of the strongest path's echoes where people have skins, dB; `None` where they are ellipsoids,
     /// whose specular points are closed forms.
     pub estimate_db: Option<f64>,

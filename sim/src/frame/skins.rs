@@ -2,8 +2,6 @@
 
 use std::sync::{Arc, PoisonError};
 
-use rayon::prelude::*;
-
 use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
 use super::{FrameReport, FrameSimulator};
 use crate::echo::dense;
@@ -88,7 +86,7 @@ impl FrameSimulator {
         loop {
             let mut echo_report = EchoReport::default();
             let ends_s = self.ends_s(instants.start_s(), halvings);
-            let (keys, snapshots) = (ends_s.len(), instants.at_ends(halvings));
+            let snapshots = instants.at_ends(halvings);
             let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
             if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
                 halvings += 1;
@@ -96,10 +94,7 @@ impl FrameSimulator {
             }
             let report = FrameReport {
                 static_paths: self.prepared.static_paths.len(),
-                traced_paths: echo_report.paths / keys,
                 moving_paths: echo_report.synthesised,
-                keys,
-                between_keys: missed.between_keys,
                 estimate_db: (!instants.motions().is_empty()).then(|| missed.db()),
                 clamped: echo_report.clamped,
                 clipped: 0,
@@ -109,16 +104,7 @@ impl FrameSimulator {
         }
     }
 
-    /// Computes the samples of people's echoes with the reference method ([`dense`]), LSB: `[rx][chirp][sample]`; skins
-    /// only.
-    pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
-        let shape = self.waveform().shape();
-        let chirp = |chirp| self.dense_echo_chirp(index, chirp, margin_db);
-        let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps).into_par_iter().map(chirp).collect();
-        (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
-    }
-
-    /// Computes one chirp with the reference method: `[rx][sample]`.
+    /// Computes one chirp of people's echoes with the reference method ([`dense`]), LSB: `[rx][sample]`; skins only.
     pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
         let motions = self.motions(start_s);

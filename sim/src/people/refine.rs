@@ -30,8 +30,6 @@ pub(super) struct BoundMesh {
     pub weights: Vec<Vec<(usize, f64)>>,
     /// Number of edges at which the surface ends.
     pub open_edges: usize,
-    /// Number of triangles that were left out: without area, or duplicates.
-    pub dropped: usize,
 }
 
 impl BoundMesh {
@@ -103,7 +101,6 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
             bound.mesh.triangles.push(triangle);
         }
     }
-    bound.dropped = mesh.triangles.len() - bound.mesh.triangles.len();
     if bound.mesh.triangles.is_empty() {
         return Err(FileError::new("skin", "no triangle of it has an area", "check the scale of the mesh"));
     }
@@ -224,7 +221,6 @@ mod tests {
         soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);
         let weights = vec![vec![(0, 1.0)]; soup.vertices.len()];
         let fine = refine(&soup, &weights, &still()).expect("a good mesh");
-        assert_eq!(fine.dropped, 1);
         assert!(edges(&fine.mesh).iter().all(|e| !e.tangled));
         assert!(fine.open_edges > 0, "the fin and its neighbours are loose");
     }

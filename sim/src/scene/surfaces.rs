@@ -117,15 +117,6 @@ pub struct Coincident {
     pub area_m2: f64,
 }
 
-/// Origin of a triangle of [`Surfaces::triangles`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Owner {
-    /// A face, by its index.
-    Face(u32),
-    /// A small part, by its index.
-    Small(u32),
-}
-
 /// All surfaces of a scene, in room coordinates.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surfaces {
@@ -228,23 +219,16 @@ impl Surfaces {
         furniture.material.is_some() && self.faces.iter().any(is_within)
     }
 
-    /// All surfaces as triangles, m, with the owner of each triangle. Visibility is tested against them.
-    pub fn triangles(&self) -> (Mesh, Vec<Owner>) {
+    /// All surfaces as triangles, m. Visibility is tested against them.
+    pub fn triangles(&self) -> Mesh {
         let mut mesh = Mesh::default();
-        let mut owners = Vec::new();
-        let mut add = |corners: [DVec3; 3], owner: Owner| {
+        let faces = self.faces.iter().flat_map(|face| face.polygon.triangulate());
+        for corners in faces.chain(self.small.iter().flat_map(|part| part.mesh.all_corners())) {
             let first = mesh.vertices.len() as u32;
             mesh.vertices.extend(corners);
             mesh.triangles.push([first, first + 1, first + 2]);
-            owners.push(owner);
-        };
-        for (face, owner) in self.faces.iter().zip(0..) {
-            face.polygon.triangulate().into_iter().for_each(|corners| add(corners, Owner::Face(owner)));
         }
-        for (part, owner) in self.small.iter().zip(0..) {
-            part.mesh.all_corners().for_each(|corners| add(corners, Owner::Small(owner)));
-        }
-        (mesh, owners)
+        mesh
     }
 }
 

@@ -112,7 +112,7 @@ fn measure(name: &'static str, people: Option<usize>, python: Option<&Path>) -> 
 
 /// Time of sionna-rt; `None` where it is not installed or fails.
 fn sionna_ms(python: Option<&Path>, scene: &Scene) -> Option<f64> {
-    let (mesh, _) = scene.surfaces().triangles();
+    let mesh = scene.surfaces().triangles();
     let corners = (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle));
     let triangles: Vec<[[f64; 3]; 3]> = corners.map(|corners| corners.map(|corner| corner.to_array())).collect();
     let request = serde_json::json!({
