@@ -152,8 +152,25 @@ fn reserve(path: &Path) -> Result<Partial, RecordingError> {
     check_free().map(|()| reserved)
 }
 
-/// Endings of models, arrays and pictures, each of which stands for one format.
-const ENDINGS: [&str; 5] = ["npy", "onnx", "png", "safetensors", "svg"];
+/// Endings of models, arrays, tables and pictures, each of which stands for one format.
+const ENDINGS: [&str; 16] = [
+    "csv",
+    "gif",
+    "h5",
+    "hdf5",
+    "jpeg",
+    "jpg",
+    "json",
+    "mat",
+    "npy",
+    "npz",
+    "onnx",
+    "pdf",
+    "png",
+    "safetensors",
+    "svg",
+    "toml",
+];
 
 /// Hint on the name of a model's file.
 pub const MODEL_HINT: &str = "end its name in .safetensors; radome model export writes ONNX";
@@ -258,7 +275,7 @@ mod tests {
         for name in ["maps.npy", "maps.NPY", "maps", "maps.dat", "/dev/null", "v1.0"] {
             check(name).expect(name);
         }
-        for name in ["maps.png", "maps.PNG", "a/maps.safetensors"] {
+        for name in ["maps.png", "maps.PNG", "maps.csv", "a/maps.safetensors"] {
             let said = check(name).expect_err(name).to_string();
             assert!(said.contains("hint: end its name in .npy"), "{said}");
         }
