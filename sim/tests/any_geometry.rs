@@ -59,6 +59,22 @@ fn assert_among(some: &[ListedPath], all: &[ListedPath], what: &str) {
     }
 }
 
+/// Regression test: the surface of a path that is diffracted beside a plate was `wall` in a room without walls.
+#[test]
+fn paths_beside_a_plate_are_by_way_of_the_plate() {
+    let walls = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"]
+        .map(|wall| format!("{wall} = {{ material = \"open\" }}\n"));
+    let room = format!("size_m = [20.0, 20.0, 3.0]\nsolver = \"rays\"\nmax_reflections = 1\n{}", walls.concat());
+    // The mirror point is 5 cm beside the plate.
+    let plate = "[[furniture]]\nname = \"plate\"\nposition_m = [3.5, 1.05, 1.1]\nsize_m = [0.02, 0.2, 0.2]\nmaterial = \"metal\"\n";
+    let scene = common::parse(&common::hall_with_room(&room, &format!("{plate}{WALKER}")));
+    let options = PathListOptions { people: Some(0), margin_db: 60.0, ..PathListOptions::default() };
+    let paths = PathList::new(&scene, &options).expect("a list").paths;
+    let surfaces: Vec<&Vec<String>> =
+        paths.iter().map(|path| &path.surfaces).filter(|names| !names.is_empty()).collect();
+    assert!(!surfaces.is_empty() && surfaces.iter().all(|names| **names == ["plate x_low"]), "{surfaces:?}");
+}
+
 #[test]
 fn a_box_has_the_same_paths_from_toml_plan_obj_stl_and_gltf() {
     let folder = tempfile::tempdir().expect("a folder");

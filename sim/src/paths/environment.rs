@@ -199,6 +199,13 @@ impl Environment {
         (0..).zip(&self.flats).filter(move |(_, flat)| holds(flat)).map(|(facet, _)| facet)
     }
 
+    /// The facet beside which a point lies in its plane: the nearest of several.
+    pub fn beside(&self, point: DVec3) -> Option<FacetId> {
+        let in_plane = |(_, flat): &(FacetId, &Flat)| flat.reflects() && flat.height(point).abs() < PLANAR_M;
+        let all = (0..).zip(&self.flats).filter(in_plane).map(|(facet, flat)| (facet, flat.off_sides_m(point)));
+        all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(facet, _)| facet)
+    }
+
     /// Makes a ray from a point that may lie on a facet.
     fn ray(&self, ray: Ray, from: Option<FacetId>) -> Ray {
         match from.and_then(|facet| self.flat(facet)) {

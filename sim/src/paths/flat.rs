@@ -183,6 +183,13 @@ impl Flat {
         within || all.any(|side| distance_to_line(p, side) < SEAM_M)
     }
 
+    /// Distance of a point of the plane from the nearest side, m.
+    pub fn off_sides_m(&self, point: DVec3) -> f64 {
+        let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
+        let all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
+        all.map(|side| distance_to_line(p, side)).fold(f64::INFINITY, f64::min)
+    }
+
     /// Returns whether a point of the plane lies farther than a distance, m, from the bounding sphere.
     pub fn is_far(&self, point: DVec3, distance_m: f64) -> bool {
         let reach_m = self.radius_m + distance_m;

@@ -290,7 +290,8 @@ impl Surroundings {
         }
     }
 
-    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge.
+    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge. Of a point beside a plane
+    /// face, where a path is diffracted, the name of that face.
     pub fn surface_names(&self, point: DVec3) -> Vec<&str> {
         match self {
             Surroundings::Box(room) => {
@@ -300,8 +301,12 @@ impl Surroundings {
                 all.filter(|(away_m, _)| away_m.abs() < ON_SURFACE_M).map(|(_, name)| name).collect()
             }
             Surroundings::Polygons(room) => {
-                let facets = room.paths.environment().all_below(point);
-                facets.filter_map(|facet| room.names.get(facet as usize)).map(String::as_str).collect()
+                let environment = room.paths.environment();
+                let mut facets: Vec<_> = environment.all_below(point).collect();
+                if facets.is_empty() {
+                    facets.extend(environment.beside(point));
+                }
+                facets.into_iter().filter_map(|facet| room.names.get(facet as usize)).map(String::as_str).collect()
             }
         }
     }
