@@ -372,7 +372,7 @@ impl ImagePaths {
             reflected = self.environment.flat(facet)?.mirror() * leg.direction;
             let own = self.on_facet(facet, &leg, folded.point(i + 1))?;
             let corner = aperture.filter(|_| last.is_some_and(|last| self.corners.holds(last, facet)));
-            let before = std::mem::replace(&mut aperture, Some(corner.map_or(own, |corner| corner.beside(own))));
+            let before = aperture.replace(corner.map_or(own, |corner| corner.beside(own)));
             if let (Some(before), None) = (before, corner) {
                 weight = weight.and(before.kept);
             }
