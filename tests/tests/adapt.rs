@@ -177,6 +177,45 @@ mod hard_cases {
     use super::*;
 
     /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.
+    /// Regression test: labels of the empty room and of one person made models call two people one person, and labels of the
+    /// empty room and of two people the other way around.
+    #[test]
+    fn a_class_without_labels_is_still_told_from_its_neighbour() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recordings = |people: usize, seeds: [u64; 2]| {
+            seeds.map(|seed| {
+                let path = folder.path().join(format!("{people}-{seed}.mcap"));
+                let options = format!("--people {people} --seed {seed} --frames 300");
+                simulate(&fixture("scenes/rooms.toml"), &options, &path);
+                path
+            })
+        };
+        let labelled = [0, 1, 2].map(|people| recordings(people, [31, 32]));
+        let others = [1, 2].map(|people| recordings(people, [41, 42]));
+        let adapted = folder.path().join("adapted.safetensors");
+        for model in ["room-hqnn", "room-linear"] {
+            let model = fixture(&format!("models/{model}.safetensors"));
+            let recall = |model: &Path, class: usize| {
+                let answer = evaluate(model, &[], &others[class - 1]);
+                let row = answer["confusion"][class].as_array().expect("a row");
+                let counts: Vec<f64> = row.iter().map(|count| count.as_f64().expect("a count")).collect();
+                counts[class] / counts.iter().sum::<f64>()
+            };
+            for (shown, class) in [([0, 1], 2), ([0, 2], 1)] {
+                let mut adapt = subcommand("model adapt");
+                adapt.arg(&model);
+                for people in shown {
+                    let label = ["empty", "one", "two"][people];
+                    adapt.args(labelled[people].iter().map(|path| format!("{}={label}", path.display())));
+                }
+                json_lines(adapt.args(["--json", "--force", "--overwrite", "-o"]).arg(&adapted));
+                let (before, after) = (recall(&model, class), recall(&adapted, class));
+                let told = format!("{}: {class} people after labels of {shown:?}: {after}", model.display());
+                assert!(before > 0.6 && after > before - 0.15, "{told}, {before} before");
+            }
+        }
+    }
+
     #[test]
     fn reliability_is_of_the_predictions_that_are_scored() {
         let model = made().join("model.safetensors");

@@ -16,7 +16,7 @@
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
 //! A class that no recording shows would lose all of its frames to the others. So it is in the group of its neighbour, and only the
-//! groups are told apart. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability
+//! groups are told apart: within a group, the fit aims at the ratios of the probabilities before. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability
 //! of the others: a model that is right about the empty room stays as it is by recordings of the empty room alone.
 //!
 //! [`tail`] has the adapted layers and the samples.
@@ -382,10 +382,11 @@ mod tests {
         /// Regression test: recordings of one person alone made a model call the empty room one person.
         #[test]
         fn a_class_that_no_recording_shows_is_not_forgotten() {
+            use Occupancy::{Empty, One, Two};
             let all: Vec<AdaptRecording> = (0..2).map(|seed| recording(seed, &Occupancy::ALL)).collect();
             for name in ["descriptor_linear", "descriptor_hqnn"] {
                 let taught = Adapter::new(adapt(name, &all).model).expect("adaptable");
-                for shown in [&[Occupancy::One][..], &[Occupancy::Empty, Occupancy::One], &[Occupancy::Two]] {
+                for shown in [&[One][..], &[Empty, One], &[Empty, Two], &[Two]] {
                     let fit = taught.fit(&[3, 4].map(|seed| recording(seed, shown))).expect("fits");
                     for class in Occupancy::ALL {
                         let others = [recording(9, &[class])];

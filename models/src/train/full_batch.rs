@@ -45,7 +45,7 @@ pub(super) fn fit(
     let descriptors = Tensor::from_vec(rows.concat(), (rows.len(), width), &Device::Cpu)?;
     let weight = |&label: &usize| data.class_weights.get(label).copied().map_or(0.0, f64::from);
     let total: f64 = data.train.labels.iter().map(weight).sum();
-    let samples: Vec<(usize, f64)> = data.train.labels.iter().map(|label| (*label, weight(label) / total)).collect();
+    let samples: Vec<_> = data.train.labels.iter().map(|label| (certain(*label), weight(label) / total)).collect();
 
     let is_fitted = |p: &&Parameter| is_trained(network, p) && !p.name.starts_with("warm_up.");
     let parameters = ParameterVector::new(network.trained().iter().filter(is_fitted).collect());
@@ -61,7 +61,7 @@ pub(super) fn fit(
             None => 0.0,
         };
         let logits = values.take(graph.output)?;
-        let (mut loss, by_logit) = cross_entropy(&logits.to_vec2()?, &samples, 1.0, APART);
+        let (mut loss, by_logit) = cross_entropy(&logits.to_vec2()?, &samples, 1.0);
         let by_logit = Tensor::from_vec(by_logit, logits.shape(), &Device::Cpu)?;
         // This sum is linear in the logits and has the same gradient at this point.
         let mut gradient = parameters.gradient(&backward(&(&logits * &by_logit)?.sum_all()?)?)?;
@@ -79,26 +79,24 @@ pub(super) fn fit(
     Ok(is_finite)
 }
 
-/// Weighted sum of the cross-entropies of samples `(label, weight)` at a temperature, and its derivative by each logit, row by
-/// row. A class is right for a label if both are in the same of these `groups`.
+/// Weighted sum of the cross-entropies of samples, each with probabilities of the classes to reach and a weight, at a temperature,
+/// and its derivative by each logit, row by row.
 pub(super) fn cross_entropy(
     logits: &[Vec<f32>],
-    samples: &[(usize, f64)],
+    samples: &[([f64; CLASSES], f64)],
     temperature: f64,
-    groups: [usize; CLASSES],
 ) -> (f64, Vec<f32>) {
     let (mut loss, mut by_logit) = (0.0, Vec::with_capacity(CLASSES * samples.len()));
-    for (&(label, weight), row) in samples.iter().zip(logits) {
-        let probabilities = softmax(row, temperature);
-        let is_right = |class: usize| groups.get(class) == groups.get(label);
-        let right = |(class, p): (usize, f64)| if is_right(class) { p } else { 0.0 };
-        let all: f64 = probabilities.iter().copied().enumerate().map(right).sum::<f64>().max(f64::MIN_POSITIVE);
-        loss -= weight * all.ln();
-        let derivative = |(class, p): (usize, f64)| (weight * (p - right((class, p)) / all) / temperature) as f32;
-        by_logit.extend(probabilities.into_iter().enumerate().map(derivative));
+    for ((targets, weight), row) in samples.iter().zip(logits) {
+        for (target, p) in targets.iter().zip(softmax(row, temperature)) {
+            loss -= weight * target * p.max(f64::MIN_POSITIVE).ln();
+            by_logit.push((weight * (p - target) / temperature) as f32);
+        }
     }
     (loss, by_logit)
 }
 
-/// Each class in a group of its own.
-pub(super) const APART: [usize; CLASSES] = [0, 1, 2];
+/// Probabilities that are one for a class.
+pub(super) fn certain(class: usize) -> [f64; CLASSES] {
+    std::array::from_fn(|other| f64::from(u8::from(other == class)))
+}

@@ -147,7 +147,7 @@ fn tell(
     let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
     for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {
         let why = match count {
-            0 => "no recording shows it; the pull towards the model before keeps it in part",
+            0 => "no recording shows it; it is told from its neighbour about as before",
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
             _ => "each recording that shows it also shows something that no other one shows",
         };

@@ -11,7 +11,7 @@ use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion, most_probable};
 use crate::model::{ModelCard, Scores};
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::OccupancyFilter;
-use crate::train::full_batch::{APART, cross_entropy};
+use crate::train::full_batch::{certain, cross_entropy};
 use crate::train::head_start::{is_trained, parameters_behind};
 use crate::train::minimise::minimise;
 use crate::train::parameter_vector::ParameterVector;
@@ -68,11 +68,19 @@ pub(super) fn shift_strength(recordings: &[&AdaptRecording]) -> f64 {
 /// person beside two, the empty room beside one person.
 fn groups(shown: [bool; CLASSES]) -> [usize; CLASSES] {
     match shown {
-        [true, true, true] => APART,
+        [true, true, true] => [0, 1, 2],
         [true, false, true] | [true, true, false] => [0, 1, 1],
         [false, true, true] => [1, 1, 2],
         _ => [0; CLASSES],
     }
+}
+
+/// Probabilities that a fit aims at for a label. Within a group of several classes they keep the ratios of these `probabilities`, so
+/// that frames of one class do not change how the model tells its group apart.
+fn within_group(groups: [usize; CLASSES], label: usize, probabilities: &[f64]) -> [f64; CLASSES] {
+    let group = |class: usize| if groups[class] == groups[label] { probabilities[class] } else { 0.0 };
+    let sum: f64 = (0..CLASSES).map(group).sum();
+    if sum > 0.0 { std::array::from_fn(|class| group(class) / sum) } else { certain(label) }
 }
 
 /// The last layer of a network.
@@ -86,7 +94,15 @@ pub(super) fn last_node(network: &Network) -> Option<&Node> {
 struct Sample<'a> {
     features: &'a [f32],
     label: usize,
+    /// Probabilities of the classes that a fit aims at.
+    targets: [f64; CLASSES],
     weight: f64,
+}
+
+impl<'a> Sample<'a> {
+    fn new(features: &'a [f32], label: usize, weight: f64) -> Self {
+        Sample { features, label, targets: certain(label), weight }
+    }
 }
 
 /// Labelled frames of recordings and simulated maps with their weights. The weights of each of the two sum to the
@@ -106,16 +122,15 @@ fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usi
             let frames: Vec<&AdaptFrame> = frames.step_by(step).collect();
             let of_recording = total_s / classes as f64 * share(seconds[class]) / of_class[class];
             let weight = of_recording / frames.len().max(1) as f64;
-            samples.extend(frames.into_iter().map(|f| Sample { features: &f.features, label: class, weight }));
+            samples.extend(frames.into_iter().map(|f| Sample::new(&f.features, class, weight)));
         }
     }
     let counts: [usize; CLASSES] = std::array::from_fn(|class| simulated.iter().filter(|s| s.1 == class).count());
     let classes = counts.iter().filter(|count| **count > 0).count();
-    samples.extend(simulated.iter().filter(|(_, label)| *label < CLASSES).map(|(features, label)| Sample {
-        features,
-        label: *label,
-        weight: total_s / (classes * counts[*label]) as f64,
-    }));
+    let simulated = simulated.iter().filter(|(_, label)| *label < CLASSES);
+    samples.extend(
+        simulated.map(|(features, label)| Sample::new(features, *label, total_s / (classes * counts[*label]) as f64)),
+    );
     samples
 }
 
@@ -236,7 +251,7 @@ impl<'a> Tail<'a> {
         strengths: &[f64],
         before: &[f64],
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
-        let samples = samples(recordings, simulated);
+        let mut samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
         let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
         let groups = groups(shown);
@@ -248,11 +263,15 @@ impl<'a> Tail<'a> {
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
         let origin = self.standardised(before, &normalisation);
+        self.set(&origin)?;
+        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(&features)?) {
+            sample.targets = within_group(groups, sample.label, &probabilities);
+        }
         let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
         let most = self.parameters.by_parameter(most);
         let minimum = |start: Vec<f64>, strength: f64| {
             let found = minimise(start, MOST_STEPS, LEAST_GAIN, |numbers| {
-                let (mut value, mut gradient) = self.loss(numbers, &features, &samples, groups)?;
+                let (mut value, mut gradient) = self.loss(numbers, &features, &samples)?;
                 for (index, g) in gradient.iter_mut().enumerate() {
                     let moved = numbers[index] - origin[index];
                     let strength = strength.min(most[index]);
@@ -300,6 +319,7 @@ impl<'a> Tail<'a> {
         self.set(numbers)?;
         let mut samples = samples.to_vec();
         for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
+            sample.targets = certain(sample.label);
             sample.weight *= probabilities.iter().zip(shown).filter(|(_, shown)| !shown).map(|(p, _)| p).sum::<f64>();
         }
         let total: f64 = samples.iter().map(|sample| sample.weight).sum::<f64>().max(f64::MIN_POSITIVE);
@@ -307,7 +327,7 @@ impl<'a> Tail<'a> {
             let by = by.first().copied().unwrap_or(0.0);
             let mut shifted = numbers.to_vec();
             self.shift_logits(&mut shifted, shown, by);
-            let (value, gradient) = self.loss(&shifted, features, &samples, APART)?;
+            let (value, gradient) = self.loss(&shifted, features, &samples)?;
             let slope: f64 =
                 gradient.iter().skip(self.logits).zip(shown).filter(|(_, shown)| *shown).map(|(g, _)| g).sum();
             Ok::<_, AdaptError>(((value + 0.5 * strength * by * by) / total, vec![(slope + strength * by) / total]))
@@ -315,21 +335,14 @@ impl<'a> Tail<'a> {
         found.and_then(|by| by.first().copied()).ok_or(AdaptError::NonFinite)
     }
 
-    /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient. A
-    /// class is right for all labels of its group.
-    fn loss(
-        &self,
-        numbers: &[f64],
-        features: &Tensor,
-        samples: &[Sample],
-        groups: [usize; CLASSES],
-    ) -> Result<(f64, Vec<f64>), AdaptError> {
+    /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient.
+    fn loss(&self, numbers: &[f64], features: &Tensor, samples: &[Sample]) -> Result<(f64, Vec<f64>), AdaptError> {
         self.set(numbers)?;
         let output = self.network.graph().output;
         let mode = Mode::Training { seed: 0, step: 0, penalty: 0.0 };
         let logits = self.network.run_from(self.given, features, &[output], mode)?.take(output)?;
-        let targets: Vec<(usize, f64)> = samples.iter().map(|sample| (sample.label, sample.weight)).collect();
-        let (loss, by_logit) = cross_entropy(&logits.to_vec2()?, &targets, self.temperature, groups);
+        let targets: Vec<_> = samples.iter().map(|sample| (sample.targets, sample.weight)).collect();
+        let (loss, by_logit) = cross_entropy(&logits.to_vec2()?, &targets, self.temperature);
         // This sum is linear in the logits and has the same gradient at this point.
         let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
         let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
@@ -379,12 +392,12 @@ mod tests {
         let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
         let there_and_back = tail.standardised(&tail.standardised(&numbers, &normalisation), &back);
         assert!(numbers.len() > 90 && there_and_back.iter().zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-9));
-        let (_, gradient) = tail.loss(&numbers, &features, &samples, APART).expect("loss");
+        let (_, gradient) = tail.loss(&numbers, &features, &samples).expect("loss");
         for k in (0..numbers.len()).step_by(7) {
             let at = |by: f64| {
                 let mut moved = numbers.clone();
                 moved[k] += by;
-                tail.loss(&moved, &features, &samples, APART).expect("loss").0
+                tail.loss(&moved, &features, &samples).expect("loss").0
             };
             let difference = (at(5e-3) - at(-5e-3)) / 1e-2;
             assert!(
