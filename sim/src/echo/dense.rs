@@ -14,7 +14,7 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::skin::SkinnedPerson;
 use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_occlusion};
-use crate::em::current::{Arrival, heard_by};
+use crate::em::current::{Arrival, received};
 use crate::em::image::{Illumination, ImageIndex, Wall};
 use crate::em::triangle;
 use crate::geometry::bulge;
@@ -267,7 +267,7 @@ fn add_triangle(
             return Complex64::ZERO;
         }
         let arrival = Arrival { field: there.field, direction: there.direction };
-        let received = heard_by(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
+        let received = received(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
         let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
         factor * received * (spreading * weight)
     };

@@ -62,7 +62,7 @@ impl StillSkin {
     }
 
     /// Integrates physical optics over the lit surface near specular points. The integrand is
-    /// [`crate::em::current::heard_by`] over the square of the distance, with the phase of the path relative to that by
+    /// [`crate::em::current::received`] over the square of the distance, with the phase of the path relative to that by
     /// the middle of the surface.
     pub fn integral(&self, integrator: &Integrator, view: &StillView) -> Complex64 {
         let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);

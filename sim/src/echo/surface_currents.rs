@@ -1,5 +1,5 @@
 //! Physical-optics strengths at sixteen vertices of a skin: the factor of `exp(-j k L)` and an area in the field from
-//! one image antenna to another. The formulation is that of [`crate::em::current::heard_by`]; a test compares both.
+//! one image antenna to another. The formulation is that of [`crate::em::current::received`]; a test compares both.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -271,7 +271,7 @@ mod tests {
     use rand::Rng;
 
     use super::*;
-    use crate::em::current::{Arrival, heard_by};
+    use crate::em::current::{Arrival, received};
     use crate::em::image::Wall;
     use crate::material::SKIN_PERMITTIVITY;
     use crate::random::{Purpose, generator};
@@ -323,7 +323,7 @@ mod tests {
             let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
             let arrival = Arrival { field: fields[0], direction: -t };
             let exact =
-                heard_by(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));
+                received(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));
             let miss = (Complex64::new(im[7].into(), (-re[7]).into()) - exact).norm();
             assert!(miss < 3e-6, "{miss:e} of {exact}");
             heard_some += 1;

@@ -15,30 +15,11 @@ pub struct Arrival {
     pub direction: DVec3,
 }
 
-/// Receiving antenna.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Listener {
-    /// Unit vector from the surface to the antenna.
-    pub towards: DVec3,
-    /// Polarisation, unit vector.
-    pub polarisation: DVec3,
-}
-
 /// Evaluates physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and `M
 /// = -n x (E_i + E_r)`. The received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
-/// phase). For a conductor in the monostatic case it is the cosine of the angle of incidence.
+/// phase). For a conductor in the monostatic case it is the cosine of the angle of incidence. `towards` is the unit
+/// vector from the surface to the receiving antenna, whose polarisation at the surface is complex behind a lossy wall.
 pub fn received(
-    arrival: &Arrival,
-    normal: DVec3,
-    boundary: &Wall,
-    wavenumber_per_m: f64,
-    listener: &Listener,
-) -> Complex64 {
-    heard_by(arrival, normal, boundary, wavenumber_per_m, listener.towards, Phasor3::real(listener.polarisation))
-}
-
-/// Evaluates [`received`] for an antenna whose polarisation at the surface is complex, as behind a lossy wall.
-pub fn heard_by(
     arrival: &Arrival,
     normal: DVec3,
     boundary: &Wall,
@@ -69,14 +50,13 @@ mod tests {
     #[test]
     fn backscatter_is_the_cosine_times_reflection() {
         let towards = DVec3::new(0.5, 0.3, 0.8).normalize();
-        let polarisation = towards.any_orthonormal_vector();
-        let listener = Listener { towards, polarisation };
-        let arrival = Arrival { field: Phasor3::real(polarisation), direction: -towards };
-        let conductor = received(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
+        let polarisation = Phasor3::real(towards.any_orthonormal_vector());
+        let arrival = Arrival { field: polarisation, direction: -towards };
+        let conductor = received(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, towards, polarisation);
         assert!((conductor - towards.z).norm() < 1e-12);
         let permittivity = Complex64::new(7.98, -10.9);
         let skin = Wall::HalfSpace { permittivity };
-        let back = received(&arrival, towards, &skin, 1257.0, &listener);
+        let back = received(&arrival, towards, &skin, 1257.0, towards, polarisation);
         let index = permittivity.sqrt();
         assert!((back + (1.0 - index) / (1.0 + index)).norm() < 1e-12);
     }
@@ -92,9 +72,9 @@ mod tests {
             direction.cross(direction.any_orthonormal_vector()),
         );
         let arrival = Arrival { field, direction };
-        let listener = Listener { towards: DVec3::new(-0.2, 0.5, 0.7).normalize(), polarisation: DVec3::Y };
-        let metal = received(&arrival, DVec3::Z, &Wall::Conductor, 1257.0, &listener);
+        let (towards, polarisation) = (DVec3::new(-0.2, 0.5, 0.7).normalize(), Phasor3::real(DVec3::Y));
+        let of = |wall: Wall| received(&arrival, DVec3::Z, &wall, 1257.0, towards, polarisation);
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e12) };
-        assert!((received(&arrival, DVec3::Z, &almost, 1257.0, &listener) - metal).norm() < 1e-5);
+        assert!((of(almost) - of(Wall::Conductor)).norm() < 1e-5);
     }
 }

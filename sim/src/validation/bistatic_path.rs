@@ -6,7 +6,7 @@ use num_complex::Complex64;
 use super::endpoint::{Endpoint, Leg};
 use super::facet::Sample;
 use crate::em::Phasor3;
-use crate::em::current::{Arrival, Listener, received};
+use crate::em::current::{Arrival, received};
 use crate::em::image::Wall;
 
 /// Transmitter and receiver whose fields have unit strength in every direction.
@@ -81,8 +81,8 @@ impl BistaticPath {
         }
         let direction = -there.towards;
         let arrival = Arrival { field: arriving(direction), direction };
-        let listener = Listener { towards: back.towards, polarisation: transverse(self.rx_polarisation, back.towards) };
-        let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, &listener);
+        let polarisation = Phasor3::real(transverse(self.rx_polarisation, back.towards));
+        let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, back.towards, polarisation);
         Sample { length_m, gradient, amplitude: amplitude * (there.spreading * back.spreading), lit }
     }
 }
