@@ -129,8 +129,18 @@ pub fn dot(a: &Row3, b: &Row3) -> Row {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
+    use radome_dsp::KernelLevel;
+
     use super::*;
+
+    /// Asserts that a function gives the same with every instruction set of this processor.
+    pub(crate) fn assert_same_at_every_level<T: PartialEq>(of: impl Fn(KernelLevel) -> T) {
+        let portable = of(KernelLevel::Portable);
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            assert!(of(level) == portable, "{level}");
+        }
+    }
 
     #[test]
     fn logarithms_and_exponentials_are_those_of_the_library() {

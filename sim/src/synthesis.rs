@@ -88,7 +88,7 @@ pub struct Synthesiser {
     rate_taps: RateTaps,
     /// Compensation of the kernel's transform, for samples in order.
     correction: Vec<f32>,
-    /// Instruction set of [`Synthesiser::spread`], available on this processor.
+    /// Instruction set of [`Synthesiser::spread_tracks`], available on this processor.
     level: KernelLevel,
     inverse: Arc<dyn ComplexToReal<f32>>,
 }
@@ -325,19 +325,37 @@ mod tests {
     use crate::random::{Purpose, generator};
     use rand::Rng;
 
+    /// Returns the samples of a grid's tones.
+    pub(super) fn samples_of(synthesiser: &Synthesiser, grid: &Grid) -> Vec<f32> {
+        let mut samples = vec![0f32; synthesiser.samples];
+        synthesiser.transform(grid, &mut samples, &mut SynthesisScratch::default());
+        samples
+    }
+
+    /// Returns the samples of one chirp of a block.
+    pub(super) fn samples_of_chirp(synthesiser: &Synthesiser, grids: &Grids, chirp: usize) -> Vec<f32> {
+        let mut grid = synthesiser.grid();
+        grids.extract(chirp, &mut grid);
+        samples_of(synthesiser, &grid)
+    }
+
+    /// Returns the bits of all cells of blocks of chirps.
+    pub(super) fn bits<'a>(blocks: impl IntoIterator<Item = &'a Grids>) -> Vec<[[u32; CHIRPS]; 2]> {
+        let cells = blocks.into_iter().flat_map(|grids| &grids.cells);
+        cells.map(|cell| [cell.re.map(f32::to_bits), cell.im.map(f32::to_bits)]).collect()
+    }
+
     fn compare(samples: usize, tones: &[Tone]) -> f64 {
         let synthesiser = Synthesiser::new(samples);
         let mut grid = synthesiser.grid();
         for tone in tones {
             synthesiser.add(tone, &mut grid);
         }
-        let mut fast = vec![0f32; samples];
-        synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
-        error_db(&exact_chirp(tones, samples), &fast)
+        error_db(&exact_chirp(tones, samples), &samples_of(&synthesiser, &grid))
     }
 
     /// Error of samples relative to their rms, dB.
-    fn error_db(exact: &[f64], fast: &[f32]) -> f64 {
+    pub(super) fn error_db(exact: &[f64], fast: &[f32]) -> f64 {
         let error: f64 = exact.iter().zip(fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
         let power: f64 = exact.iter().map(|e| e * e).sum();
         10.0 * (error / power).log10()
@@ -374,8 +392,6 @@ mod tests {
         let mut grid = synthesiser.grid();
         tones.iter().for_each(|tone| synthesiser.add(tone, &mut grid));
         synthesiser.turn(factor, late_samples, &mut grid);
-        let mut fast = vec![0f32; samples];
-        synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
         let later: Vec<Tone> = tones
             .iter()
             .map(|tone| Tone {
@@ -384,7 +400,7 @@ mod tests {
                 ..*tone
             })
             .collect();
-        let error_db = error_db(&exact_chirp(&later, samples), &fast);
+        let error_db = error_db(&exact_chirp(&later, samples), &samples_of(&synthesiser, &grid));
         assert!(error_db < -50.0, "{error_db:.1} dB");
     }
 

@@ -339,9 +339,11 @@ mod tests {
     use num_complex::Complex64;
     use rand::Rng;
 
+    use super::super::tests::{bits, error_db, samples_of_chirp};
     use super::*;
+    use crate::lanes::tests::assert_same_at_every_level;
     use crate::random::{Purpose, generator};
-    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+    use crate::synthesis::{Tone, exact_chirp};
 
     const SAMPLES: usize = 256;
     /// Number of chirps, which is not a multiple of a block.
@@ -448,11 +450,9 @@ mod tests {
 
     fn samples(grids: &ChirpGrids, receiver: usize, chirp: usize) -> Vec<f32> {
         let synthesiser = Synthesiser::new(SAMPLES);
-        let (mut block, mut grid, mut samples) = (synthesiser.grids(), synthesiser.grid(), vec![0f32; SAMPLES]);
+        let mut block = synthesiser.grids();
         grids.add_block(receiver, chirp / CHIRPS, &mut block);
-        block.extract(chirp % CHIRPS, &mut grid);
-        synthesiser.transform(&grid, &mut samples, &mut SynthesisScratch::default());
-        samples
+        samples_of_chirp(&synthesiser, &block, chirp % CHIRPS)
     }
 
     /// Compares slow echoes, and fast ones added in runs, with separate tones for every point and path.
@@ -462,15 +462,13 @@ mod tests {
             let sources = sources(40, speed_m_per_s);
             let grids = grids_at(KernelLevel::detect(), &sources);
             for receiver in 0..2 {
-                let (mut error, mut power) = (0.0, 0.0);
+                let (mut exact, mut found) = (Vec::new(), Vec::new());
                 for chirp in 0..COUNT {
                     let tones: Vec<Tone> = sources.iter().flat_map(|source| tones(source, receiver, chirp)).collect();
-                    let exact = exact_chirp(&tones, SAMPLES);
-                    let found = samples(&grids, receiver, chirp);
-                    error += exact.iter().zip(&found).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
-                    power += exact.iter().map(|e| e * e).sum::<f64>();
+                    exact.extend(exact_chirp(&tones, SAMPLES));
+                    found.extend(samples(&grids, receiver, chirp));
                 }
-                let error_db = 10.0 * (error / power).log10();
+                let error_db = error_db(&exact, &found);
                 assert!(error_db < most_db, "up to {speed_m_per_s} m/s, receiver {receiver}: {error_db} dB");
             }
         }
@@ -490,13 +488,6 @@ mod tests {
     #[test]
     fn every_level_gives_the_same_bits() {
         let sources = sources(20, 60.0);
-        let bits = |grids: &ChirpGrids| -> Vec<[[u32; CHIRPS]; 2]> {
-            let cells = grids.blocks.iter().flatten().flat_map(|grids| &grids.cells);
-            cells.map(|cell| [cell.re.map(f32::to_bits), cell.im.map(f32::to_bits)]).collect()
-        };
-        let portable = bits(&grids_at(KernelLevel::Portable, &sources));
-        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-            assert!(bits(&grids_at(level, &sources)) == portable, "{level}");
-        }
+        assert_same_at_every_level(|level| bits(grids_at(level, &sources).blocks.iter().flatten()));
     }
 }

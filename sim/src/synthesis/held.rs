@@ -398,9 +398,11 @@ pub(super) mod tests {
     use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
     use rand::Rng;
 
+    use super::super::tests::{bits, error_db, samples_of, samples_of_chirp};
     use super::*;
+    use crate::lanes::tests::assert_same_at_every_level;
     use crate::random::{Purpose, generator};
-    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+    use crate::synthesis::{Tone, exact_chirp};
 
     pub(in crate::synthesis) const SAMPLES: usize = 256;
     /// Number of chirps of an interval.
@@ -487,24 +489,22 @@ pub(super) mod tests {
         assert!(held.len() == 60 && !held.is_empty());
         let synthesiser = Synthesiser::new(SAMPLES);
         for receiver in 0..RECEIVERS {
-            let (mut error, mut power, mut found) = (0.0, 0.0, 0.0);
+            let (mut exact, mut fast) = (Vec::new(), Vec::new());
             for block in 0..COUNT / CHIRPS {
                 // Some blocks are split, as at the end of an interval.
                 let grids = spread_at(synthesiser.level, &held, block, if block % 3 == 1 { 3 } else { CHIRPS });
                 for lane in 0..CHIRPS {
                     let chirp = CHIRPS * block + lane;
                     let tones: Vec<Tone> = echoes.iter().map(|echo| tone(echo, receiver, chirp)).collect();
-                    let exact = exact_chirp(&tones, SAMPLES);
-                    let (mut grid, mut fast) = (synthesiser.grid(), vec![0f32; SAMPLES]);
-                    grids[receiver].extract(lane, &mut grid);
-                    synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
-                    error += exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
-                    power += exact.iter().map(|e| e * e).sum::<f64>();
-                    found += fast.iter().map(|f| f64::from(*f).powi(2)).sum::<f64>();
+                    exact.extend(exact_chirp(&tones, SAMPLES));
+                    fast.extend(samples_of_chirp(&synthesiser, &grids[receiver], lane));
                 }
             }
-            let (error_db, power_db) = (10.0 * (error / power).log10(), 10.0 * (found / power).log10());
+            let error_db = error_db(&exact, &fast);
             assert!(error_db < -26.0, "receiver {receiver}: {error_db} dB");
+            let [power, found]: [f64; 2] =
+                [exact.iter().map(|e| e * e).sum(), fast.iter().map(|f| f64::from(*f).powi(2)).sum()];
+            let power_db = 10.0 * (found / power).log10();
             assert!(power_db.abs() < 0.02, "receiver {receiver}: {power_db} dB");
         }
     }
@@ -520,16 +520,12 @@ pub(super) mod tests {
                 for (tap, weight) in taps.iter().enumerate() {
                     grid.cells[7 + FIRST_TAP + tap] = Complex::new(*weight, 0.0);
                 }
-                let mut found = vec![0f32; samples];
-                synthesiser.transform(&grid, &mut found, &mut SynthesisScratch::default());
                 let tone = Tone {
                     phase_cycles: 0.0,
                     cycles_per_sample: position / synthesiser.cells as f64,
                     amplitude: Complex::new(1.0, 0.0),
                 };
-                let exact = exact_chirp(&[tone], samples);
-                let error: f64 = exact.iter().zip(&found).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
-                let error_db = 10.0 * (error / exact.iter().map(|e| e * e).sum::<f64>()).log10();
+                let error_db = error_db(&exact_chirp(&[tone], samples), &samples_of(&synthesiser, &grid));
                 assert!(error_db < -40.0, "{samples} samples, place {place}: {error_db} dB");
             }
         }
@@ -538,14 +534,7 @@ pub(super) mod tests {
     #[test]
     fn every_level_gives_the_same_bits() {
         let held = held(&echoes(21));
-        let bits = |grids: &[Grids]| -> Vec<[[u32; CHIRPS]; 2]> {
-            let cells = grids.iter().flat_map(|grids| &grids.cells);
-            cells.map(|cell| [cell.re.map(f32::to_bits), cell.im.map(f32::to_bits)]).collect()
-        };
-        let portable = bits(&spread_at(KernelLevel::Portable, &held, 2, 5));
-        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-            assert!(bits(&spread_at(level, &held, 2, 5)) == portable, "{level}");
-        }
+        assert_same_at_every_level(|level| bits(&spread_at(level, &held, 2, 5)));
     }
 
     /// Echoes by delay are the same paths, times `j` and their delays.

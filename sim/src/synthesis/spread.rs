@@ -112,7 +112,7 @@ impl Places {
     }
 }
 
-/// Inputs of [`paths_body`] and [`tracks_body`] other than paths and grids.
+/// Inputs of [`tracks_body`] other than paths and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; LANES]; DEGREE],
     cells: f64,
@@ -126,13 +126,6 @@ impl Synthesiser {
         Grids { cells: vec![Cell::default(); self.cells + LANES] }
     }
 
-    /// Adds paths to the grids of chirps, which are at `places` (0..1) of the interval between two key times.
-    pub fn spread(&self, chirp: &Chirp, paths: &[PathSegment], places: &[f64; CHIRPS], grids: &mut Grids) {
-        let places = Places { at: *places, within: [1.0; CHIRPS], lanes: 0..CHIRPS };
-        let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places: &places };
-        spread_paths(self.level, &kernel, paths, &mut grids.cells);
-    }
-
     /// Adds paths to the grids of all receivers, in the chirps that lie in the paths' interval.
     pub fn spread_tracks(&self, chirp: &Chirp, tracks: &[Track], places: &Places, grids: &mut [Grids]) {
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places };
@@ -141,19 +134,7 @@ impl Synthesiser {
 }
 
 compiled_for_levels! {
-    fn spread_paths(kernel: &Kernel, paths: &[PathSegment], cells: &mut [Cell]) = paths_body;
-}
-
-compiled_for_levels! {
     fn spread_tracks(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) = tracks_body;
-}
-
-#[inline(always)]
-fn paths_body(kernel: &Kernel, paths: &[PathSegment], cells: &mut [Cell]) {
-    for path in paths {
-        let tones = tones(kernel, path);
-        lay_weighted(&weights(kernel.taps, &tones.u), cells, &tones.re, &tones.im, &tones.first);
-    }
 }
 
 #[inline(always)]

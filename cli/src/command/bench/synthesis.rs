@@ -6,7 +6,8 @@ use radome_dsp::{Waveform, WaveformRequest};
 use radome_sim::chirp::Chirp;
 use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
 use radome_sim::random::{Purpose, generator};
-use radome_sim::synthesis::{CHIRPS, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use radome_sim::tracks::Track;
 use rand::Rng;
 use rustfft::num_complex::Complex64;
 use serde::Serialize;
@@ -95,7 +96,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
     let mut rows = Vec::new();
     for &count in counts {
         let paths = walkers(count);
-        let (mut grids, mut grid) = (synthesiser.grids(), synthesiser.grid());
+        let (mut grids, mut grid) = ([synthesiser.grids()], synthesiser.grid());
         let mut scratch = SynthesisScratch::default();
         let mut fast = vec![0f32; FRAME_CHIRPS * samples];
         let (mut all_us, mut spread_us) = (f64::INFINITY, f64::INFINITY);
@@ -105,12 +106,12 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             let mut spreading = 0.0;
             for (block, out) in fast.chunks_mut(CHIRPS * samples).enumerate() {
                 let begin = Instant::now();
-                grids.clear();
-                let places = std::array::from_fn(|i| place(block * CHIRPS + i));
-                synthesiser.spread(&chirp, &paths, &places, &mut grids);
+                grids[0].clear();
+                let places = Places::new(0..CHIRPS, |lane| place(block * CHIRPS + lane));
+                synthesiser.spread_tracks(&chirp, &paths, &places, &mut grids);
                 spreading += begin.elapsed().as_secs_f64() * 1e6;
                 for (lane, out) in out.chunks_mut(samples).enumerate() {
-                    grids.extract(lane, &mut grid);
+                    grids[0].extract(lane, &mut grid);
                     synthesiser.transform(&grid, out, &mut scratch);
                 }
             }
@@ -120,7 +121,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
         // A subset of the chirps is compared.
         let (mut apart, mut power, mut exact_us, mut told) = (0.0, 0.0, 0.0, 0.0);
         for i in (0..FRAME_CHIRPS).step_by(16) {
-            let tones: Vec<Tone> = paths.iter().map(|path| tone(path, &chirp, place(i))).collect();
+            let tones: Vec<Tone> = paths.iter().map(|path| tone(&path.first, &chirp, place(i))).collect();
             let started = Instant::now();
             let exact = exact_chirp(&tones, samples);
             exact_us += started.elapsed().as_secs_f64() * 1e6;
@@ -150,9 +151,9 @@ fn tone(path: &PathSegment, chirp: &Chirp, place: f64) -> Tone {
     }
 }
 
-/// Paths of walkers: ranges from half a metre to fifteen, radial speeds up to three metres per second either way, over
-/// 64 ms.
-fn walkers(count: usize) -> Vec<PathSegment> {
+/// Paths of walkers to one receiver: ranges from half a metre to fifteen, radial speeds up to three metres per second
+/// either way, over 64 ms.
+fn walkers(count: usize) -> Vec<Track> {
     const INTERVAL_S: f64 = 0.064;
     let mut rng = generator(1, Purpose::Noise, [0, 0]);
     let mut paths = Vec::with_capacity(count);
@@ -164,7 +165,7 @@ fn walkers(count: usize) -> Vec<PathSegment> {
             (PathSample { delay_s, delay_rate, amplitude }, PathDerivatives::default())
         };
         let (first, last) = (key(delay_s), key(delay_s + delay_rate * INTERVAL_S));
-        paths.push(PathSegment::between(&first, &last, INTERVAL_S));
+        paths.push(Track { first: PathSegment::between(&first, &last, INTERVAL_S), others: Default::default() });
     }
     paths
 }

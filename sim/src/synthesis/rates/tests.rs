@@ -2,9 +2,10 @@ use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
 use super::super::held::tests::{CHIRP, INTERVAL_S, SAMPLES, echoes, held, place, tone};
-use super::super::spread::Cell;
-use super::super::{HeldEcho, Places, SynthesisScratch, Tone, exact_chirp};
+use super::super::tests::{bits, error_db, samples_of_chirp};
+use super::super::{HeldEcho, Places, Tone, exact_chirp};
 use super::*;
+use crate::lanes::tests::assert_same_at_every_level;
 
 /// Returns every receiver's blocks of a run from a chirp on, and the rejected echoes.
 fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) -> (Vec<Vec<Grids>>, HeldEchoes) {
@@ -16,22 +17,18 @@ fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) ->
     (blocks, rates.left().clone())
 }
 
-/// Returns the error power of a run's chirps, and the power of the sum of tones, over all receivers.
-fn error(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize) -> [f64; 2] {
+/// Returns the error of a run's chirps relative to the sum of tones, over all receivers, dB.
+fn error_of_run_db(echoes: &[HeldEcho], blocks: &[Vec<Grids>], begin: usize, chirps: usize) -> f64 {
     let synthesiser = Synthesiser::new(SAMPLES);
-    let (mut error, mut power) = (0.0, 0.0);
+    let (mut exact, mut fast) = (Vec::new(), Vec::new());
     for (receiver, blocks) in blocks.iter().enumerate() {
         for n in 0..chirps {
             let tones: Vec<Tone> = echoes.iter().map(|echo| tone(echo, receiver, begin + n)).collect();
-            let exact = exact_chirp(&tones, SAMPLES);
-            let (mut grid, mut fast) = (synthesiser.grid(), vec![0f32; SAMPLES]);
-            blocks[n / CHIRPS].extract(n % CHIRPS, &mut grid);
-            synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
-            error += exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
-            power += exact.iter().map(|e| e * e).sum::<f64>();
+            exact.extend(exact_chirp(&tones, SAMPLES));
+            fast.extend(samples_of_chirp(&synthesiser, &blocks[n / CHIRPS], n % CHIRPS));
         }
     }
-    [error, power]
+    error_db(&exact, &fast)
 }
 
 /// Returns an echo at 3 m with this path rate, m/s, and path acceleration, m/s^2.
@@ -63,8 +60,7 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
                 blocks[block] = grids;
             }
         }
-        let [error, power] = error(&echoes, &blocks, begin, chirps);
-        let error_db = 10.0 * (error / power).log10();
+        let error_db = error_of_run_db(&echoes, &blocks, begin, chirps);
         assert!(error_db < -26.0, "{chirps} chirps from {begin}: {error_db} dB");
     }
     assert!(laid > 3 * echoes.len(), "{laid} of {}", 5 * echoes.len());
@@ -76,8 +72,7 @@ fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     let level = KernelLevel::detect();
     let error_db = |echo: HeldEcho| {
         let (blocks, left) = spread(level, &held(&[echo]), 0, RUN);
-        let [error, power] = error(&[echo], &blocks, 0, RUN);
-        left.is_empty().then(|| 10.0 * (error / power).log10())
+        left.is_empty().then(|| error_of_run_db(&[echo], &blocks, 0, RUN))
     };
     for rate in [0.0, 0.01, -0.02] {
         assert!(
@@ -116,13 +111,5 @@ fn other_changes_are_left_out_too() {
 #[test]
 fn every_level_gives_the_same_bits() {
     let held = held(&echoes(21));
-    let bits = |level| -> Vec<[[u32; CHIRPS]; 2]> {
-        let (blocks, _) = spread(level, &held, 16, RUN);
-        let cells = blocks.iter().flatten().flat_map(|grids| &grids.cells);
-        cells.map(|Cell { re, im }| [re.map(f32::to_bits), im.map(f32::to_bits)]).collect()
-    };
-    let portable = bits(KernelLevel::Portable);
-    for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-        assert!(bits(level) == portable, "{level}");
-    }
+    assert_same_at_every_level(|level| bits(spread(level, &held, 16, RUN).0.iter().flatten()));
 }
