@@ -9,7 +9,7 @@ mod patch;
 mod patch_field;
 mod patch_pose;
 mod patch_solver;
-pub mod patch_sum;
+mod patch_sum;
 mod path_rows;
 pub mod self_occlusion;
 mod side_by_side;

@@ -24,7 +24,7 @@ pub type WideRow3 = [WideRow; 3];
 /// Defines a function whose body is another function, an `#[inline(always)]` one. It is compiled for the instruction
 /// level that its first argument names, which the processor must have. A [`radome_dsp::KernelLevel`] may name any level,
 /// and calls are too many to check each: so functions of this macro are never public, and this crate takes levels from
-/// `KernelLevel::detect` or checks them by `is_available` where it stores them.
+/// `KernelLevel::detect`.
 macro_rules! compiled_for_levels {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? = $body:path;) => {
         $(#[$doc])*
@@ -44,7 +44,7 @@ macro_rules! compiled_for_levels {
             }
             match level {
                 radome_dsp::KernelLevel::Portable => $body($($arg),*),
-                // SAFETY: the level was detected or checked where it was stored; no other crate can call this function.
+                // SAFETY: the level was detected; no other crate can call this function.
                 #[cfg(target_arch = "x86_64")]
                 radome_dsp::KernelLevel::Avx2 => unsafe { avx2($($arg),*) },
                 // SAFETY: as above.

@@ -141,9 +141,8 @@ pub struct PatchSums {
 }
 
 impl PatchSums {
-    /// Creates empty sums for an instruction set. The portable one is used if the processor lacks it.
+    /// Creates empty sums for an instruction set that the processor has.
     pub fn new(level: KernelLevel) -> Self {
-        let level = if level.is_available() { level } else { KernelLevel::Portable };
         PatchSums { level, sums: Vec::new() }
     }
 

@@ -4,7 +4,7 @@
 //! normal and bisector keeps specular points with several Fresnel zones around them. The rest cancels and is dropped.
 //! Inside the window each triangle is integrated ([`crate::em::curved_triangle`]) at the key times. Between them it is
 //! a point of the body with an exact delay and a slowly varying strength. Triangles of one small patch are summed chirp
-//! by chirp ([`super::patch_sum`]) into one tone. No specular point is tracked between key times: their appearance,
+//! by chirp (`patch_sum.rs`) into one tone. No specular point is tracked between key times: their appearance,
 //! merging and disappearance are part of the sum.
 //!
 //! A patch has as many triangles as there are lanes. It is processed for every path and every key time before the next,

@@ -385,6 +385,7 @@ mod tests {
     use super::*;
     use crate::em::quadrature::rule_for;
     use crate::em::triangle;
+    use crate::lanes::tests::assert_same_at_every_level;
     use crate::random::{Purpose, generator};
 
     const WAVELENGTH_M: f64 = 0.005;
@@ -516,10 +517,7 @@ mod tests {
     #[test]
     fn every_level_of_instructions_computes_the_same() {
         for (triangle, antennas) in triangles() {
-            let portable = of(&triangle, antennas, KernelLevel::Portable);
-            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-                assert_eq!(of(&triangle, antennas, level), portable, "{level}");
-            }
+            assert_same_at_every_level(|level| of(&triangle, antennas, level));
         }
     }
 

@@ -273,6 +273,7 @@ mod tests {
     use rand::Rng;
 
     use super::*;
+    use crate::lanes::tests::assert_same_at_every_level;
     use crate::people::body::Build;
     use crate::random::{Purpose, generator};
 
@@ -353,7 +354,7 @@ mod tests {
         let mut rng = generator(22, Purpose::Build, [0, 0]);
         for _ in 0..50 {
             let (e, sources) = draw(&mut rng);
-            let at = |level: KernelLevel| {
+            assert_same_at_every_level(|level| {
                 let mut rows = SpecularRows::default();
                 specular_points(level, &e, &sources, &mut rows);
                 let all = [&rows.point, &rows.unit, &rows.normal, &rows.towards[0], &rows.towards[1]];
@@ -367,11 +368,7 @@ mod tests {
                     row.iter_mut().zip(&sound).filter(|(_, sound)| !**sound).for_each(|(bits, _)| *bits = 0);
                 });
                 all
-            };
-            let portable = at(KernelLevel::Portable);
-            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-                assert!(at(level) == portable, "{level}");
-            }
+            });
         }
     }
 }
