@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use super::corners::Corners;
 use super::environment::Environment;
 use super::flat::{FacetId, Flat};
+use super::groups::groups;
 use crate::geometry::shape::icosahedron;
 
 /// Largest number of reflections of a path.
@@ -211,32 +212,12 @@ fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Ite
             Image { order: sequence.len(), position, mirror, shift: zero, sequences: vec![sequence] }
         })
         .collect();
-    // The sort is stable: of equal places the earlier sequence stays the first.
-    let mut order: Vec<usize> = (0..all.len()).collect();
     // In axis-aligned rooms thousands of images share a coordinate; along this direction only coincident images do.
-    let place = |all: &[Image], i: usize| all.get(i).map_or(0.0, |image| image.position.dot(ASKEW));
-    order.sort_by(|&i, &j| place(&all, i).total_cmp(&place(&all, j)).then(i.cmp(&j)));
-    let mut recent: Vec<usize> = Vec::new();
-    let mut goes_to: Vec<usize> = (0..all.len()).collect();
-    for i in order {
-        let x = place(&all, i);
-        recent.retain(|&j| x - place(&all, j) <= 3.0 * MERGE_M);
-        match recent.iter().find(|&&j| all.get(i).zip(all.get(j)).is_some_and(|(a, b)| is_same(a, b))) {
-            Some(&j) => {
-                if let Some(slot) = goes_to.get_mut(i) {
-                    *slot = j;
-                }
-            }
-            None => recent.push(i),
-        }
-    }
-    for i in 0..all.len() {
-        let to = goes_to.get(i).copied().unwrap_or(i);
-        if to != i {
-            let moved = all.get_mut(i).map(|image| std::mem::take(&mut image.sequences)).unwrap_or_default();
-            if let Some(image) = all.get_mut(to) {
-                image.sequences.extend(moved);
-            }
+    let places: Vec<f64> = all.iter().map(|image| image.position.dot(ASKEW)).collect();
+    for group in groups(&places, 3.0 * MERGE_M, |i, j| is_same(&all[i], &all[j])) {
+        for &other in &group[1..] {
+            let moved = std::mem::take(&mut all[other].sequences);
+            all[group[0]].sequences.extend(moved);
         }
     }
     all.retain(|image| !image.sequences.is_empty());

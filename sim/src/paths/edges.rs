@@ -4,6 +4,7 @@
 use glam::DVec3;
 
 use super::flat::{FacetId, Flat};
+use super::groups::groups;
 use crate::geometry::polygon;
 
 /// Largest distance of a point from a plane in which it lies, m.
@@ -148,35 +149,12 @@ fn sides(flats: &[Flat]) -> Vec<Side> {
 
 /// Groups sides that coincide.
 fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
-    let middle = |i: usize| sides.get(i).map_or(0.0, |side| 0.5 * (side.ends[0].x + side.ends[1].x));
-    let mut order: Vec<usize> = (0..sides.len()).collect();
-    order.sort_by(|&i, &j| middle(i).total_cmp(&middle(j)).then(i.cmp(&j)));
-    let is_same = |i: usize, j: usize| match (sides.get(i), sides.get(j)) {
-        (Some(a), Some(b)) => {
-            let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;
-            meet(a.ends[0], b.ends[0]) && meet(a.ends[1], b.ends[1])
-                || meet(a.ends[0], b.ends[1]) && meet(a.ends[1], b.ends[0])
-        }
-        _ => false,
-    };
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    let mut recent: Vec<(f64, usize)> = Vec::new();
-    for i in order {
-        let x = middle(i);
-        recent.retain(|(other, _)| x - other <= SAME_END_M);
-        let found = recent
-            .iter()
-            .map(|(_, group)| *group)
-            .find(|&group| groups.get(group).and_then(|g| g.first()).is_some_and(|&j| is_same(i, j)));
-        match found.and_then(|group| groups.get_mut(group)) {
-            Some(group) => group.push(i),
-            None => {
-                recent.push((x, groups.len()));
-                groups.push(vec![i]);
-            }
-        }
-    }
-    groups
+    let middles: Vec<f64> = sides.iter().map(|side| 0.5 * (side.ends[0].x + side.ends[1].x)).collect();
+    let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;
+    groups(&middles, SAME_END_M, |i, j| {
+        let ([a, b], [c, d]) = (sides[i].ends, sides[j].ends);
+        meet(a, c) && meet(b, d) || meet(a, d) && meet(b, c)
+    })
 }
 
 /// Kind of junction of two facets at an edge.

@@ -6,6 +6,7 @@ use super::edge_index::EdgeIndex;
 use super::edges::{SoftEdge, soft_edges};
 pub use super::flat::{EnvironmentError, Facet, FacetId};
 use super::flat::{Flat, PLANAR_M, WallTables};
+use super::groups::groups;
 use crate::geometry::Mesh;
 use crate::rays::{Ray, World};
 
@@ -281,42 +282,19 @@ impl Environment {
 
 /// Numbers the planes of facets, and returns the facets of each.
 fn number_planes(flats: &mut [Flat]) -> Vec<Vec<FacetId>> {
-    let mut order: Vec<usize> = (0..flats.len()).collect();
-    let key = |i: usize| flats.get(i).map_or(0.0, |flat| flat.offset_m.abs());
-    order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
-    let mut planes: Vec<Vec<FacetId>> = Vec::new();
-    let mut numbers = vec![0u32; flats.len()];
-    // Planes at about the same distance from the origin: distance, number, a facet in it.
-    let mut recent: Vec<(f64, u32, usize)> = Vec::new();
-    for i in order {
-        let distance = key(i);
-        recent.retain(|(d, ..)| distance - d <= COPLANAR_M);
-        let same = |j: usize| match (flats.get(i), flats.get(j)) {
-            (Some(a), Some(b)) => {
-                let side = a.normal.dot(b.normal).signum();
-                let is_parallel = a.normal.cross(b.normal).length_squared() < PARALLEL * PARALLEL;
-                is_parallel && (a.offset_m - side * b.offset_m).abs() <= COPLANAR_M
-            }
-            _ => false,
-        };
-        let number = match recent.iter().find(|(.., j)| same(*j)) {
-            Some((_, number, _)) => *number,
-            None => {
-                recent.push((distance, planes.len() as u32, i));
-                planes.push(Vec::new());
-                planes.len() as u32 - 1
-            }
-        };
-        if let (Some(members), Some(slot)) = (planes.get_mut(number as usize), numbers.get_mut(i)) {
-            members.push(i as FacetId);
-            *slot = number;
-        }
+    let distances_m: Vec<f64> = flats.iter().map(|flat| flat.offset_m.abs()).collect();
+    let is_same = |i: usize, j: usize| {
+        let (a, b) = (&flats[i], &flats[j]);
+        let side = a.normal.dot(b.normal).signum();
+        let is_parallel = a.normal.cross(b.normal).length_squared() < PARALLEL * PARALLEL;
+        is_parallel && (a.offset_m - side * b.offset_m).abs() <= COPLANAR_M
+    };
+    let mut planes = groups(&distances_m, COPLANAR_M, is_same);
+    for (number, members) in (0..).zip(&mut planes) {
+        members.sort_unstable();
+        members.iter().for_each(|&facet| flats[facet].plane = number);
     }
-    planes.iter_mut().for_each(|members| members.sort_unstable());
-    for (flat, number) in flats.iter_mut().zip(numbers) {
-        flat.plane = number;
-    }
-    planes
+    planes.into_iter().map(|members| members.into_iter().map(|facet| facet as FacetId).collect()).collect()
 }
 
 #[cfg(test)]

@@ -20,6 +20,7 @@ pub mod environment;
 pub mod exhaustive;
 mod facets;
 mod flat;
+mod groups;
 mod illuminate;
 mod leg;
 mod reach;
