@@ -16,7 +16,7 @@ use num_complex::Complex64;
 use super::fresnel::Reflection;
 use super::pattern::Pattern;
 pub use super::wall::Wall;
-use super::wall::WallTable;
+use super::wall::{WallTable, WallTables};
 use super::{Phasor3, incidence_frame};
 use crate::math::smooth_step;
 
@@ -182,14 +182,8 @@ impl BoxRoom {
     /// Builds a room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates their
     /// coefficients at the wave number.
     pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
-        let mut all: Vec<Arc<WallTable>> = Vec::with_capacity(walls.len());
-        for (i, wall) in walls.iter().enumerate() {
-            let equal = walls.iter().take(i).position(|other| other == wall);
-            let shared = equal.and_then(|equal| all.get(equal)).map(Arc::clone);
-            all.push(shared.unwrap_or_else(|| Arc::new(WallTable::new(*wall, wavenumber_per_m, transmission))));
-        }
-        let tables = std::array::from_fn(|wall| Arc::clone(&all[wall]));
-        BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables }
+        let mut tables = WallTables::new(wavenumber_per_m, transmission);
+        BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables: walls.map(|wall| tables.of(wall)) }
     }
 
     /// Returns the position of an image.

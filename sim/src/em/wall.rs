@@ -7,6 +7,7 @@
 //! incidence, thick walls without loss) are not tabulated and use the slab.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -278,6 +279,30 @@ impl WallTable {
         let cell = |cosine: f64| ((cosine.max(0.0) * CELLS as f64) as usize).min(CELLS - 1);
         let cells = curve.cells.get(cell(low)..=cell(high)).unwrap_or_default();
         cells.iter().fold([0.0; 2], |[te, tm], cell| [te.max(cell.most[0]), tm.max(cell.most[1])])
+    }
+}
+
+/// Tables of walls at one wave number; equal walls share a table.
+pub(crate) struct WallTables {
+    pub(crate) wavenumber_per_m: f64,
+    transmission: bool,
+    known: Vec<Arc<WallTable>>,
+}
+
+impl WallTables {
+    /// Creates an empty set of tables, with transmissions if `transmission` is set.
+    pub(crate) fn new(wavenumber_per_m: f64, transmission: bool) -> Self {
+        WallTables { wavenumber_per_m, transmission, known: Vec::new() }
+    }
+
+    /// Returns the table of a wall.
+    pub(crate) fn of(&mut self, wall: Wall) -> Arc<WallTable> {
+        if let Some(table) = self.known.iter().find(|table| table.wall == wall) {
+            return Arc::clone(table);
+        }
+        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, self.transmission));
+        self.known.push(Arc::clone(&table));
+        table
     }
 }
 

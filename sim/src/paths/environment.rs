@@ -5,8 +5,9 @@ use glam::DVec3;
 use super::edge_index::EdgeIndex;
 use super::edges::{SoftEdge, soft_edges};
 pub use super::flat::{EnvironmentError, Facet, FacetId};
-use super::flat::{Flat, PLANAR_M, WallTables};
+use super::flat::{Flat, PLANAR_M};
 use super::groups::groups;
+use crate::em::wall::WallTables;
 use crate::geometry::Mesh;
 use crate::rays::{Ray, World};
 
@@ -64,7 +65,7 @@ impl Environment {
         obstacles: &[[DVec3; 3]],
         wavenumber_per_m: f64,
     ) -> Result<Self, EnvironmentError> {
-        let mut tables = WallTables::new(wavenumber_per_m);
+        let mut tables = WallTables::new(wavenumber_per_m, false);
         let flats: Result<Vec<Flat>, _> =
             facets.into_iter().enumerate().map(|(i, f)| Flat::new(i, f, &mut tables)).collect();
         let mut flats = flats?;

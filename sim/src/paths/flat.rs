@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::triangulate::triangulate;
 use crate::em::image::{BoxRoom, Wall};
-use crate::em::wall::WallTable;
+use crate::em::wall::{WallTable, WallTables};
 use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
 use crate::rays::WorldError;
 
@@ -205,27 +205,5 @@ impl Flat {
     /// cross.
     pub fn triangles(&self) -> Option<Vec<[u32; 3]>> {
         triangulate(&self.outline, &self.holes)
-    }
-}
-
-/// Tables of walls; equal walls share a table.
-pub(super) struct WallTables {
-    wavenumber_per_m: f64,
-    known: Vec<(Wall, Arc<WallTable>)>,
-}
-
-impl WallTables {
-    /// Creates an empty set of tables for a wavenumber.
-    pub fn new(wavenumber_per_m: f64) -> Self {
-        WallTables { wavenumber_per_m, known: Vec::new() }
-    }
-
-    fn of(&mut self, wall: Wall) -> Arc<WallTable> {
-        if let Some((_, table)) = self.known.iter().find(|(known, _)| *known == wall) {
-            return Arc::clone(table);
-        }
-        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, false));
-        self.known.push((wall, Arc::clone(&table)));
-        table
     }
 }
