@@ -83,10 +83,6 @@ fn check(what: &'static str, value: f64, unit: &'static str, low: f64, high: f64
     if value >= low && value <= high { Ok(()) } else { Err(RcsError::OutOfRange { what, value, unit, low, high }) }
 }
 
-fn check_length(what: &'static str, value: f64) -> Result<(), RcsError> {
-    check(what, value, "m", 1e-4, 100.0)
-}
-
 impl Problem {
     /// Prepares a target. Without an edge length, meshes are as coarse as the shape allows, and facets follow the shape
     /// by their normals.
@@ -360,47 +356,21 @@ fn cavity_bounces(setup: &Setup, across_m: [f64; 2], depth_m: f64) -> Result<usi
 
 /// Checks a target's sizes and returns its extent towards a radar.
 fn check_sizes(target: &Target) -> Result<f64, RcsError> {
-    match *target {
-        Target::Plate { width_m, height_m } => {
-            check_length("the width", width_m)?;
-            check_length("the height", height_m)?;
-            Ok(0.0)
-        }
+    let (lengths_m, reach_m) = match *target {
+        Target::Plate { width_m, height_m } => (vec![("the width", width_m), ("the height", height_m)], 0.0),
         Target::Dihedral { width_m, height_m } => {
-            check_length("the width", width_m)?;
-            check_length("the height", height_m)?;
-            Ok(width_m.hypot(0.5 * height_m))
+            (vec![("the width", width_m), ("the height", height_m)], width_m.hypot(0.5 * height_m))
         }
-        Target::Trihedral { edge_m, .. } => {
-            check_length("the edge", edge_m)?;
-            Ok(edge_m)
-        }
+        Target::Trihedral { edge_m, .. } => (vec![("the edge", edge_m)], edge_m),
         Target::Cavity { width_m, height_m, depth_m } => {
-            check_length("the width", width_m)?;
-            check_length("the height", height_m)?;
-            check_length("the depth", depth_m)?;
-            Ok(0.0)
+            (vec![("the width", width_m), ("the height", height_m), ("the depth", depth_m)], 0.0)
         }
-        Target::Sphere { radius_m } => {
-            check_length("the radius", radius_m)?;
-            Ok(0.0)
-        }
-        Target::Cylinder { radius_m, height_m } => {
-            check_length("the radius", radius_m)?;
-            check_length("the height", height_m)?;
-            Ok(0.0)
-        }
-        Target::Ellipsoid { semi_axes_m } => {
-            for axis in semi_axes_m.to_array() {
-                check_length("a semi-axis", axis)?;
-            }
-            Ok(0.0)
-        }
+        Target::Sphere { radius_m } => (vec![("the radius", radius_m)], 0.0),
+        Target::Cylinder { radius_m, height_m } => (vec![("the radius", radius_m), ("the height", height_m)], 0.0),
+        Target::Ellipsoid { semi_axes_m } => (semi_axes_m.to_array().map(|axis| ("a semi-axis", axis)).to_vec(), 0.0),
         Target::Mirror { radius_m, aperture_m } => {
-            check_length("the radius", radius_m)?;
-            check_length("the aperture", aperture_m)?;
-            check("the aperture", aperture_m, "m", 1e-4, 2.0 * radius_m)?;
-            Ok(radius_m - (radius_m * radius_m - 0.25 * aperture_m * aperture_m).max(0.0).sqrt())
+            let depth_m = radius_m - (radius_m * radius_m - 0.25 * aperture_m * aperture_m).max(0.0).sqrt();
+            (vec![("the radius", radius_m), ("the aperture", aperture_m)], depth_m)
         }
         Target::Surface { ref surface } => {
             let largest = (0..surface.triangles.len())
@@ -411,9 +381,16 @@ fn check_sizes(target: &Target) -> Result<f64, RcsError> {
                 return Err(RcsError::Empty);
             }
             let middle = target.reference_point(DVec3::X);
-            Ok(surface.vertices.iter().map(|v| v.distance(middle)).fold(0.0, f64::max))
+            (Vec::new(), surface.vertices.iter().map(|v| v.distance(middle)).fold(0.0, f64::max))
         }
+    };
+    for (what, length_m) in lengths_m {
+        check(what, length_m, "m", 1e-4, 100.0)?;
     }
+    if let Target::Mirror { radius_m, aperture_m } = *target {
+        check("the aperture", aperture_m, "m", 1e-4, 2.0 * radius_m)?;
+    }
+    Ok(reach_m)
 }
 
 fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
