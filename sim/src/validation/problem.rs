@@ -169,10 +169,6 @@ impl Problem {
         facet::integrate(surface, accuracy, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
     }
 
-    fn outcome(&self, integral: &Integral, estimate_db: Option<f64>) -> Outcome {
-        Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets }
-    }
-
     /// Takes finer integrals until the result changes by no more than the tolerance, or until there is no finer one. The
     /// last change is the error estimate.
     fn converged(
@@ -193,8 +189,8 @@ impl Problem {
                 break;
             }
         }
-        let estimate = Some(estimate_db).filter(|e| e.is_finite());
-        Outcome { facets, ..self.outcome(&coarse, estimate) }
+        let estimate_db = Some(estimate_db).filter(|e| e.is_finite());
+        Outcome { sigma_m2: self.setup.cross_section_m2(coarse.value), estimate_db, facets }
     }
 
     /// Integrates over facets with a phase tolerance, then repeatedly with a quarter of their phase deviation.
@@ -278,14 +274,13 @@ impl Problem {
     fn specular_point(&self, body: &Ellipsoid) -> Outcome {
         let (setup, radar) = self.near(body.semi_axes_m.max_element());
         let Some(h) = body.specular_point(radar, radar, None) else {
-            return self.outcome(&Integral::default(), None);
+            return Outcome { sigma_m2: 0.0, estimate_db: None, facets: 0 };
         };
         let k = setup.wavenumber_per_m();
         let path = BistaticPath::monostatic(Endpoint::Near(radar), self.path.tx_polarisation);
         let sample = path.sample(h.point, h.normal, false, &setup.boundary, k);
         let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
-        let integral = Integral { value, facets: 1, bend_rad: 0.0 };
-        Outcome { sigma_m2: setup.cross_section_m2(integral.value), ..self.outcome(&integral, None) }
+        Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db: None, facets: 1 }
     }
 }
 
