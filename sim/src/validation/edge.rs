@@ -78,10 +78,6 @@ mod tests {
     use super::*;
     use crate::paths::edge_field::side_between;
 
-    fn db(v: Complex64) -> f64 {
-        20.0 * v.norm().log10()
-    }
-
     /// C(1), S(1) and the limit (Abramowitz and Stegun, table 7.7), and the agreement of both forms where they meet.
     #[test]
     fn fresnel_integrals_have_their_tabulated_values() {
@@ -91,18 +87,6 @@ mod tests {
         assert!((fresnel_series(1.5) - fresnel_fraction(1.5)).norm() < 1e-13);
         assert_eq!(fresnel_integral(-0.3), -fresnel_integral(0.3));
         assert_eq!(fresnel_integral(0.0), Complex64::ZERO);
-    }
-
-    /// The field meets the screen's boundary condition, is free far in the lit region, and is half of the free field on
-    /// the boundary.
-    #[test]
-    fn the_half_plane_is_dark_on_a_screen_and_half_at_the_boundary() {
-        let (k_rho, incidence) = (900.0, 1.1);
-        assert!(half_plane(k_rho, 0.0, incidence, true).norm() < 1e-12);
-        let lit = half_plane(k_rho, PI + incidence - 0.8, incidence, true);
-        assert!(db(lit).abs() < 0.3);
-        let edge = db(half_plane(k_rho, PI + incidence, incidence, false));
-        assert!((edge + 6.02).abs() < 0.2, "{edge}");
     }
 
     /// The field is exact. It satisfies the wave equation (by differences of fourth order). On a screen's faces it
@@ -139,7 +123,7 @@ mod tests {
     /// The diffraction in scenes is the mean of both polarisations, from the lit region to deep shadow.
     #[test]
     fn scenes_diffract_as_the_half_plane_does() {
-        assert!((db(knife_edge(0.0)) + 6.0206).abs() < 1e-3);
+        assert!((knife_edge(0.0) - 0.5).norm() < 1e-4);
         let wavelength_m = 299_792_458.0 / 60e9;
         for (behind_m, incidence) in [(0.1, FRAC_PI_2), (0.5, 1.2), (2.0, 0.9), (5.0, 2.2)] {
             let k_rho = 2.0 * PI * behind_m / wavelength_m;
