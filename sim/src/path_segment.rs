@@ -30,23 +30,6 @@ pub struct PathDerivatives {
     pub amplitude: [Complex64; 2],
 }
 
-impl PathDerivatives {
-    /// Estimates the derivatives by differences to the same path `apart_s` before and after the sample.
-    pub fn between(before: &PathSample, now: &PathSample, after: &PathSample, apart_s: f64) -> Self {
-        let square = apart_s * apart_s;
-        PathDerivatives {
-            delay: [
-                (after.delay_rate - before.delay_rate) / (2.0 * apart_s),
-                (after.delay_rate - 2.0 * now.delay_rate + before.delay_rate) / square,
-            ],
-            amplitude: [
-                (after.amplitude - before.amplitude) / (2.0 * apart_s),
-                (after.amplitude - 2.0 * now.amplitude + before.amplitude) / square,
-            ],
-        }
-    }
-}
-
 /// Path within one segment between samples, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PathSegment {
@@ -369,19 +352,5 @@ mod tests {
         let smooth = [0.0f64, 0.1, 0.2, 0.3, 0.4].map(|t| t.cos());
         let keys = smooth.map(|a| PathSample { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
         assert!(PathSegment::through(&keys, 0.01, 60e9).1 < 1e-4);
-    }
-
-    /// Differences give the exact derivatives of a cubic.
-    #[test]
-    fn differences_are_derivatives() {
-        let key = |t: f64| PathSample {
-            delay_s: t * t * t,
-            delay_rate: 3.0 * t * t,
-            amplitude: Complex64::new(t * t, 1.0 - 2.0 * t),
-        };
-        let bend = PathDerivatives::between(&key(0.9), &key(1.0), &key(1.1), 0.1);
-        assert!((bend.delay[0] - 6.0).abs() < 1e-12 && (bend.delay[1] - 6.0).abs() < 1e-11, "{bend:?}");
-        assert!((bend.amplitude[0] - Complex64::new(2.0, -2.0)).norm() < 1e-12);
-        assert!((bend.amplitude[1] - Complex64::new(2.0, 0.0)).norm() < 1e-11);
     }
 }

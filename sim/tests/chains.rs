@@ -12,13 +12,13 @@ use radome_sim::em::current::{Arrival, received};
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
+use radome_sim::path_segment::{PathSample, PathSegment};
 use radome_sim::people::body::CHEST;
 use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
 use rayon::prelude::*;
 
-use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse};
+use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse, with_derivatives};
 
 const FRAME_S: f64 = 0.064;
 
@@ -83,8 +83,8 @@ impl Chain {
             let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
             PathSample { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
         };
-        let [first, middle, last] = [0.0, step_s, 2.0 * step_s]
-            .map(|t| (key(t), PathDerivatives::between(&key(t - apart_s), &key(t), &key(t + apart_s), apart_s)));
+        let [first, middle, last] =
+            [0.0, step_s, 2.0 * step_s].map(|t| with_derivatives([t - apart_s, t, t + apart_s].map(&key), apart_s));
         let found = [PathSegment::between(&first, &middle, step_s), PathSegment::between(&middle, &last, step_s)];
         move |time_s| {
             let interval = usize::from(time_s >= step_s);

@@ -15,7 +15,7 @@ use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::synthesis::{Tone, exact_chirp};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{NOBODY, doppler_power, hall, parse, range_profiles, scene, simulator};
+use crate::common::{NOBODY, doppler_power, hall, parse, range_profiles, scene, simulator, with_derivatives};
 
 const CHIRPS: usize = 128;
 const INTERVAL_S: f64 = 500e-6;
@@ -78,9 +78,7 @@ impl Walk {
             .map(|i| {
                 let t = i as f64 * step_s;
                 let three = self.keys(t - apart_s).into_iter().zip(self.keys(t)).zip(self.keys(t + apart_s));
-                three
-                    .map(|((before, now), after)| (now, PathDerivatives::between(&before, &now, &after, apart_s)))
-                    .collect()
+                three.map(|((before, now), after)| with_derivatives([before, now, after], apart_s)).collect()
             })
             .collect();
         let interval = |i: usize| -> Vec<PathSegment> {

@@ -2,11 +2,11 @@
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
+use radome_sim::path_segment::{PathSample, PathSegment};
 use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::{SimulateOptions, Simulator};
 
-use crate::common::{map_db, range_bin, scene, simulator, statistics};
+use crate::common::{map_db, range_bin, scene, simulator, statistics, with_derivatives};
 
 fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
@@ -77,10 +77,8 @@ fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
                 }
             };
             let (step, apart_s) = (active_s / 2.0, 1e-3);
-            let [first, middle, last] = [0.0, step, active_s].map(|t| {
-                let at = |t: f64| key(start_s + t);
-                (at(t), PathDerivatives::between(&at(t - apart_s), &at(t), &at(t + apart_s), apart_s))
-            });
+            let [first, middle, last] = [0.0, step, active_s]
+                .map(|t| with_derivatives([t - apart_s, t, t + apart_s].map(|t| key(start_s + t)), apart_s));
             let two = [PathSegment::between(&first, &middle, step), PathSegment::between(&middle, &last, step)];
             for chirp in 0..128 {
                 let t = f64::from(chirp) * 0.5e-3;

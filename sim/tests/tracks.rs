@@ -10,7 +10,7 @@ use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
 
-use crate::common::scene;
+use crate::common::{scene, with_derivatives};
 
 const SAMPLES: usize = 256;
 const INTERVAL_S: f64 = 0.032;
@@ -28,7 +28,7 @@ fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<
     let bent = |path: usize| {
         let [before, now, after] = [-APART_S, 0.0, APART_S].map(|apart_s| trace(path, time_s + apart_s));
         let three = before.iter().zip(&now).zip(&after);
-        three.map(|((before, now), after)| (*now, PathDerivatives::between(before, now, after, APART_S))).collect()
+        three.map(|((before, now), after)| with_derivatives([*before, *now, *after], APART_S)).collect()
     };
     (0..paths.count()).map(bent).collect()
 }
