@@ -22,6 +22,7 @@ pub use patch::FrameTimes;
 pub use side_by_side::TracedPath;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -115,6 +116,11 @@ pub fn echoes(
     }
 }
 
+/// Returns the images without repetition, in ascending order.
+fn distinct_images(images: impl Iterator<Item = ImageIndex>) -> Vec<ImageIndex> {
+    images.collect::<BTreeSet<_>>().into_iter().collect()
+}
+
 /// Pair of antenna images: one of the transmitter, one of the receivers.
 struct Pair {
     there: Way,
@@ -155,9 +161,7 @@ impl<'a> Paths<'a> {
         pairs: &[P],
     ) -> Self {
         let pairs: Vec<AudiblePair> = pairs.iter().map(|&pair| pair.into()).collect();
-        let mut images: Vec<ImageIndex> = pairs.iter().flat_map(|&AudiblePair { pair: (p, q), .. }| [p, q]).collect();
-        images.sort_unstable();
-        images.dedup();
+        let images = distinct_images(pairs.iter().flat_map(|&AudiblePair { pair: (p, q), .. }| [p, q]));
         let pair = |&AudiblePair { pair: (p, q), .. }: &AudiblePair| {
             let source = prepared.room.image_position(p, prepared.tx.position);
             let sinks: Vec<DVec3> = prepared.rx.iter().map(|rx| prepared.room.image_position(q, rx.position)).collect();

@@ -14,7 +14,7 @@ use glam::DVec3;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::obstruction::facing;
-use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
+use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, distinct_images, echoes};
 use crate::em::fresnel::half_space;
 use crate::em::image::{ImageIndex, order};
 use crate::em::specular::Ellipsoid;
@@ -99,9 +99,7 @@ struct Images {
 
 impl Images {
     fn new(prepared: &PreparedScene, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
-        let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
-        indices.sort_unstable();
-        indices.dedup();
+        let indices = distinct_images(pairs.iter().flat_map(|&(p, q)| [p, q]));
         // The list holds every image of the pairs.
         let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
         let pairs = pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();

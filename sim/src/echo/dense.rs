@@ -13,7 +13,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::skin::SkinnedPerson;
-use super::{LEAST_DISTANCE_M, Snapshot, inside_room, self_occlusion};
+use super::{LEAST_DISTANCE_M, Snapshot, distinct_images, inside_room, self_occlusion};
 use crate::em::current::{Arrival, received};
 use crate::em::image::{Illumination, ImageIndex, Wall};
 use crate::em::triangle;
@@ -40,11 +40,8 @@ pub fn chirp(
     samples: usize,
 ) -> Vec<Vec<f64>> {
     let posed = person.mesh().posed(time_s);
-    let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
-    indices.sort_unstable();
-    indices.dedup();
-    let images: Vec<Image> =
-        indices.into_iter().map(|index| Image::new(prepared, person, people, me, index, &posed)).collect();
+    let indices = distinct_images(pairs.iter().flat_map(|&(p, q)| [p, q])).into_iter();
+    let images: Vec<Image> = indices.map(|index| Image::new(prepared, person, people, me, index, &posed)).collect();
     let number = |index: ImageIndex| images.binary_search_by_key(&index, |image| image.index).ok();
     let pairs: Vec<[usize; 2]> = pairs.iter().filter_map(|&(p, q)| Some([number(p)?, number(q)?])).collect();
     let grid = Grid::new(PIECES);

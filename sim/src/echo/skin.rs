@@ -22,7 +22,7 @@ use super::patch::{FrameTimes, ImagePositions, middle_antenna};
 use super::patch_pose::vertex_rows;
 use super::patch_solver::{Pair, PatchSolver, Tally, Work};
 use super::surface_currents::{any_near_specular, direction_rows};
-use super::{EchoReport, Snapshot, past_people, self_occlusion};
+use super::{EchoReport, Snapshot, distinct_images, past_people, self_occlusion};
 use crate::em::curved_triangle::Integrator;
 use crate::em::image::ImageIndex;
 use crate::lanes::Row;
@@ -89,9 +89,7 @@ impl SkinnedPerson {
         let fine = times.halved();
         let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
         let (ways, mut left_out_lsb2) = loud_ways(pairs, budget);
-        let mut indices: Vec<ImageIndex> = ways.iter().flat_map(|(way, _)| *way).collect();
-        indices.sort_unstable();
-        indices.dedup();
+        let indices = distinct_images(ways.iter().flat_map(|(way, _)| *way));
         let Some(middle) = posed.get(posed.len() / 2) else { return Missed::default() };
         let antenna = middle_antenna(prepared);
         let pair = |&(way, loudness): &([ImageIndex; 2], f64)| Pair {

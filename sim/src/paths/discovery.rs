@@ -55,8 +55,6 @@ impl Default for LaunchOptions {
 pub struct DiscoveryReport {
     /// Rays launched.
     pub rays: usize,
-    /// Number of divisions of the triangles of directions.
-    pub refinements: u32,
     /// Facet sequences, including the empty one.
     pub sequences: usize,
     /// Images of these sequences, including the antenna itself.
@@ -111,10 +109,10 @@ impl ImagePaths {
         let mut launch = Launch::new(&environment, origin, environment.below(origin), options);
         launch.refine(options);
         launch.aim(options.max_rays);
-        let (rays, refinements, reached_limit) = (launch.directions.len(), launch.refinements, launch.reached_limit);
+        let (rays, reached_limit) = (launch.directions.len(), launch.reached_limit);
         let sequences = completed(&environment, origin, launch.sequences());
         let found = Self::with_sequences(environment, origin, sequences);
-        ImagePaths { report: DiscoveryReport { rays, refinements, reached_limit, ..found.report }, ..found }
+        ImagePaths { report: DiscoveryReport { rays, reached_limit, ..found.report }, ..found }
     }
 
     /// Builds the images of a point for given sequences; the point itself is the first.
@@ -247,7 +245,6 @@ struct Launch<'a> {
     chains: Vec<Vec<Chain>>,
     /// Triangles of directions that may be divided.
     triangles: Vec<[usize; 3]>,
-    refinements: u32,
     reached_limit: bool,
 }
 
@@ -262,7 +259,6 @@ impl<'a> Launch<'a> {
             directions,
             chains: Vec::new(),
             triangles,
-            refinements: 0,
             reached_limit: false,
         };
         for _ in 0..FIRST_HALVINGS {
@@ -292,7 +288,6 @@ impl<'a> Launch<'a> {
             }
             self.divide(&marked);
             self.trace_new();
-            self.refinements += 1;
         }
     }
 

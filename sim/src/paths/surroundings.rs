@@ -19,8 +19,6 @@ const MANY_FACETS: usize = 200;
 const MOST_REFLECTIONS_OF_MANY: usize = 2;
 /// Largest number of rays for path discovery, in rooms of few facets and of many.
 const MOST_RAYS: [usize; 2] = [100_000, 45_000];
-/// Number of divisions of rays where they meet different facets.
-const REFINEMENTS: u32 = 4;
 /// Tolerance within which faces lie in the sides of a box, m.
 const IN_SIDE_M: f64 = 1e-4;
 /// Names of a box room's walls in the order in which [`BoxRoom`] numbers them.
@@ -64,14 +62,14 @@ impl PolygonRoom {
         let asked = room.max_reflections.max(room.max_body_reflections) as usize;
         let options = LaunchOptions {
             max_order: if is_many { asked.min(MOST_REFLECTIONS_OF_MANY) } else { asked },
-            refinements: REFINEMENTS,
             max_rays: if is_many { MOST_RAYS[1] } else { MOST_RAYS[0] },
+            ..LaunchOptions::default()
         };
         let paths = ImagePaths::discover(environment, tx.position, &options);
         let mut met: Vec<FacetId> = paths.images().iter().flat_map(|image| image.sequences.concat()).collect();
         met.sort_unstable();
         met.dedup();
-        let DiscoveryReport { rays, sequences, images, reached_limit, .. } = paths.report();
+        let DiscoveryReport { rays, sequences, images, reached_limit } = paths.report();
         tracing::debug!(facets = names.len(), rays, sequences, images, reached_limit, "paths found by rays");
         Ok(PolygonRoom {
             paths,
