@@ -3,14 +3,12 @@
 use glam::DVec3;
 use radome_dsp::KernelLevel;
 
-use super::inside_room;
 use super::surface_currents::{DirectionRows, VertexRows, direction_rows};
 use crate::em::curved_triangle::{
     HALVES, Integrator, Nodes, TriangleRows, ViewRows, bulge_rows, place_nodes, triangle_rows, view_rows,
 };
 use crate::lanes::{LANES, Row, Row3};
-use crate::people::skin::{PosedSkin, Skin, SkinPatch};
-use crate::prepared_scene::PreparedScene;
+use crate::people::skin::{PosedSkin, SkinPatch};
 
 /// Index of the quadrature rule of each half of the lanes; `None` where no integral is needed.
 pub(super) type Rules = [Option<usize>; HALVES];
@@ -44,7 +42,7 @@ pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -
 }
 
 /// Gathers a vector quantity of vertices at every corner of triangles: `[corner]`.
-pub(super) fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
+fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
     let mut rows: [Row3; 3] = Default::default();
     for axis in 0..3 {
         let at = at_corners(&of[axis], corners);
@@ -72,22 +70,17 @@ impl PatchPose {
         }
     }
 
-    /// Computes the pose of a patch. `cloth` is the amplitude factor of clothes at every vertex of the skin.
-    #[allow(clippy::too_many_arguments)]
+    /// Computes the pose of a patch, with `left` and `narrowing` of its [`VertexRows`].
     pub(super) fn pose(
         &mut self,
-        prepared: &PreparedScene,
         level: KernelLevel,
-        skin: &Skin,
         patch: &SkinPatch,
         posed: &PosedSkin,
-        cloth: &[f64],
         origin: DVec3,
+        left: Row,
+        narrowing: Row,
     ) {
         let [places, normals] = vertex_rows(posed, patch, origin);
-        let left =
-            patch.vertices.map(|v| (cloth[v as usize] * inside_room(prepared, posed.vertices[v as usize])) as f32);
-        let narrowing = patch.vertices.map(|v| skin.narrowing()[v as usize]);
         self.vertices = VertexRows { places, normals, left, narrowing };
         let mut velocities: Row3 = Default::default();
         for (l, &v) in patch.vertices.iter().enumerate() {

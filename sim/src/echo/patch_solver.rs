@@ -5,6 +5,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::error_budget::{IntegrationSettings, Missed};
+use super::inside_room;
 use super::patch::{FrameTimes, ImagePositions, Patch, missed_between_keys};
 use super::patch_field::{Parts, PatchField, StrengthRows, patch_field};
 use super::patch_pose::{PatchPose, Rules};
@@ -155,7 +156,10 @@ impl PatchSolver {
 
     fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
         let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return };
-        pose.patch.pose(work.prepared, work.integrator.level, work.skin, patch, posed, work.cloth, work.origin);
+        let left = |v: usize| (work.cloth[v] * inside_room(work.prepared, posed.vertices[v])) as f32;
+        let left = patch.vertices.map(|v| left(v as usize));
+        let narrowing = patch.vertices.map(|v| work.skin.narrowing()[v as usize]);
+        pose.patch.pose(work.integrator.level, patch, posed, work.origin, left, narrowing);
         pose.is_evaluated.fill(false);
     }
 

@@ -9,14 +9,12 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::error_budget::IntegrationSettings;
-use super::patch_pose::{at_corners, vectors_at_corners, vertex_rows};
+use super::patch_pose::{PatchPose, at_corners};
 use super::patch_solver::rules_for;
 use super::self_occlusion;
-use super::surface_currents::{Between, FieldAround, VertexRows, direction_rows, field_rows, strengths};
+use super::surface_currents::{Between, FieldAround, field_rows, strengths};
 use crate::em::Phasor3;
-use crate::em::curved_triangle::{
-    HALVES, Integrator, Nodes, bulge_rows, moments, place_nodes, spans_rad, triangle_rows, view_rows,
-};
+use crate::em::curved_triangle::{Integrator, moments, spans_rad};
 use crate::geometry::Surface;
 use crate::lanes::{LANES, Row};
 use crate::people::skin::{PosedSkin, Skin, SkinPatch};
@@ -68,29 +66,31 @@ impl StillSkin {
         let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);
         let wanted = vec![true; self.posed.vertices.len()];
         let weights = self_occlusion::weights(&self.skin, &self.posed, shading, view.wavelength_m, &wanted);
-        self.skin.patches().iter().map(|patch| self.of_patch(integrator, view, patch, &weights)).sum()
+        let mut pose = PatchPose::new(1, integrator);
+        self.skin.patches().iter().map(|patch| self.of_patch(integrator, view, patch, &weights, &mut pose)).sum()
     }
 
-    fn of_patch(&self, integrator: &Integrator, view: &StillView, patch: &SkinPatch, weights: &[f64]) -> Complex64 {
+    fn of_patch(
+        &self,
+        integrator: &Integrator,
+        view: &StillView,
+        patch: &SkinPatch,
+        weights: &[f64],
+        pose: &mut PatchPose,
+    ) -> Complex64 {
         let level = integrator.level;
-        let [places, normals] = vertex_rows(&self.posed, patch, self.origin);
-        let corners = vectors_at_corners(&places, &patch.corners);
-        let corner_normals = vectors_at_corners(&normals, &patch.corners);
-        let bulges = bulge_rows(level, &corners, &corner_normals);
-        let triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
-        let seen = view_rows(level, view.antenna, self.origin, &triangles, view.wavelength_m);
-        let light = direction_rows(level, (view.antenna - self.origin).as_vec3().to_array(), &places);
+        pose.pose(level, patch, &self.posed, self.origin, [1.0; LANES], [1.0; LANES]);
+        pose.look(0, view.antenna, self.origin, view.wavelength_m, level);
         let around = FieldAround::new(self.centre(patch), self.origin, view.field);
-        let field = field_rows(level, &around, &places);
+        let field = field_rows(level, &around, &pose.vertices.places);
         let weights = patch.vertices.map(|v| weights.get(v as usize).map_or(1.0, |weight| *weight as f32));
-        let vertices = VertexRows { places, normals, left: [1.0; LANES], narrowing: [1.0; LANES] };
         let (re, im) = strengths(
             level,
             &Between {
-                vertices: &vertices,
-                lights: [&light, &light],
-                fields: [&field, &field],
-                weights: [&weights, &weights],
+                vertices: &pose.vertices,
+                lights: [&pose.lights[0]; 2],
+                fields: [&field; 2],
+                weights: [&weights; 2],
                 permittivity: view.permittivity,
                 settings: &view.settings,
                 factor: 1.0,
@@ -99,15 +99,11 @@ impl StillSkin {
         if re.iter().chain(&im).all(|part| *part == 0.0) {
             return Complex64::ZERO;
         }
-        let spans = spans_rad(level, [&seen, &seen]);
+        let spans = spans_rad(level, [&pose.views[0]; 2]);
         let rules = rules_for(&spans, 0..patch.triangles.len(), view.settings.ease);
-        let mut nodes: [Nodes; HALVES] = Default::default();
-        for (half, (rule, nodes)) in rules.into_iter().zip(&mut nodes).enumerate() {
-            if let Some(rule) = rule.and_then(|number| integrator.rules.get(number)) {
-                place_nodes(level, &triangles, half, rule, nodes);
-            }
-        }
-        let moments = moments(level, nodes.each_ref(), [&seen, &seen]);
+        pose.find_nodes(rules, integrator);
+        let seen = &pose.views[0];
+        let moments = moments(level, pose.nodes(rules), [seen; 2]);
         let (re, im) = (at_corners(&re, &patch.corners), at_corners(&im, &patch.corners));
         let middle_m = view.antenna.distance(self.origin);
         let of_triangle = |(l, distance_m): (usize, &f64)| {
