@@ -494,17 +494,22 @@ mod tests {
         (at(3), span)
     }
 
+    /// Errors of moments, the area of the triangle, m^2, and the span that selected the rule, rad.
+    fn misses(triangle: &CurvedTriangle, antennas: [DVec3; 2]) -> ([f64; 3], f64, f32) {
+        let exact = exact_moments(triangle, antennas, K, 24);
+        let [a, b, c] = triangle.corners;
+        let (found, span) = of(triangle, antennas, KernelLevel::detect());
+        let miss = |i: usize| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm();
+        ([0, 1, 2].map(miss), 0.5 * (b - a).cross(c - a).length(), span)
+    }
+
     #[test]
     fn every_rule_is_the_integral_to_a_few_thousandths_of_the_area() {
         let (mut seen, mut squares) = ([0; 7], 0.0);
         for (triangle, antennas) in triangles() {
-            let exact = exact_moments(&triangle, antennas, K, 24);
-            let [a, b, c] = triangle.corners;
-            let area = 0.5 * (b - a).cross(c - a).length();
-            let (found, span) = of(&triangle, antennas, KernelLevel::detect());
+            let (misses, area, span) = misses(&triangle, antennas);
             seen[rule_for(span, 1.0)] += 1;
-            for (exact, found) in exact.iter().zip(found) {
-                let miss = (exact - Complex64::new(found.re.into(), found.im.into())).norm();
+            for miss in misses {
                 // This bound holds in the worst direction.
                 assert!(miss < 3e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
                 squares += (miss / area).powi(2) / 1200.0;
@@ -541,13 +546,8 @@ mod tests {
         fn near_antennas_are_as_exact() {
             for (triangle, _) in triangles().into_iter().take(50) {
                 let near = triangle.corners[0] + DVec3::new(-0.25, 0.02, 0.03);
-                let antennas = [near, near + DVec3::Y * 0.003];
-                let exact = exact_moments(&triangle, antennas, K, 24);
-                let [a, b, c] = triangle.corners;
-                let area = 0.5 * (b - a).cross(c - a).length();
-                let (found, span) = of(&triangle, antennas, KernelLevel::detect());
-                for (exact, found) in exact.iter().zip(found) {
-                    let miss = (exact - Complex64::new(found.re.into(), found.im.into())).norm();
+                let (misses, area, span) = misses(&triangle, [near, near + DVec3::Y * 0.003]);
+                for miss in misses {
                     assert!(miss < 1e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
                 }
             }

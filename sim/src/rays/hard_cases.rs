@@ -285,18 +285,11 @@ fn neither_end_blocks_a_way() {
         let (y, z) = (rng.random_range(0.01..1.99), rng.random_range(0.01..2.49));
         let from = Ray::new(DVec3::new(6.5, y, z), -DVec3::X);
         let to = Ray::new(DVec3::new(5.5, rng.random_range(0.01..1.99), rng.random_range(0.01..2.49)), DVec3::X);
-        let Some([end, begin]) = [to, from]
-            .map(|r| {
-                let away = Ray::new(r.origin, -r.direction);
-                let hit = world.closest(&away)?;
-                Some((point(&away, &mesh, &hit), *groups.get(hit.triangle as usize)?, away.direction))
-            })
-            .into_iter()
-            .collect::<Option<Vec<_>>>()
-            .and_then(|v| <[_; 2]>::try_from(v).ok())
-        else {
-            panic!("the room is closed");
-        };
+        let [end, begin] = [to, from].map(|r| {
+            let away = Ray::new(r.origin, -r.direction);
+            let hit = world.closest(&away).expect("the room is closed");
+            (point(&away, &mesh, &hit), groups[hit.triangle as usize], away.direction)
+        });
         let way = Ray::between(begin.0, end.0).leaving(begin.1, begin.2).reaching(end.1);
         let crossing = way.at((begin.0.x - 6.0) / (begin.0.x - end.0.x) * way.length_m);
         let (y, z) = (crossing.y - 0.5, crossing.z - 0.5);
