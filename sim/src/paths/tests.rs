@@ -171,21 +171,27 @@ fn edges_that_are_left_out_change_little() {
     assert!(most > 0.05 && changed > 50, "{most} {changed}");
 }
 
+/// Level mirror from one x to another.
+fn mirror(x0: f64, x1: f64, wall: Wall) -> Facet {
+    let corners = [[x0, -3.0], [x1, -3.0], [x1, 3.0], [x0, 3.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+    Facet::new(corners.to_vec(), wall)
+}
+
+/// Field at (x, 0), along the polarisation y of an antenna at (-1, 0), by way of level mirrors 2 m below both.
+fn mirrored(facets: Vec<Facet>, x: f64) -> Complex64 {
+    let antenna = Element { polarisation: DVec3::Y, ..isotropic(DVec3::new(-1.0, 0.0, 2.0)) };
+    let sequences = (0..facets.len() as u32).map(|facet| vec![facet]);
+    let paths = ImagePaths::with_sequences(environment(facets), antenna.position, sequences);
+    assert_eq!(paths.images().len(), 2);
+    let field = paths.illuminate(&antenna, 1, DVec3::new(x, 0.0, 2.0)).field;
+    Complex64::new(field.re.y, field.im.y)
+}
+
 /// A finite mirror fades at its edge: half the field remains where the point of reflection lies on the edge.
 #[test]
 fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
-    let mirror = |x0: f64, x1: f64| {
-        let corners = [[x0, -3.0], [x1, -3.0], [x1, 3.0], [x0, 3.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
-        Facet::new(corners.to_vec(), Wall::Conductor)
-    };
-    let antenna = DVec3::new(-1.0, 0.0, 2.0);
-    let field = |facets: Vec<Facet>, x: f64| {
-        let count = facets.len();
-        let sequences = (0..count as u32).map(|facet| vec![facet]);
-        let paths = ImagePaths::with_sequences(environment(facets), antenna, sequences);
-        assert_eq!(paths.images().len(), 2);
-        paths.illuminate(&isotropic(antenna), 1, DVec3::new(x, 0.0, 2.0)).field.magnitude()
-    };
+    let mirror = |x0: f64, x1: f64| mirror(x0, x1, Wall::Conductor);
+    let field = |facets: Vec<Facet>, x: f64| mirrored(facets, x).norm();
     // The point of reflection lies halfway.
     let whole = |x: f64| field(vec![mirror(-4.0, 6.0)], x);
     for (x, part) in [(1.0, 0.5), (0.2, 1.0), (2.4, 0.0)] {
@@ -200,10 +206,13 @@ fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
     assert!(field(vec![mirror(-4.0, -2.0), mirror(2.0, 6.0)], 1.0) < 0.06 * whole(1.0));
 }
 
-/// Parts of a field on the low and on the high side of an edge that a path passes at a signed clearance, m, at these
-/// distances from its ends, m. The clearance is positive on the high side.
-fn on_either_side(clearance_m: f64, [d1, d2]: [f64; 2]) -> (f64, [Complex64; 2]) {
-    let wavelength_m = std::f64::consts::TAU / K;
+/// Parts of a field on the low and on the high side of a seam, and the normalised clearance. The path crosses the plane
+/// of the seam halfway, `met_m` to its high side, and goes 4 m across that plane and `along_m` along it.
+fn on_either_side(met_m: f64, along_m: f64) -> (f64, [Complex64; 2]) {
+    let (wavelength_m, length_m) = (std::f64::consts::TAU / K, 4f64.hypot(along_m));
+    let (sine, cosine) = (along_m / length_m, 4.0 / length_m);
+    let (clearance_m, d1) = (met_m * cosine, 0.5 * length_m - met_m * sine);
+    let d2 = length_m - d1;
     let nu = clearance_m * (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
     (nu, [half_plane(-nu), half_plane(nu)])
 }
@@ -212,31 +221,17 @@ fn on_either_side(clearance_m: f64, [d1, d2]: [f64; 2]) -> (f64, [Complex64; 2])
 /// beside half-planes do. It stepped there.
 #[test]
 fn a_mirror_of_two_walls_has_no_step_at_their_seam() {
-    let mirror = |x0: f64, x1: f64, wall: Wall| {
-        let corners = [[x0, -3.0], [x1, -3.0], [x1, 3.0], [x0, 3.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
-        Facet::new(corners.to_vec(), wall)
-    };
-    let antenna = Element { polarisation: DVec3::Y, ..isotropic(DVec3::new(-1.0, 0.0, 2.0)) };
-    let field = |facets: Vec<Facet>, x: f64| {
-        let sequences = (0..facets.len() as u32).map(|facet| vec![facet]);
-        let paths = ImagePaths::with_sequences(environment(facets), antenna.position, sequences);
-        let field = paths.illuminate(&antenna, 1, DVec3::new(x, 0.0, 2.0)).field;
-        Complex64::new(field.re.y, field.im.y)
-    };
     let walls = [Wall::Conductor, slab(0)];
     let mut compared = 0;
     for step in -60..=60 {
         // The point of reflection lies halfway, and on the seam for x = 1.
         let x = 1.0 + 0.01 * f64::from(step);
-        let (met_m, length_m) = (0.5 * (x - 1.0), 4f64.hypot(x + 1.0));
-        let (sine, cosine) = ((x + 1.0) / length_m, 4.0 / length_m);
-        let d1 = 0.5 * length_m - met_m * sine;
-        let (nu, parts) = on_either_side(met_m * cosine, [d1, length_m - d1]);
+        let (nu, parts) = on_either_side(0.5 * (x - 1.0), x + 1.0);
         if nu.abs() > 2.7 {
             continue;
         }
-        let [low, high] = walls.map(|wall| field(vec![mirror(-4.0, 6.0, wall)], x));
-        let both = field(vec![mirror(-4.0, 0.0, walls[0]), mirror(0.0, 6.0, walls[1])], x);
+        let [low, high] = walls.map(|wall| mirrored(vec![mirror(-4.0, 6.0, wall)], x));
+        let both = mirrored(vec![mirror(-4.0, 0.0, walls[0]), mirror(0.0, 6.0, walls[1])], x);
         let expected = low * parts[0] + high * parts[1];
         assert!((both - expected).norm() < 0.02, "{nu}: {both} {expected}");
         compared += 1;
@@ -266,10 +261,7 @@ fn a_wall_of_two_materials_lets_through_without_a_step() {
         let mut compared = 0;
         for step in -100..=60 {
             let y = 0.005 * f64::from(step);
-            let (met_m, length_m) = (0.5 * (y + 0.1), 4f64.hypot(y - 0.1));
-            let (sine, cosine) = ((y - 0.1) / length_m, 4.0 / length_m);
-            let d1 = 0.5 * length_m - met_m * sine;
-            let (nu, parts) = on_either_side(met_m * cosine, [d1, length_m - d1]);
+            let (nu, parts) = on_either_side(0.5 * (y + 0.1), y - 0.1);
             if nu.abs() > 2.7 {
                 continue;
             }
