@@ -123,7 +123,11 @@ mod tests {
     /// The diffraction in scenes is the mean of both polarisations, from the lit region to deep shadow.
     #[test]
     fn scenes_diffract_as_the_half_plane_does() {
-        assert!((knife_edge(0.0) - 0.5).norm() < 1e-12);
+        let of_scenes = crate::diffraction::half_plane;
+        for half in [knife_edge(0.0), of_scenes(0.0)] {
+            assert!((half - 0.5).norm() < 1e-12, "{half}");
+        }
+        assert!((of_scenes(40.0) - 1.0).norm() < 0.01 && of_scenes(-40.0).norm() < 0.01);
         let wavelength_m = 299_792_458.0 / 60e9;
         for (behind_m, incidence) in [(0.1, FRAC_PI_2), (0.5, 1.2), (2.0, 0.9), (5.0, 2.2)] {
             let k_rho = 2.0 * PI * behind_m / wavelength_m;
@@ -137,7 +141,7 @@ mod tests {
                 let nu = (4.0 * k_rho / PI).sqrt() * (0.5 * past).sin();
                 let edge = side_between(nu.abs(), [f64::NEG_INFINITY, f64::INFINITY]);
                 let by_outline = if nu > 0.0 { edge } else { 1.0 - edge };
-                for scene in [crate::diffraction::half_plane(-nu), by_outline] {
+                for scene in [of_scenes(-nu), by_outline] {
                     assert!((scene - exact).norm() < 0.005, "{behind_m} m, {past} rad: {scene} {exact}");
                 }
             }
