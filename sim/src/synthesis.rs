@@ -174,14 +174,8 @@ impl Synthesiser {
     /// Adds a tone to a grid.
     #[inline]
     pub fn add(&self, tone: &Tone, grid: &mut Grid) {
-        let a = tone.amplitude * phasor(tone.phase_cycles);
-        self.add_at(tone.cycles_per_sample, a, grid);
-    }
-
-    /// Adds a tone to a grid, given by its frequency and its phasor (amplitude with phase at the middle of the chirp).
-    #[inline]
-    pub fn add_at(&self, cycles_per_sample: f64, phasor: Complex<f32>, grid: &mut Grid) {
-        let position = on_circle(cycles_per_sample) * self.cells as f64;
+        let phasor = tone.amplitude * phasor(tone.phase_cycles);
+        let position = on_circle(tone.cycles_per_sample) * self.cells as f64;
         // First cell under the kernel, plus half a kernel of margin at the low end.
         let whole = position as usize;
         let first = whole + usize::from(position > whole as f64);

@@ -35,36 +35,16 @@ pub(super) struct Probe {
 }
 
 impl Probe {
-    /// Probe that meets nothing.
-    pub const NOWHERE: Probe = Probe {
-        ray: obvhs::ray::Ray {
-            origin: Vec3A::ZERO,
-            direction: Vec3A::Z,
-            inv_direction: Vec3A::ONE,
-            tmin: 0.0,
-            tmax: f32::NEG_INFINITY,
-        },
-        shear: Shear::NONE,
-        direction: Vec3A::Z,
-        nearest: 0.0,
-        farthest: f32::NEG_INFINITY,
-        start: 0.0,
-        except: [NONE; 2],
-        back: 0.0,
-        exact: (DVec3::ZERO, DVec3::Z),
-        leaves: false,
-    };
-
-    /// Makes a probe that begins at a distance along a ray. A ray without a finite place or direction gives a probe
-    /// that meets nothing.
+    /// Makes a probe that begins at a distance along a ray; `None` for a ray without a finite place or direction, which
+    /// meets nothing.
     #[inline(always)]
-    pub fn new(ray: &Ray, start: f64) -> Self {
+    pub fn new(ray: &Ray, start: f64) -> Option<Self> {
         let nearest_m = if start > 0.0 { 0.0 } else { ray.nearest_m() };
         let origin = ray.origin + ray.direction * start + ray.side * nearest_m;
         let length = ray.direction.length_squared();
         // This form of the test rejects NaN.
         if !(origin.abs().max_element() < f64::from(f32::MAX) && length > 0.5 && length < 2.0) {
-            return Self::NOWHERE;
+            return None;
         }
         // The sum turns -0 into +0; for -0 the box test would take the direction as negative by its inverse and
         // positive by its sign.
@@ -73,7 +53,7 @@ impl Probe {
         let back = BACK_M.max(2.0 * nearest);
         // The gap at the end surface equals the gap at the start surface.
         let farthest = (ray.length_m - start) as f32 - if ray.except[1].is_some() { nearest } else { 0.0 };
-        Probe {
+        Some(Probe {
             ray: obvhs::ray::Ray::new(origin - direction * back, direction, 0.0, farthest + back),
             back,
             exact: (ray.origin, ray.direction),
@@ -84,7 +64,7 @@ impl Probe {
             farthest,
             start,
             except: ray.except.map(|group| group.unwrap_or(NONE)),
-        }
+        })
     }
 
     /// Returns whether an intersection nearer to the origin than f32 resolves is real. A ray from a free place has no

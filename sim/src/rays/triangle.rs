@@ -27,16 +27,6 @@ pub(super) struct Shear {
 }
 
 impl Shear {
-    /// Shear of a ray along z.
-    pub const NONE: Shear = Shear {
-        axes: [0, 1, 2],
-        origin: [Vec3A::ZERO; 3],
-        shear_x: Vec3A::ZERO,
-        shear_y: Vec3A::ZERO,
-        scale_z: 1.0,
-        nearest: 0.0,
-    };
-
     #[inline(always)]
     pub fn new(origin: Vec3A, direction: Vec3A, nearest: f32) -> Self {
         let d = direction.to_array();

@@ -97,18 +97,18 @@ impl World {
 
     /// Computes [`Self::closest`] with the instructions of a level.
     pub(super) fn closest_at(&self, level: KernelLevel, ray: &Ray) -> Option<Hit> {
-        let probe = self.probe(ray);
+        let probe = self.probe(ray)?;
         closest(level, self, &probe).map(|nearest| hit(&nearest, probe.start))
     }
 
     /// Returns whether any triangle lies on a ray.
     pub fn blocked(&self, ray: &Ray) -> bool {
-        any(self.level, self, &self.probe(ray))
+        self.probe(ray).is_some_and(|probe| any(self.level, self, &probe))
     }
 
     /// All triangles that a ray meets, each once, nearest first, including those of its own groups.
     pub fn all(&self, ray: &Ray) -> Vec<Hit> {
-        let probe = self.probe(ray);
+        let Some(probe) = self.probe(ray) else { return Vec::new() };
         let mut all = Vec::new();
         self.visit(&probe, |leaf, farthest| {
             if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest))
@@ -125,10 +125,10 @@ impl World {
         all.iter().map(|nearest| hit(nearest, probe.start)).collect()
     }
 
-    /// Converts the ray to f32. Rays from far away begin a metre before the mesh, where f32 still resolves small
+    /// Converts the ray to f32 ([`Probe::new`]). Rays from far away begin a metre before the mesh, where f32 still resolves small
     /// distances.
     #[inline(always)]
-    fn probe(&self, ray: &Ray) -> Probe {
+    fn probe(&self, ray: &Ray) -> Option<Probe> {
         let is_far = ray.origin.abs().max_element() > roaming_m(self.scale_m);
         Probe::new(ray, if is_far { self.approach_m(ray) } else { 0.0 })
     }

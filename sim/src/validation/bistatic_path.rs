@@ -33,11 +33,6 @@ impl BistaticPath {
         BistaticPath { tx: end, rx: end, tx_polarisation: polarisation, rx_polarisation: polarisation }
     }
 
-    /// Returns whether one antenna transmits and receives.
-    pub fn is_monostatic(&self) -> bool {
-        self.tx == self.rx && self.tx_polarisation == self.rx_polarisation
-    }
-
     /// Integrand of physical optics at a surface point. A two-sided sheet is turned towards the endpoint that sees it.
     #[inline]
     pub fn sample(
@@ -50,7 +45,7 @@ impl BistaticPath {
     ) -> Sample {
         let there = self.tx.leg(point);
         let cosine = normal.dot(there.towards);
-        if *boundary == Wall::Conductor && self.is_monostatic() {
+        if *boundary == Wall::Conductor && self.tx == self.rx && self.tx_polarisation == self.rx_polarisation {
             // Simplified form of the vector expression for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
