@@ -12,9 +12,9 @@ use radome_sim::em::triangle;
 use radome_sim::geometry::{Mesh, Surface, shape};
 use radome_sim::material::SKIN_PERMITTIVITY;
 use radome_sim::paths::{Environment, Facet, ImagePaths};
-use radome_sim::validation::bistatic_path::BistaticPath;
 use radome_sim::validation::endpoint::Endpoint;
 use radome_sim::validation::facet::{self, Accuracy};
+use radome_sim::validation::radar::Radar;
 use radome_sim::validation::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 
 use crate::common;
@@ -431,9 +431,9 @@ mod hard_cases {
             let mut turned = surface.clone();
             turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
             turned.normals.iter_mut().for_each(|n| *n = turn * *n);
-            let path = BistaticPath::monostatic(Endpoint::Near(turn * radar), turn * DVec3::Z);
+            let radar = Radar { end: Endpoint::Near(turn * radar), polarisation: turn * DVec3::Z };
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.02 };
-            facet::integrate(&turned, accuracy, |p, n| path.sample(p, n, true, &SKIN, k)).value
+            facet::integrate(&turned, accuracy, |p, n| radar.sample(p, n, true, &SKIN, k)).value
         };
         let still = integral(glam::DQuat::IDENTITY);
         for (axis, angle) in [(DVec3::X, 0.7), (DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::Y, -1.1)] {
@@ -447,11 +447,11 @@ mod hard_cases {
     fn the_scalar_path_is_the_vectors() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
-        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
         let of =
-            |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| path.sample(p, n, false, &boundary, k)).value;
+            |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| radar.sample(p, n, false, &boundary, k)).value;
         let (scalar, vectors) = (of(Wall::Conductor), of(almost));
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
@@ -464,9 +464,9 @@ mod hard_cases {
         let mut shuffled = surface.clone();
         shuffled.triangles.reverse();
         shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
-        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let of = |s| facet::integrate(s, accuracy, |p, n| path.sample(p, n, false, &Wall::Conductor, k));
+        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, false, &Wall::Conductor, k));
         let (a, b) = (of(&surface), of(&shuffled));
         assert_eq!(a.facets, b.facets);
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
@@ -477,12 +477,12 @@ mod hard_cases {
     #[test]
     fn degenerate_triangles_add_nothing() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
-        let path = BistaticPath::monostatic(Endpoint::Near(DVec3::new(1.0, 0.02, 0.01)), DVec3::Z);
+        let radar = Radar { end: Endpoint::Near(DVec3::new(1.0, 0.02, 0.01)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let plain = shape::plate(0.1, 0.1, 0.05);
         let mut worse = plain.clone();
         worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
-        let of = |s| facet::integrate(s, accuracy, |p, n| path.sample(p, n, true, &Wall::Conductor, k)).value;
+        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, true, &Wall::Conductor, k)).value;
         // Vertices 0, 1 and 2 are collinear, so the triangle has no area.
         assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
         assert!(!worse.is_smooth());
@@ -494,10 +494,10 @@ mod hard_cases {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.02, 0.02, 0.02);
         for distance in [0.0, 1e-12, 1e-6, 1e-3] {
-            let path = BistaticPath::monostatic(Endpoint::Near(DVec3::X * distance), DVec3::Z);
+            let radar = Radar { end: Endpoint::Near(DVec3::X * distance), polarisation: DVec3::Z };
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.2 };
             for boundary in [Wall::Conductor, SKIN] {
-                let value = facet::integrate(&surface, accuracy, |p, n| path.sample(p, n, true, &boundary, k)).value;
+                let value = facet::integrate(&surface, accuracy, |p, n| radar.sample(p, n, true, &boundary, k)).value;
                 assert!(value.is_finite(), "{distance} {boundary:?}: {value}");
             }
         }

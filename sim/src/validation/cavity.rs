@@ -36,7 +36,7 @@ const MOST_MODES: f64 = 1e7;
 pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64) -> Option<f64> {
     let k = setup.wavenumber_per_m();
     let towards = setup.towards();
-    let electric = setup.path(DVec3::ZERO).tx_polarisation;
+    let electric = setup.radar(DVec3::ZERO).polarisation;
     let magnetic = electric.cross(towards);
     let highest = |length_m: f64| (k * length_m / PI) as usize;
     (highest(width_m) as f64 * highest(height_m) as f64 <= MOST_MODES).then_some(())?;

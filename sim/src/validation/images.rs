@@ -13,9 +13,9 @@
 
 use glam::{DMat3, DVec3};
 
-use super::bistatic_path::{BistaticPath, transverse};
 use super::endpoint::{Endpoint, Leg};
 use super::facet::{Accuracy, Integral, integrate};
+use super::radar::{Radar, transverse};
 use crate::em::Phasor3;
 use crate::em::image::Wall;
 use crate::geometry::{Surface, polygon};
@@ -30,7 +30,7 @@ const FAR_M: f64 = 1e6;
 pub struct Images {
     environment: Environment,
     boundary: Wall,
-    path: BistaticPath,
+    radar: Radar,
     sequences: Vec<Sequence>,
 }
 
@@ -60,20 +60,20 @@ impl Images {
         faces: Vec<Vec<DVec3>>,
         aperture: Option<Vec<DVec3>>,
         boundary: Wall,
-        path: BistaticPath,
+        radar: Radar,
         wavenumber_per_m: f64,
         max_bounces: usize,
     ) -> Result<Self, EnvironmentError> {
         let facets = faces.into_iter().map(|corners| Facet::new(corners, boundary)).collect();
         let environment = Environment::new(facets, wavenumber_per_m)?;
-        let origin = match path.tx {
+        let origin = match radar.end {
             Endpoint::Near(antenna) => antenna,
             Endpoint::Far(towards) => towards * FAR_M,
         };
         let sequences = all_sequences(&environment, origin, max_bounces);
-        let lit = |facets| Sequence::new(&environment, &path, aperture.clone(), facets);
+        let lit = |facets| Sequence::new(&environment, radar.end, aperture.clone(), facets);
         let sequences = sequences.into_iter().filter_map(lit).collect();
-        Ok(Images { environment, boundary, path, sequences })
+        Ok(Images { environment, boundary, radar, sequences })
     }
 
     /// The facets.
@@ -93,10 +93,10 @@ impl Images {
             let there = sequence.source.leg(point);
             let there = Leg { length_m: there.length_m + sequence.longer_m, ..there };
             let reflected = |direction| {
-                let launched = transverse(sequence.mirror * self.path.tx_polarisation, direction);
+                let launched = transverse(sequence.mirror * self.radar.polarisation, direction);
                 self.environment.reflected(before, &[], direction, Phasor3::real(launched))
             };
-            self.path.scattered(point, normal, there, reflected, &self.boundary, accuracy.wavenumber_per_m)
+            self.radar.scattered(point, normal, there, reflected, &self.boundary, accuracy.wavenumber_per_m)
         })
     }
 }
@@ -105,12 +105,12 @@ impl Sequence {
     /// Computes a sequence; `None` where the last facet is not illuminated, or the sequence is empty.
     fn new(
         environment: &Environment,
-        path: &BistaticPath,
+        end: Endpoint,
         aperture: Option<Vec<DVec3>>,
         facets: Vec<FacetId>,
     ) -> Option<Self> {
         let (last, before) = facets.split_last()?;
-        let (mut source, mut mirror, mut longer_m) = (path.tx, DMat3::IDENTITY, 0.0);
+        let (mut source, mut mirror, mut longer_m) = (end, DMat3::IDENTITY, 0.0);
         // Aperture and facets that the wave has passed, in the same mirrored space.
         let mut windows: Vec<Vec<DVec3>> = aperture.into_iter().collect();
         for &facet in before {
@@ -209,8 +209,8 @@ mod hard_cases {
     const ACCURACY: Accuracy = Accuracy { wavenumber_per_m: K, tolerance_rad: 0.03 };
 
     fn images(faces: Vec<Vec<DVec3>>, end: Endpoint, max_bounces: usize) -> Images {
-        let path = BistaticPath::monostatic(end, DVec3::Z);
-        Images::new(faces, None, Wall::Conductor, path, K, max_bounces).expect("plane faces")
+        let radar = Radar { end, polarisation: DVec3::Z };
+        Images::new(faces, None, Wall::Conductor, radar, K, max_bounces).expect("plane faces")
     }
 
     /// Integrals of all sequences of `order` facets.

@@ -12,7 +12,6 @@
 //! and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit field in
 //! every direction.
 
-pub mod bistatic_path;
 pub mod cavity;
 pub mod closed_form;
 pub mod dense;
@@ -22,6 +21,7 @@ pub mod facet;
 pub mod images;
 pub mod mie;
 mod problem;
+pub mod radar;
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -33,10 +33,10 @@ use thiserror::Error;
 use crate::em::image::Wall;
 use crate::geometry::Surface;
 use crate::paths::EnvironmentError;
-use bistatic_path::BistaticPath;
 pub use closed_form::{Known, known};
 use endpoint::Endpoint;
 pub use problem::{Outcome, Problem};
+use radar::Radar;
 
 /// Outline of a trihedral's faces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -181,8 +181,8 @@ impl Setup {
         TAU / self.wavelength_m()
     }
 
-    /// Path from the radar to the target and back, for the target's reference point.
-    pub fn path(&self, reference_point: DVec3) -> BistaticPath {
+    /// The radar, for the target's reference point.
+    pub fn radar(&self, reference_point: DVec3) -> Radar {
         let d = self.towards();
         let vertical = DVec3::Z.reject_from_normalized(d).normalize_or(-DVec3::X);
         let polarisation = match self.polarisation {
@@ -193,7 +193,7 @@ impl Setup {
             Some(range_m) => Endpoint::Near(reference_point + d * range_m),
             None => Endpoint::Far(d),
         };
-        BistaticPath::monostatic(end, polarisation)
+        Radar { end, polarisation }
     }
 
     /// Cross-section of a physical-optics integral, m^2: `4 pi (k/2 pi)^2 |I|^2`, times `R^4` in the near field.

@@ -5,10 +5,10 @@ use std::f64::consts::PI;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::bistatic_path::{BistaticPath, transverse};
 use super::endpoint::Endpoint;
 use super::facet::{self, Accuracy, Integral};
 use super::images::{self, Images};
+use super::radar::{Radar, transverse};
 use super::{Method, Outline, RcsError, Setup, Target, dense};
 use crate::echo::error_budget::IntegrationSettings;
 use crate::echo::still::{StillSkin, StillView};
@@ -48,7 +48,7 @@ const MANY_FACETS: usize = 10_000_000;
 pub struct Problem {
     setup: Setup,
     method: Method,
-    path: BistaticPath,
+    radar: Radar,
     shape: Shape,
 }
 
@@ -107,7 +107,7 @@ impl Problem {
             let suitable: Vec<&str> = Method::ALL.iter().filter(|m| m.suits(target)).map(|m| m.name()).collect();
             return Err(RcsError::Unsuitable { method: method.name(), suitable: suitable.join(", ") });
         }
-        let path = setup.path(target.reference_point(setup.towards()));
+        let radar = setup.radar(target.reference_point(setup.towards()));
         let shape = match (method, target) {
             (Method::Images, _) => {
                 let faces = faces(target);
@@ -119,14 +119,14 @@ impl Problem {
                     _ => (faces.len().min(MOST_BOUNCES), None),
                 };
                 let k = setup.wavenumber_per_m();
-                Shape::Faces(Box::new(Images::new(faces, aperture, setup.boundary, path, k, bounces)?))
+                Shape::Faces(Box::new(Images::new(faces, aperture, setup.boundary, radar, k, bounces)?))
             }
             (Method::Specular, &Target::Sphere { radius_m }) => Shape::Body(body(DVec3::splat(radius_m))),
             (Method::Specular, &Target::Ellipsoid { semi_axes_m }) => Shape::Body(body(semi_axes_m)),
             (Method::Skin, _) => Shape::Skin(Box::new(Skin::new(mesh(target, mesh_edge_m)?, setup.boundary)?)),
             _ => Shape::Surface(mesh(target, mesh_edge_m)?),
         };
-        Ok(Problem { setup: *setup, method, path, shape })
+        Ok(Problem { setup: *setup, method, radar, shape })
     }
 
     /// Number of triangles of the mesh, if there is one.
@@ -166,7 +166,7 @@ impl Problem {
     fn facets(&self, surface: &Surface, accuracy: Accuracy) -> Integral {
         let k = accuracy.wavenumber_per_m;
         let boundary = self.setup.boundary;
-        facet::integrate(surface, accuracy, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
+        facet::integrate(surface, accuracy, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
     }
 
     /// Takes finer integrals until the result changes by no more than the tolerance, or until there is no finer one. The
@@ -216,7 +216,7 @@ impl Problem {
         let k = self.setup.wavenumber_per_m();
         let boundary = self.setup.boundary;
         let at = |patch_m: f64| {
-            dense::integrate(surface, k, patch_m, |p, n| self.path.sample(p, n, surface.two_sided, &boundary, k))
+            dense::integrate(surface, k, patch_m, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
         };
         let mut patch_m = 0.5 * self.setup.wavelength_m();
         self.converged(tolerance_db, at(patch_m), |_| {
@@ -229,7 +229,7 @@ impl Problem {
     fn skin(&self, skin: &Skin, tolerance_db: f64) -> Outcome {
         let (low, high) = skin.surface.bounds();
         let (setup, antenna) = self.near((high - low).length());
-        let polarisation = self.path.tx_polarisation;
+        let polarisation = self.radar.polarisation;
         let field = |at: DVec3| Phasor3::real(transverse(polarisation, (at - antenna).normalize_or_zero()));
         let ease = EASE * IntegrationSettings::for_tolerance(tolerance_db).ease;
         let view = StillView {
@@ -261,7 +261,7 @@ impl Problem {
 
     /// Near-field setup and antenna position; an infinitely far radar is placed at a large multiple of the body's size.
     fn near(&self, size_m: f64) -> (Setup, DVec3) {
-        match self.path.tx {
+        match self.radar.end {
             Endpoint::Near(radar) => (self.setup, radar),
             Endpoint::Far(towards) => {
                 let range_m = FAR * size_m;
@@ -272,13 +272,13 @@ impl Problem {
 
     /// Stationary phase on the exact shape.
     fn specular_point(&self, body: &Ellipsoid) -> Outcome {
-        let (setup, radar) = self.near(body.semi_axes_m.max_element());
-        let Some(h) = body.specular_point(radar, radar, None) else {
+        let (setup, antenna) = self.near(body.semi_axes_m.max_element());
+        let Some(h) = body.specular_point(antenna, antenna, None) else {
             return Outcome { sigma_m2: 0.0, estimate_db: None, facets: 0 };
         };
         let k = setup.wavenumber_per_m();
-        let path = BistaticPath::monostatic(Endpoint::Near(radar), self.path.tx_polarisation);
-        let sample = path.sample(h.point, h.normal, false, &setup.boundary, k);
+        let radar = Radar { end: Endpoint::Near(antenna), ..self.radar };
+        let sample = radar.sample(h.point, h.normal, false, &setup.boundary, k);
         let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
         Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db: None, facets: 1 }
     }

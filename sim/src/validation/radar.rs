@@ -1,4 +1,4 @@
-//! Bistatic path: a transmitter, a receiver, and the contribution of a surface element between them.
+//! Radar: an antenna that transmits and receives, and the contribution of a surface element to its echo.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -9,17 +9,13 @@ use crate::em::Phasor3;
 use crate::em::current::{Arrival, received};
 use crate::em::image::Wall;
 
-/// Transmitter and receiver whose fields have unit strength in every direction.
+/// Antenna that transmits and receives, with a field of unit strength in every direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BistaticPath {
-    /// Transmitting endpoint.
-    pub tx: Endpoint,
-    /// Receiving endpoint.
-    pub rx: Endpoint,
-    /// Polarisation of the transmitter, unit vector.
-    pub tx_polarisation: DVec3,
-    /// Polarisation of the receiver, unit vector.
-    pub rx_polarisation: DVec3,
+pub struct Radar {
+    /// Endpoint of its paths.
+    pub end: Endpoint,
+    /// Polarisation, unit vector.
+    pub polarisation: DVec3,
 }
 
 /// Unit polarisation perpendicular to a direction of travel, as close as possible to the antenna's own.
@@ -27,13 +23,8 @@ pub fn transverse(polarisation: DVec3, direction: DVec3) -> DVec3 {
     (polarisation - direction * direction.dot(polarisation)).normalize_or(direction.any_orthonormal_vector())
 }
 
-impl BistaticPath {
-    /// Makes a path with one antenna that transmits and receives.
-    pub fn monostatic(end: Endpoint, polarisation: DVec3) -> Self {
-        BistaticPath { tx: end, rx: end, tx_polarisation: polarisation, rx_polarisation: polarisation }
-    }
-
-    /// Integrand of physical optics at a surface point. A two-sided sheet is turned towards the endpoint that sees it.
+impl Radar {
+    /// Integrand of physical optics at a surface point. A two-sided sheet is turned towards the radar.
     #[inline]
     pub fn sample(
         &self,
@@ -43,9 +34,9 @@ impl BistaticPath {
         boundary: &Wall,
         wavenumber_per_m: f64,
     ) -> Sample {
-        let there = self.tx.leg(point);
+        let there = self.end.leg(point);
         let cosine = normal.dot(there.towards);
-        if *boundary == Wall::Conductor && self.tx == self.rx && self.tx_polarisation == self.rx_polarisation {
+        if *boundary == Wall::Conductor {
             // Simplified form of the vector expression for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
             let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
@@ -53,11 +44,11 @@ impl BistaticPath {
             return Sample { length_m, gradient, amplitude, lit: cosine > 0.0 };
         }
         let normal = if two_sided && cosine < 0.0 { -normal } else { normal };
-        let launched = |direction| Phasor3::real(transverse(self.tx_polarisation, direction));
+        let launched = |direction| Phasor3::real(transverse(self.polarisation, direction));
         self.scattered(point, normal, there, launched, boundary, wavenumber_per_m)
     }
 
-    /// Integrand at a surface point that a transmitter or its image reaches by a leg. `arriving` is the field that
+    /// Integrand at a surface point that the radar or its image reaches by a leg. `arriving` is the field that
     /// arrives there in a direction. Currents also radiate behind the surface, where they extinguish the wave.
     pub fn scattered(
         &self,
@@ -68,7 +59,7 @@ impl BistaticPath {
         boundary: &Wall,
         wavenumber_per_m: f64,
     ) -> Sample {
-        let back = self.rx.leg(point);
+        let back = self.end.leg(point);
         let (length_m, gradient) = (there.length_m + back.length_m, -(there.towards + back.towards));
         let lit = normal.dot(there.towards) > 0.0;
         if !lit {
@@ -76,7 +67,7 @@ impl BistaticPath {
         }
         let direction = -there.towards;
         let arrival = Arrival { field: arriving(direction), direction };
-        let polarisation = Phasor3::real(transverse(self.rx_polarisation, back.towards));
+        let polarisation = Phasor3::real(transverse(self.polarisation, back.towards));
         let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, back.towards, polarisation);
         Sample { length_m, gradient, amplitude: amplitude * (there.spreading * back.spreading), lit }
     }
