@@ -199,6 +199,10 @@ mod hard_cases {
                 }
             }
         }
+        // A foil of 1 pm reflects in proportion to its thickness.
+        let one = slab(eps, 1e-12, WAVENUMBER, 0.7).reflection.te;
+        let two = slab(eps, 2e-12, WAVENUMBER, 0.7).reflection.te;
+        assert!((two / one - 2.0).norm() < 1e-6);
     }
 
     /// The specular point must be unique and finite for any position of the pair, including inside the body.
