@@ -26,16 +26,21 @@ fn sent_by_host(transcript: &[Message]) -> Vec<Vec<u8>> {
     transcript.iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes.clone()).collect()
 }
 
-/// Waveform that the client of a transcript programmed, from the registers of its last long list.
-fn programmed(transcript: &[Message]) -> Waveform {
-    let mut lists = sent_by_host(transcript).into_iter().rev().filter_map(|bytes| {
-        match Command::from_request(&Request::decode(&bytes).expect("request")) {
+/// Words of the last long register list among requests.
+fn register_list(requests: &[Vec<u8>]) -> Vec<SpiWord> {
+    let mut lists = requests.iter().rev().filter_map(|bytes| {
+        match Command::from_request(&Request::decode(bytes).expect("request")) {
             Ok(Command::Execute { words, .. }) if words.len() > 30 => Some(words),
             _ => None,
         }
     });
+    lists.next().expect("a list")
+}
+
+/// Waveform that the client of a transcript programmed.
+fn programmed(transcript: &[Message]) -> Waveform {
     let mut file = RegisterFile::default();
-    lists.next().expect("a list").iter().for_each(|w| file.set(w.address, w.value));
+    register_list(&sent_by_host(transcript)).iter().for_each(|w| file.set(w.address, w.value));
     ChipConfiguration::decode(&file).expect("a waveform").waveform
 }
 
@@ -306,16 +311,7 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
     ];
     assert_eq!(differences(&sent_by_host(&transcript), &ours), expected);
 
-    let list = |requests: &[Vec<u8>]| {
-        let mut lists = requests.iter().rev().filter_map(|bytes| {
-            match Command::from_request(&Request::decode(bytes).ok()?).ok()? {
-                Command::Execute { words, .. } if words.len() > 30 => Some(words),
-                _ => None,
-            }
-        });
-        lists.next().expect("a list")
-    };
-    let (vendor, ours) = (list(&sent_by_host(&transcript)), list(&ours));
+    let (vendor, ours) = (register_list(&sent_by_host(&transcript)), register_list(&ours));
     let different: Vec<_> = vendor.iter().zip(&ours).filter(|(a, b)| a != b).collect();
     let level = |slice: u32| 0x10_2000 | (slice / 2 - 1);
     assert_eq!(different, [(&SpiWord::write(6, level(8192)), &SpiWord::write(6, level(6144)))]);

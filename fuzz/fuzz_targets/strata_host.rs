@@ -30,7 +30,7 @@ fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<H
 fn check(request: &Request) {
     let bytes = request.encode();
     assert!(bytes.len() <= MAX_MESSAGE);
-    assert_eq!(Request::decode(&bytes).as_ref(), Ok(request));
+    assert_eq!(Request::decode(&bytes).as_ref(), Some(request));
     let Ok(command) = Command::from_request(request) else { return };
     let again = command.to_request(request.protocol);
     assert_eq!(Command::from_request(&again).as_ref(), Ok(&command), "{request:?}");
@@ -62,7 +62,7 @@ fuzz_target!(|input: &[u8]| {
             }
         }
     }
-    if let Ok(request) = Request::decode(input) {
+    if let Some(request) = Request::decode(input) {
         assert_eq!(request.encode(), input);
         check(&request);
     }

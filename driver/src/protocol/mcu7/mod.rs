@@ -20,7 +20,7 @@ pub use component::{COMPONENT_AVIAN, COMPONENT_RADAR, FIFO_ADDRESS, IMPLEMENTATI
 pub use framing::{Framing, MAX_MESSAGE};
 pub use packet::{DataError, Packet, PacketFlags};
 pub use parser::{BoardEvent, BoardParser, HostEvent, HostParser};
-pub use request::{Command, DecodeError, REQUEST_HEADER_LENGTH, Request, RequestKind};
+pub use request::{Command, REQUEST_HEADER_LENGTH, Request, RequestKind};
 pub(crate) use response::text;
 pub use response::{BoardInfo, FirmwareVersion, PayloadError, Response, Status};
 pub use slice::{SliceLayout, TIMESTAMP_LENGTH};

@@ -199,24 +199,21 @@ impl HostParser {
         let kind_code = header[0];
         let is_known = RequestKind::from_code(kind_code).is_some_and(|(_, protocol)| protocol == self.protocol);
         let Some(payload) = Request::payload_length(header).filter(|_| is_known) else {
-            self.buffer.clear();
-            return Some(HostEvent::Refused { kind_code, status: Status::RequestTypeInvalid });
+            return self.refuse(kind_code, Status::RequestTypeInvalid);
         };
         let length = REQUEST_HEADER_LENGTH + payload + 2;
         if length > MAX_MESSAGE {
-            self.buffer.clear();
-            return Some(HostEvent::Refused { kind_code, status: Status::RequestPayloadTooLong });
+            return self.refuse(kind_code, Status::RequestPayloadTooLong);
         }
-        let message = self.buffer.get(..length)?;
-        match Request::decode(message) {
-            Ok(request) => {
-                self.buffer.drain(..length);
-                Some(HostEvent::Request(request))
-            }
-            Err(_) => {
-                self.buffer.clear();
-                Some(HostEvent::Refused { kind_code, status: Status::RequestCrc })
-            }
-        }
+        let Some(request) = Request::decode(self.buffer.get(..length)?) else {
+            return self.refuse(kind_code, Status::RequestCrc);
+        };
+        self.buffer.drain(..length);
+        Some(HostEvent::Request(request))
+    }
+
+    fn refuse(&mut self, kind_code: u8, status: Status) -> Option<HostEvent> {
+        self.buffer.clear();
+        Some(HostEvent::Refused { kind_code, status })
     }
 }

@@ -1,7 +1,5 @@
 //! Requests: 8-byte header, payload, CRC.
 
-use thiserror::Error;
-
 use super::{COMPONENT_RADAR, FIFO_ADDRESS, Protocol, Status};
 use crate::chip::SpiWord;
 use crate::protocol::crc::crc16;
@@ -93,22 +91,13 @@ impl Request {
         RequestKind::from_code(header[0]).map(|(kind, _)| if kind == RequestKind::Read { 0 } else { length })
     }
 
-    /// Decodes one whole message.
-    ///
-    /// # Errors
-    /// [`DecodeError`] if the length, the type or the CRC is wrong.
-    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        let short = DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + 2 };
-        let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>().ok_or(short)?;
-        let (kind, protocol) = RequestKind::from_code(header[0]).ok_or(DecodeError::Kind { got: header[0] })?;
-        let payload = Request::payload_length(header).unwrap_or(0);
-        if rest.len() != payload + 2 {
-            return Err(DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + payload + 2 });
-        }
-        if crc16(bytes) != 0 {
-            return Err(DecodeError::Crc);
-        }
-        Ok(Request::new(kind, protocol, header, rest.get(..payload).unwrap_or(&[])))
+    /// Decodes one whole message; `None` if its length, type or CRC is wrong.
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>()?;
+        let (kind, protocol) = RequestKind::from_code(header[0])?;
+        let (payload, _) = rest.split_last_chunk::<2>()?;
+        let is_whole = Request::payload_length(header) == Some(payload.len()) && crc16(bytes) == 0;
+        is_whole.then(|| Request::new(kind, protocol, header, payload))
     }
 
     /// Creates a request from its header, whose kind is decoded already, and its payload.
@@ -122,23 +111,6 @@ impl Request {
         let [value, index, length] = [[v0, v1], [i0, i1], [l0, l1]].map(u16::from_le_bytes);
         Request { protocol, kind, request, value, index, length, payload: payload.to_vec() }
     }
-}
-
-/// Error of bytes that are not a request.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "the message says what each field is")]
-pub enum DecodeError {
-    /// Too few or too many bytes.
-    #[error("strata request: {got} bytes, its header asks for {need}")]
-    Short { got: usize, need: usize },
-    /// Unknown direction.
-    #[error(
-        "strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer), in version 3 0x41, 0xc1 or 0xe1"
-    )]
-    Kind { got: u8 },
-    /// The CRC disagrees.
-    #[error("strata request: the CRC does not match")]
-    Crc,
 }
 
 /// Meaning of a request: the part of the protocol that this program uses.
