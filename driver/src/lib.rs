@@ -64,8 +64,7 @@ pub use player::{Player, Transport};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
 pub use recording::mcap::{
-    FrameResult, Judge, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, RecordingSummary,
-    SyncOptions,
+    FrameResult, Judge, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, SyncOptions,
 };
 pub use replay::RealTime;
 pub use transport::{Address, UsbAddress};

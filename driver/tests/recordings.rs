@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_driver::recording::Recording;
+use radome_driver::recording::{Recording, WriteReport};
 use radome_driver::{
     EmulatedSource, EmulatorOptions, InfineonReader, LabelSpan, McapReader, Pace, RealTime, Recorder, RecordingError,
     RecordingHeader, recording,
@@ -191,7 +191,7 @@ fn truthful(count: u64) -> Pattern {
 }
 
 /// Writes 25 frames at 10 Hz with a gap after the tenth and two labels.
-fn record(path: &Path) -> recording::mcap::RecordingSummary {
+fn record(path: &Path) -> WriteReport {
     let mut source = truthful(25);
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(source.waveform.shape());

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
-use radome_driver::{FrameResult, Outage, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
+use radome_driver::recording::WriteReport;
+use radome_driver::{FrameResult, Outage, Recorder, RecorderOptions, RecordingHeader};
 use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
@@ -73,7 +74,7 @@ pub struct RecorderSink {
 
 /// Result of a recorder that ended without an error of its own.
 enum Recorded {
-    Finished(RecordingSummary),
+    Finished(WriteReport),
     /// The source panicked after this number of frames.
     Unfinished(u64),
 }
@@ -200,7 +201,7 @@ impl Sink for RecorderSink {
             return Ok(());
         }
         match self.join()? {
-            Recorded::Finished(summary) => message!("{}: {}", self.file, said(&summary)),
+            Recorded::Finished(report) => message!("{}: {}", self.file, said(&report)),
             Recorded::Unfinished(frames) => {
                 message!("{}: {frames} frames, marked unfinished because the source failed", self.file);
             }
@@ -210,8 +211,8 @@ impl Sink for RecorderSink {
 }
 
 /// Content of a recording, in words.
-fn said(summary: &RecordingSummary) -> String {
-    let RecordingSummary { frames, results, frames_lost, unknown_gaps, bytes, .. } = summary;
+fn said(report: &WriteReport) -> String {
+    let WriteReport { frames, results, frames_lost, unknown_gaps, bytes, .. } = report;
     let more = lost_besides(*unknown_gaps);
     format!("{frames} frames, {results} judged, {frames_lost} lost{more}, {} MiB", bytes >> 20)
 }

@@ -183,9 +183,7 @@ impl<W: Write + Seek> Export<W> {
 
     fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
         self.processor.reset();
-        self.report.gaps += 1;
-        self.report.frames_lost = self.report.frames_lost.saturating_add(gap.frames);
-        self.report.unknown_gaps += u64::from(gap.frames == 0);
+        self.report.count_gap(gap);
         let lost = match gap.frames {
             0 => "frames".to_owned(),
             1 => "1 frame".to_owned(),

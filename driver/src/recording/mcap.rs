@@ -42,7 +42,7 @@ mod writer;
 
 pub use label_list::{LabelEditor, set_labels, stage_labels};
 pub use reader::{McapReader, Results};
-pub use recorder::{Recorder, RecorderOptions, RecordingSummary};
+pub use recorder::{Recorder, RecorderOptions};
 pub use repair::{Damage, RepairReport, repair};
 pub use results::{FrameResult, Judge, RESULTS_VERSION};
 pub use syncer::SyncOptions;

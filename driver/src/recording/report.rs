@@ -17,10 +17,23 @@ pub struct WriteReport {
     pub frames_lost: u64,
     /// Gaps of unknown length, whose frames are not counted.
     pub unknown_gaps: u64,
+    /// Labels given to the writer, whether the format holds them or not.
+    pub labels: u64,
+    /// Results of a classifier given to the writer, whether the format holds them or not.
+    pub results: u64,
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
     /// Descriptions of the information that the format could not hold; empty if none.
     pub omitted: Vec<String>,
+}
+
+impl WriteReport {
+    /// Counts a gap.
+    pub fn count_gap(&mut self, gap: &Gap) {
+        self.gaps += 1;
+        self.frames_lost = self.frames_lost.saturating_add(gap.frames);
+        self.unknown_gaps += u64::from(gap.frames == 0);
+    }
 }
 
 /// Checks that a frame has the shape of its recording and codes of 12 bits; `offset` is its place in the file, bytes.
@@ -42,41 +55,32 @@ pub(super) fn check_frame(path: &Path, offset: u64, shape: FrameShape, frame: &F
 /// Counts of a writer whose format holds frames alone.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
-    frames: u64,
-    gaps: u64,
-    frames_lost: u64,
-    unknown_gaps: u64,
+    pub report: WriteReport,
     truths: u64,
-    pub labels: u64,
-    pub results: u64,
     renumbered: bool,
 }
 
 impl Tally {
     /// Checks and counts a frame.
     pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
-        check_frame(path, self.frames * 2 * shape.codes() as u64, shape, frame)?;
-        self.renumbered |= frame.sequence != self.frames;
-        self.frames += 1;
+        let frames = &mut self.report.frames;
+        check_frame(path, *frames * 2 * shape.codes() as u64, shape, frame)?;
+        self.renumbered |= frame.sequence != *frames;
+        *frames += 1;
         self.truths += u64::from(frame.truth.is_some());
         Ok(())
     }
 
-    pub fn gap(&mut self, gap: &Gap) {
-        self.gaps += 1;
-        self.frames_lost = self.frames_lost.saturating_add(gap.frames);
-        self.unknown_gaps += u64::from(gap.frames == 0);
-    }
-
     /// Descriptions of the information that the vendor's formats cannot hold.
     pub fn omitted(&self) -> Vec<String> {
+        let WriteReport { gaps, frames_lost, unknown_gaps, labels, results, .. } = self.report;
         let mut omitted = Vec::new();
-        if self.gaps > 0 {
-            let more = match self.unknown_gaps {
+        if gaps > 0 {
+            let more = match unknown_gaps {
                 0 => String::new(),
                 unknown => format!(" and, in {unknown} of them, an unknown number"),
             };
-            omitted.push(format!("{} gaps, in which {} frames were lost{more}", self.gaps, self.frames_lost));
+            omitted.push(format!("{gaps} gaps, in which {frames_lost} frames were lost{more}"));
         }
         if self.renumbered {
             omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
@@ -84,17 +88,12 @@ impl Tally {
         if self.truths > 0 {
             omitted.push(format!("the truth of {} frames", self.truths));
         }
-        if self.labels > 0 {
-            omitted.push(format!("{} labels", self.labels));
+        if labels > 0 {
+            omitted.push(format!("{labels} labels"));
         }
-        if self.results > 0 {
-            omitted.push(format!("what was said about {} frames", self.results));
+        if results > 0 {
+            omitted.push(format!("what was said about {results} frames"));
         }
         omitted
-    }
-
-    pub fn report(&self) -> WriteReport {
-        let Tally { frames, gaps, frames_lost, unknown_gaps, .. } = *self;
-        WriteReport { frames, gaps, frames_lost, unknown_gaps, bytes: 0, omitted: Vec::new() }
     }
 }

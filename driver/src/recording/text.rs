@@ -308,7 +308,7 @@ impl TextWriter {
         // The samples get their name last: without them there is no recording.
         self.partial_config.finish()?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report })
     }
 }
 

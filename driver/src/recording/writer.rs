@@ -114,8 +114,8 @@ impl RecordingWriter {
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(writer) => writer.recorder.gap(gap)?,
-            Writer::Infineon(writer) => writer.tally.gap(gap),
-            Writer::Text(writer) => writer.tally.gap(gap),
+            Writer::Infineon(writer) => writer.tally.report.count_gap(gap),
+            Writer::Text(writer) => writer.tally.report.count_gap(gap),
         }
         Ok(())
     }
@@ -127,8 +127,8 @@ impl RecordingWriter {
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(writer) => writer.recorder.label(label)?,
-            Writer::Infineon(writer) => writer.tally.labels += 1,
-            Writer::Text(writer) => writer.tally.labels += 1,
+            Writer::Infineon(writer) => writer.tally.report.labels += 1,
+            Writer::Text(writer) => writer.tally.report.labels += 1,
         }
         Ok(())
     }
@@ -140,8 +140,8 @@ impl RecordingWriter {
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(writer) => writer.recorder.result(result)?,
-            Writer::Infineon(writer) => writer.tally.results += 1,
-            Writer::Text(writer) => writer.tally.results += 1,
+            Writer::Infineon(writer) => writer.tally.report.results += 1,
+            Writer::Text(writer) => writer.tally.report.results += 1,
         }
         Ok(())
     }

@@ -130,7 +130,7 @@ impl InfineonWriter {
         self.write_descriptions()?;
         disk::sync_folder(&self.data).map_err(cannot())?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report })
     }
 
     /// Times to write; `None` if they equal those of the frame interval, or go backwards.

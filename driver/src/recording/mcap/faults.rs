@@ -14,11 +14,11 @@ use radome_dsp::{Frame, FrameSource, SourceEvent};
 use tempfile::TempDir;
 
 use super::{
-    LabelEditor, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, RecordingSummary, SyncOptions,
-    repair, set_labels, stage_labels,
+    LabelEditor, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, SyncOptions, repair, set_labels,
+    stage_labels,
 };
 use crate::recording::disk::trial::{Change, Plan, Trial, Watched};
-use crate::recording::{Existing, RecordingError};
+use crate::recording::{Existing, RecordingError, WriteReport};
 
 /// Number of frames, at 10 Hz.
 const FRAMES: u64 = 33;
@@ -66,7 +66,7 @@ fn wait_for_sync(watched: &Watched) {
 }
 
 /// Makes a recording; returns the number of frames that were taken, and the first error of frames, labels or end.
-fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<RecordingSummary, RecordingError>) {
+fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<WriteReport, RecordingError>) {
     let mut source = pattern();
     let mut recorder = match Recorder::with_options(path, &RecordingHeader::new(source.waveform.clone()), &options()) {
         Ok(recorder) => recorder,
@@ -159,7 +159,7 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
 const MANY: u64 = 1600;
 
 /// Records each frame as a chunk; returns the number of frames that were taken, the outcome and all operations.
-fn record_chunks(folder: &Path, plan: Plan) -> (u64, Result<RecordingSummary, RecordingError>, Vec<Change>) {
+fn record_chunks(folder: &Path, plan: Plan) -> (u64, Result<WriteReport, RecordingError>, Vec<Change>) {
     let watched = Trial::start(folder, plan);
     let mut source = Pattern { frames: MANY, ..pattern() };
     let header = RecordingHeader::new(source.waveform.clone());

@@ -21,7 +21,7 @@ use super::{
 };
 use crate::recording::lock::Locked;
 use crate::recording::partial::Partial;
-use crate::recording::{Existing, RecordingError, check_frame, disk};
+use crate::recording::{Existing, RecordingError, WriteReport, check_frame, disk};
 
 /// Number of bytes at which a chunk is written.
 const CHUNK_BYTES: usize = 4_000_000;
@@ -45,25 +45,6 @@ const FRAME_CHANNEL: u16 = 1;
 const GAP_CHANNEL: u16 = 2;
 const LABEL_CHANNEL: u16 = 3;
 const RESULT_CHANNEL: u16 = 4;
-
-/// Content of a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct RecordingSummary {
-    /// Frames written.
-    pub frames: u64,
-    /// Gaps written.
-    pub gaps: u64,
-    /// Frames known to be lost in the gaps.
-    pub frames_lost: u64,
-    /// Gaps of unknown length, whose lost frames are not counted.
-    pub unknown_gaps: u64,
-    /// Labels written.
-    pub labels: u64,
-    /// Results written.
-    pub results: u64,
-    /// Length of the file, bytes.
-    pub bytes: u64,
-}
 
 /// Options of a recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,7 +103,7 @@ pub struct Recorder {
     chunk_ns: u64,
     /// Log time of messages that have no time of their own.
     last_time_ns: u64,
-    summary: RecordingSummary,
+    report: WriteReport,
     /// Number of frames in chunks that are in the file.
     frames_written: u64,
     message: u32,
@@ -254,7 +235,7 @@ impl Recorder {
             chunk_start_ns: 0,
             chunk_ns: sync.map_or(CHUNK_NS, |sync| sync.chunk.as_nanos().clamp(1, u128::from(u64::MAX)) as u64),
             last_time_ns: 0,
-            summary: RecordingSummary::default(),
+            report: WriteReport::default(),
             frames_written: 0,
             message: 0,
         };
@@ -362,7 +343,7 @@ impl Recorder {
         });
         let index = ended.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
         self.write_out(WHAT)?;
-        self.frames_written = self.summary.frames;
+        self.frames_written = self.report.frames;
         self.statistics.chunk_count += 1;
         let noted = self.chunk_indexes.push(&index);
         noted.map_err(|e| self.fail(Failure::io(WHAT, &e)))
@@ -409,7 +390,7 @@ impl Recorder {
         let result = self.write(FRAME_CHANNEL, Some((log_time, frame.time_ns)), &buffer);
         self.buffer = buffer;
         result?;
-        self.summary.frames += 1;
+        self.report.frames += 1;
         tracing::trace!(sequence = frame.sequence, time_ns = frame.time_ns, "frame recorded");
         Ok(())
     }
@@ -420,9 +401,7 @@ impl Recorder {
     /// The recording's first error.
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         self.write_json(GAP_CHANNEL, gap)?;
-        self.summary.gaps += 1;
-        self.summary.unknown_gaps += u64::from(gap.frames == 0);
-        self.summary.frames_lost = self.summary.frames_lost.saturating_add(gap.frames);
+        self.report.count_gap(gap);
         Ok(())
     }
 
@@ -433,7 +412,7 @@ impl Recorder {
     /// The recording's first error.
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
         self.write_json(LABEL_CHANNEL, label)?;
-        self.summary.labels += 1;
+        self.report.labels += 1;
         Ok(())
     }
 
@@ -447,7 +426,7 @@ impl Recorder {
             return Err(self.fail(Failure::io("cannot be written", &source)));
         }
         self.waiting.push(*result);
-        self.summary.results += 1;
+        self.report.results += 1;
         if self.waiting.len() >= RESULTS_OF_A_CHUNK {
             self.flush()?;
         }
@@ -464,7 +443,7 @@ impl Recorder {
             Ok(None) => Ok(false),
             Ok(Some(staged)) => {
                 self.write_json(LABEL_CHANNEL, &staged.labels)?;
-                self.summary.labels = staged.labels.len() as u64;
+                self.report.labels = staged.labels.len() as u64;
                 self.end_chunk()?;
                 Ok(true)
             }
@@ -508,7 +487,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The recording's first error.
-    pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
+    pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
         self.flush()?;
         let has_taken = self.take_staged()?;
         let data_end = self.end;
@@ -526,8 +505,8 @@ impl Recorder {
         if has_taken && let Err(error) = staged::remove(&self.path) {
             return Err(self.fail(Failure::io("cannot be finished", &error)));
         }
-        self.summary.bytes = self.end;
-        Ok(self.summary)
+        self.report.bytes = self.end;
+        Ok(std::mem::take(&mut self.report))
     }
 }
 
@@ -588,7 +567,7 @@ mod tests {
 
     /// Records frames a second apart, so that each has a chunk of its own and so has its result, with a gap and a
     /// label.
-    fn record(path: &Path, check: impl Fn(&Recorder)) -> RecordingSummary {
+    fn record(path: &Path, check: impl Fn(&Recorder)) -> WriteReport {
         let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 8, ..WaveformRequest::paper() };
         let waveform = radome_dsp::Waveform::realise(request).expect("possible");
         let judge = Judge {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Recorder, RecordingHeader, RecordingSummary, staged};
+use super::{Recorder, RecordingHeader, staged};
 use crate::recording::partial::Partial;
 use crate::recording::{Existing, RecordingError, WriteReport};
 
@@ -30,11 +30,10 @@ impl McapWriter {
     /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken the name meanwhile.
     pub fn finish(self) -> Result<WriteReport, RecordingError> {
         let path = self.partial.target().to_owned();
-        let summary = self.recorder.finish()?;
+        let report = self.recorder.finish()?;
         self.partial.finish()?;
         // The labels belong to an earlier recording of this name.
         staged::remove(&path).map_err(RecordingError::cannot_write(&path))?;
-        let RecordingSummary { frames, gaps, frames_lost, unknown_gaps, bytes, .. } = summary;
-        Ok(WriteReport { frames, gaps, frames_lost, unknown_gaps, bytes, omitted: Vec::new() })
+        Ok(report)
     }
 }
