@@ -80,15 +80,8 @@ impl TextReader {
     fn leave_out_blank_end(&mut self) -> Result<(), RecordingError> {
         let whole = self.whole_frames() * self.frame_bytes() as u64;
         self.file.seek(SeekFrom::Start(whole)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
-        let mut is_blank = true;
-        for byte in self.file.by_ref().bytes() {
-            let byte = byte.map_err(RecordingError::io(&self.path, "cannot be read"))?;
-            is_blank = matches!(byte, b'\r' | b'\n');
-            if !is_blank {
-                break;
-            }
-        }
-        if is_blank {
+        let other = self.file.by_ref().bytes().find(|byte| !matches!(byte, Ok(b'\r' | b'\n'))).transpose();
+        if other.map_err(RecordingError::io(&self.path, "cannot be read"))?.is_none() {
             self.length = whole;
         }
         self.file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(&self.path, "cannot be read"))?;

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::protocol::deepcraft::{CustomError, ErrorCode, PROTOCOL_VERSION, RING_CODES};
+use crate::protocol::deepcraft::{ErrorCode, PROTOCOL_VERSION, RING_CODES};
 
 /// Errors that only DEEPCRAFT boards have.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -34,9 +34,6 @@ pub enum DeepcraftError {
         "a frame has {codes} codes, the firmware sends even numbers up to {RING_CODES}; use fewer chirps or samples"
     )]
     Frame { codes: usize },
-    /// The custom data of the radar are not a waveform.
-    #[error(transparent)]
-    Custom(#[from] CustomError),
 }
 
 impl DeepcraftError {

@@ -4,7 +4,7 @@
 use mcap::records::{Record, op};
 use mcap::{McapError, McapResult};
 
-/// Parses a record of the data section or the summary.
+/// Parses a record of the data section or the summary. Only the strings of kinds that are read here are checked.
 pub(super) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     strings_fit(opcode, body).ok_or(McapError::UnexpectedEof)?;
     mcap::parse_record(opcode, body)
@@ -14,18 +14,12 @@ pub(super) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
 pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = Rest(body);
     match opcode {
-        op::HEADER => rest.strings(2),
-        op::SCHEMA => rest.skip(2)?.strings(2),
-        op::CHANNEL => rest.skip(4)?.strings(2)?.string_map(),
+        op::CHANNEL | op::METADATA => return content_length(opcode, body).map(|_| ()),
         // The body begins with two times, the length without compression and the CRC; the compression follows.
         op::CHUNK => rest.skip(28)?.strings(1),
         // The body begins with times, place and length of the chunk, a map of places and the length of the message
         // index.
         op::CHUNK_INDEX => rest.skip(32)?.places()?.skip(8)?.strings(1),
-        op::METADATA => rest.strings(1)?.string_map(),
-        op::METADATA_INDEX => rest.skip(16)?.strings(1),
-        op::ATTACHMENT => rest.skip(16)?.strings(2),
-        op::ATTACHMENT_INDEX => rest.skip(40)?.strings(2),
         _ => Some(&mut rest),
     }
     .map(|_| ())

@@ -169,20 +169,10 @@ impl McapReader {
     /// [`RecordingError`] if the recording cannot be read.
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         let count = self.index.chunks.len() as u64;
-        let mut first = None;
-        for chunk in 0..count {
-            first = self.first_position(chunk)?;
-            if first.is_some() {
-                break;
-            }
-        }
+        let first = (0..count).find_map(|chunk| self.first_position(chunk).transpose()).transpose()?;
         let mut last = None;
         for chunk in self.index.chunks.iter().rev() {
-            let messages = match read_messages(&mut self.records, chunk.offset, &mut self.channels) {
-                Ok(messages) => messages,
-                Err(RecordingError::Corrupt { .. }) => continue,
-                Err(error) => return Err(error),
-            };
+            let messages = readable_messages(&mut self.records, chunk.offset, &mut self.channels)?;
             let mut frames = messages.iter().rev().filter(|(topic, _)| *topic == Topic::Frame);
             last = frames.find_map(|(_, data)| frame_position(data));
             if last.is_some() {
@@ -248,11 +238,7 @@ impl McapReader {
         if let Some(known) = chunk.first {
             return Ok(known);
         }
-        let messages = match read_messages(&mut self.records, chunk.offset, &mut self.channels) {
-            Ok(messages) => messages,
-            Err(RecordingError::Corrupt { .. }) => Vec::new(),
-            Err(error) => return Err(error),
-        };
+        let messages = readable_messages(&mut self.records, chunk.offset, &mut self.channels)?;
         let first =
             messages.iter().find(|(topic, _)| *topic == Topic::Frame).and_then(|(_, data)| frame_position(data));
         chunk.first = Some(first);
@@ -333,6 +319,18 @@ fn read_messages(
     match records.next(&mut body, |opcode| opcode == op::CHUNK)? {
         Next::Record(op::CHUNK, at) => read_chunk(records, at, &body, channels),
         _ => Err(records.corrupt(offset, "the index says that a chunk starts here, but none does".into())),
+    }
+}
+
+/// Reads the messages of a chunk that the index names; none if it is damaged.
+fn readable_messages(
+    records: &mut Records,
+    offset: u64,
+    channels: &mut BTreeMap<u16, Topic>,
+) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
+    match read_messages(records, offset, channels) {
+        Err(RecordingError::Corrupt { .. }) => Ok(Vec::new()),
+        read => read,
     }
 }
 
