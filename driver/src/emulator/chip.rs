@@ -294,11 +294,6 @@ impl Chip {
         self.starts += 1;
     }
 
-    /// Checks that the source has frames of this waveform; the error is the reason if not.
-    pub fn check_source(&self, waveform: &Waveform) -> Result<(), String> {
-        self.source.check(waveform)
-    }
-
     /// Returns the state of the next burst read of this many codes, which the interrupt line announces.
     pub fn poll(&mut self, codes: u64) -> Slice {
         let Some(waveform) = &self.frames else { return Slice::Wait };

@@ -108,27 +108,20 @@ impl FrameSource for EmulatedSource {
         loop {
             let is_over = self.board.finished() || self.board.is_over();
             let polled = self.stream.poll(frame, Duration::from_millis(50));
+            if matches!(polled, Ok(None)) && !is_over {
+                continue;
+            }
             // A board whose source or line has failed falls silent or disconnects: its own failure is the first cause.
-            if polled.is_err()
+            if !matches!(polled, Ok(Some(_)))
                 && let Some(reason) = self.board.failure()
             {
                 return Err(format!("the emulated board sends no more frames: {reason}").into());
             }
-            match polled? {
-                Some(event) => {
-                    if event == SourceEvent::Frame {
-                        frame.truth = self.truth(frame.sequence);
-                    }
-                    return Ok(event);
-                }
-                None if is_over => {
-                    return match self.board.failure() {
-                        Some(reason) => Err(format!("the emulated board sends no more frames: {reason}").into()),
-                        None => Ok(SourceEvent::End),
-                    };
-                }
-                None => {}
+            let event = polled?.unwrap_or(SourceEvent::End);
+            if event == SourceEvent::Frame {
+                frame.truth = self.truth(frame.sequence);
             }
+            return Ok(event);
         }
     }
 }

@@ -175,12 +175,12 @@ fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, Line
     codes.clear();
     let mut at = PREFIX.len();
     let syntax = |at: usize| LineError::Syntax { column: at + 1, byte: line.get(at).copied().unwrap_or(0) };
-    let number = decimal(line, &mut at, u64::MAX).ok_or_else(|| syntax(at))?;
+    let number = decimal(line, &mut at).ok_or_else(|| syntax(at))?;
     at = literal(line, at, b": [").ok_or_else(|| syntax(at))?;
     let mut got = 0;
     if literal(line, at, b"]").is_none() {
         loop {
-            let code = decimal(line, &mut at, u64::MAX).ok_or_else(|| syntax(at))?;
+            let code = decimal(line, &mut at).ok_or_else(|| syntax(at))?;
             if code > u64::from(MAX_CODE) {
                 return Err(LineError::Code { number, index: got });
             }
@@ -207,12 +207,12 @@ fn literal(line: &[u8], at: usize, text: &[u8]) -> Option<usize> {
     line.get(at..)?.starts_with(text).then_some(at + text.len())
 }
 
-/// Parses a decimal number at `at` and moves `at` behind it; `None` if there is no number or it exceeds `most`.
-fn decimal(line: &[u8], at: &mut usize, most: u64) -> Option<u64> {
+/// Parses a decimal number at `at` and moves `at` behind it; `None` if there is no number or it exceeds 64 bits.
+fn decimal(line: &[u8], at: &mut usize) -> Option<u64> {
     let begin = *at;
     let mut value = 0u64;
     while let Some(digit) = line.get(*at).filter(|b| b.is_ascii_digit()) {
-        value = value.checked_mul(10)?.checked_add(u64::from(digit - b'0')).filter(|v| *v <= most)?;
+        value = value.checked_mul(10)?.checked_add(u64::from(digit - b'0'))?;
         *at += 1;
     }
     (*at > begin).then_some(value)

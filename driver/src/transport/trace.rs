@@ -24,12 +24,12 @@ pub(crate) fn identity(uuid: &str) {
 
 /// Traces a message to the board.
 pub(crate) fn sent(bytes: &[u8]) {
-    tracing::trace!(target: TARGET, sent = %Shown { bytes, most: MOST_SHOWN });
+    tracing::trace!(target: TARGET, sent = %Shown(bytes));
 }
 
 /// Traces a message from the board that holds no measurement.
 pub(crate) fn received(bytes: &[u8]) {
-    tracing::trace!(target: TARGET, received = %Shown { bytes, most: MOST_SHOWN });
+    tracing::trace!(target: TARGET, received = %Shown(bytes));
 }
 
 /// Traces the number of bytes of a measurement, in a protocol whose headers are not parsed here.
@@ -44,7 +44,7 @@ pub(crate) fn event(event: &BoardEvent<'_>) {
             let [l0, l1] = (payload.len() as u16).to_le_bytes();
             let header = [*kind_code, status.code(), l0, l1];
             let gap = if payload.is_empty() { "" } else { " " };
-            let (header, payload) = (Shown::header(&header), Shown { bytes: payload, most: MOST_SHOWN });
+            let (header, payload) = (Shown(&header), Shown(payload));
             tracing::trace!(target: TARGET, received = %format_args!("{header}{gap}{payload}"));
         }
         BoardEvent::Packet(packet) => self::packet(packet),
@@ -55,7 +55,7 @@ pub(crate) fn event(event: &BoardEvent<'_>) {
 /// Traces a data packet.
 pub(crate) fn packet(packet: &Packet<'_>) {
     let (header, more) = (packet.header_bytes(), packet.payload.len());
-    tracing::trace!(target: TARGET, received = %format_args!("{} and {more} bytes", Shown::header(&header)));
+    tracing::trace!(target: TARGET, received = %format_args!("{} and {more} bytes", Shown(&header)));
 }
 
 /// Traces bytes that are not a message.
@@ -69,25 +69,16 @@ pub(crate) fn failed(why: &dyn fmt::Debug) {
 }
 
 /// Displays the first bytes in hexadecimal and the number of further bytes.
-struct Shown<'a> {
-    bytes: &'a [u8],
-    most: usize,
-}
-
-impl<'a> Shown<'a> {
-    fn header(bytes: &'a [u8]) -> Self {
-        Shown { bytes, most: bytes.len() }
-    }
-}
+struct Shown<'a>(&'a [u8]);
 
 impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut separator = "";
-        for byte in self.bytes.iter().take(self.most) {
+        for byte in self.0.iter().take(MOST_SHOWN) {
             write!(f, "{separator}{byte:02x}")?;
             separator = " ";
         }
-        match self.bytes.len().saturating_sub(self.most) {
+        match self.0.len().saturating_sub(MOST_SHOWN) {
             0 => Ok(()),
             more => write!(f, " and {more} bytes"),
         }
@@ -100,10 +91,10 @@ mod tests {
 
     #[test]
     fn bytes_beyond_the_most_are_counted_only() {
-        let bytes: Vec<u8> = (0..10).collect();
-        let shown = |most| Shown { bytes: &bytes, most }.to_string();
-        assert_eq!(shown(3), "00 01 02 and 7 bytes");
-        assert_eq!(shown(10), "00 01 02 03 04 05 06 07 08 09");
-        assert_eq!(Shown { bytes: &[], most: 3 }.to_string(), "");
+        let bytes: Vec<u8> = (0..103).collect();
+        let shown = |count: usize| Shown(&bytes[..count]).to_string();
+        assert!(shown(103).starts_with("00 01 02 ") && shown(103).ends_with(" 5e 5f and 7 bytes"), "{}", shown(103));
+        assert!(shown(96).ends_with(" 5e 5f"), "{}", shown(96));
+        assert_eq!((shown(3), shown(0)), ("00 01 02".into(), String::new()));
     }
 }

@@ -68,9 +68,8 @@ impl Link {
         })
     }
 
-    /// Sends a request that has no answer.
-    pub fn send(&mut self, command: Command) -> Result<(), BoardError> {
-        let name = name(&command);
+    /// Sends a request whose answer, if it has one, is not awaited. `name` is for messages.
+    pub fn send(&mut self, name: &'static str, command: Command) -> Result<(), BoardError> {
         let mut bytes = Vec::new();
         Request::from(command).encode_to(&mut bytes);
         self.write(&bytes, name)
@@ -83,7 +82,7 @@ impl Link {
 
     /// Stops all devices and discards the bytes that they have sent.
     pub fn stop(&mut self) -> Result<(), BoardError> {
-        self.send(Command::Stop(StopRequest { device: ALL_DEVICES }))?;
+        self.send("stop", Command::Stop(StopRequest { device: ALL_DEVICES }))?;
         self.drain(DRAIN_LIMIT)
     }
 
@@ -122,7 +121,7 @@ impl Link {
         for _ in 0..ATTEMPTS {
             self.stop()?;
             let tag = self.next_tag();
-            self.send(command(tag))?;
+            self.send("configuration", command(tag))?;
             let refused = |code, message| DeepcraftError::Refused { command: "configuration", code, message };
             let found = self.wait(ANSWER, |answer| match answer {
                 Answer::Configuration(response) if response.tag == tag => Some(Ok(response)),
@@ -173,19 +172,6 @@ impl Link {
             }
             parser.push(self.receive(left.min(Duration::from_millis(50)))?);
         }
-    }
-}
-
-/// Name of a command in messages.
-fn name(command: &Command) -> &'static str {
-    match command {
-        Command::Capabilities(_) => "capabilities",
-        Command::Configure(_) => "configuration",
-        Command::Start(_) => "start",
-        Command::Stop(_) => "stop",
-        Command::WatchdogReset(_) => "watchdog reset",
-        Command::Data(_) => "data",
-        Command::Reset(_) => "reset",
     }
 }
 

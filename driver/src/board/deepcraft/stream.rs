@@ -109,7 +109,7 @@ impl DeepcraftStream {
         let board = self.board()?;
         let device = board.device;
         board.link.reset_watchdog()?;
-        board.link.send(Command::Start(StartRequest { device }))?;
+        board.link.send("start", Command::Start(StartRequest { device }))?;
         (self.last_byte, self.watchdog_reset) = (Instant::now(), Instant::now());
         Ok(())
     }
@@ -204,7 +204,7 @@ impl DeepcraftStream {
     fn ask(&mut self) -> Result<(), BoardError> {
         let board = self.board()?;
         let (device, tag) = (board.device, board.link.next_tag());
-        board.link.send(Command::Capabilities(CapabilitiesRequest { device, tag }))?;
+        board.link.send("capabilities", Command::Capabilities(CapabilitiesRequest { device, tag }))?;
         self.parser.expect(tag);
         self.asked_until = Some(Instant::now() + DROPPED_COUNT_TIMEOUT);
         Ok(())

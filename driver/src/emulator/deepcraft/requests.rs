@@ -36,9 +36,8 @@ pub(super) struct Requests {
     power_up: (i32, Vec<u8>),
     use_case: i32,
     blob: Vec<u8>,
-    waveform: Waveform,
-    /// Registers of that waveform.
-    registers: RegisterList,
+    /// Waveform, and its registers.
+    setting: Custom,
     pub chip: Chip,
     /// Time at which the watchdog stops the radar; `None` while it is not active.
     pub active_until: Option<Instant>,
@@ -66,7 +65,7 @@ impl Requests {
             Some(preset) => (preset as i32, Vec::new()),
             None if holds_frames_of(codes) => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
             // As the board is sold. A client may program another waveform.
-            None if chip.check_source(&Preset::Default.waveform()?).is_ok() => {
+            None if chip.source.check(&Preset::Default.waveform()?).is_ok() => {
                 let preset = Preset::Default;
                 tracing::warn!(
                     "a frame of the source has {codes} codes, which this firmware cannot hold: the board begins with its preset \
@@ -85,8 +84,7 @@ impl Requests {
             use_case: power_up.0,
             blob: power_up.1.clone(),
             power_up,
-            waveform: source.clone(),
-            registers: RegisterList::new(),
+            setting: Custom { waveform: source.clone(), registers: RegisterList::new() },
             active_until: None,
             starts: 0,
             current_frame: 0,
@@ -123,7 +121,7 @@ impl Requests {
     /// Resets the chip, writes its registers with the FIFO level of the firmware, and starts frames.
     pub fn start_chip(&mut self) {
         self.chip.write(address::MAIN, main_bits::SW_RESET);
-        for register in &self.registers {
+        for register in &self.setting.registers {
             self.chip.write(register.address, register.value);
         }
         let fifo = self.chip.read(address::SFCTL);
@@ -245,17 +243,14 @@ impl Requests {
     }
 
     /// Waveform and registers that the options select.
-    fn wanted(&self) -> Result<(Waveform, RegisterList), String> {
+    fn wanted(&self) -> Result<Custom, String> {
         match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
             Some(preset) => {
                 let waveform = preset.waveform().map_err(|e| e.to_string())?;
                 let registers = Custom::compile(&waveform).map_err(|e| e.to_string())?.registers;
-                Ok((waveform, registers))
+                Ok(Custom { waveform, registers })
             }
-            None => {
-                let Custom { waveform, registers } = Custom::decode(&self.blob).map_err(|e| e.to_string())?;
-                Ok((waveform, registers))
-            }
+            None => Custom::decode(&self.blob).map_err(|e| e.to_string()),
         }
     }
 
@@ -263,13 +258,10 @@ impl Requests {
     /// an error.
     fn configure(&mut self) {
         (self.current_frame, self.dropped) = (0, 0);
-        let checked = self.wanted().and_then(|(waveform, registers)| {
-            self.chip.check_source(&waveform)?;
-            Ok((waveform, registers))
-        });
+        let checked = self.wanted().and_then(|wanted| self.chip.source.check(&wanted.waveform).map(|()| wanted));
         self.refusal = match checked {
             Ok(wanted) => {
-                (self.waveform, self.registers) = wanted;
+                self.setting = wanted;
                 self.shared.accept();
                 None
             }
@@ -289,7 +281,7 @@ impl Requests {
     }
 
     fn stream(&self) -> StreamConfig {
-        let shape = self.waveform.shape();
+        let shape = self.setting.waveform.shape();
         let dimension =
             |name: &str, size: usize| Dimension { name: name.into(), size: size as i32, labels: Vec::new() };
         StreamConfig {
@@ -301,7 +293,7 @@ impl Requests {
                 dimension("Chirp", shape.chirps),
                 dimension("Sample", shape.samples),
             ],
-            frequency: stated_frequency_hz(&self.waveform),
+            frequency: stated_frequency_hz(&self.setting.waveform),
             // The firmware states 1; its chunks hold as many frames as one read of the FIFO completes.
             max_frame_count: 1,
             unit: "???".into(),

@@ -26,11 +26,10 @@ pub enum UsbAddress {
 /// Error of a text that is not an address.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
-    "usb:{text}: {what}\n\nhint: usb: is the only board, usb:1-4 is bus 1, address 4 (lsusb), usb:SERIAL goes by serial number"
+    "usb:{text}: bus and address are 1 to 255\n\nhint: usb: is the only board, usb:1-4 is bus 1, address 4 (lsusb), usb:SERIAL goes by serial number"
 )]
 pub struct UsbAddressError {
     text: String,
-    what: &'static str,
 }
 
 impl FromStr for UsbAddress {
@@ -47,11 +46,10 @@ impl FromStr for UsbAddress {
         match text.split_once('-') {
             Some((bus, address)) if is_number(bus) && is_number(address) => {
                 let number = |t: &str| t.parse::<u8>().ok().filter(|n| *n > 0);
-                let what = "bus and address are 1 to 255";
-                let (Some(bus), Some(address)) = (number(bus), number(address)) else {
-                    return Err(UsbAddressError { text: text.into(), what });
-                };
-                Ok(UsbAddress::Device { bus, address })
+                match (number(bus), number(address)) {
+                    (Some(bus), Some(address)) => Ok(UsbAddress::Device { bus, address }),
+                    _ => Err(UsbAddressError { text: text.into() }),
+                }
             }
             _ => Ok(UsbAddress::Serial(text.to_owned())),
         }
