@@ -45,6 +45,10 @@ pub mod chip;
 pub mod discover;
 pub mod emulator;
 mod error_text;
+// Known frames for the tests within modules; the tests of the public API use the same.
+#[cfg(test)]
+#[path = "../tests/common/pattern.rs"]
+mod pattern;
 pub mod player;
 pub mod probe;
 pub mod protocol;

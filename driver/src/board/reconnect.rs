@@ -170,7 +170,7 @@ pub(super) fn check_same(path: &Path, uuid: &str, found: &BoardIdentity) -> Resu
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{Waveform, WaveformRequest};
+    use radome_dsp::FrameShape;
 
     use super::*;
 
@@ -216,8 +216,7 @@ mod tests {
             last_frame: Instant::now(),
         };
         let outage = stream.recovery.outage.clone();
-        let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
-        let mut frame = Frame::zeroed(waveform.shape());
+        let mut frame = Frame::zeroed(FrameShape { rx: 1, chirps: 1, samples: 1 });
         for (event, is_away) in [(SourceEvent::Frame, false), (gap, true), (SourceEvent::Frame, false)] {
             assert_eq!(next_event(&mut stream, &mut frame).expect("an event"), event);
             assert_eq!(outage.gap(1).is_some(), is_away, "{event:?}");

@@ -331,11 +331,12 @@ impl Chip {
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
+    use radome_dsp::{SourceEvent, source_from_fn};
 
     use super::*;
     use crate::chip::RegisterList;
     use crate::emulator::Pace;
+    use crate::pattern;
 
     /// Frames whose codes count on from 0.
     fn ramp(waveform: Waveform) -> Feed {
@@ -352,10 +353,7 @@ mod tests {
 
     /// One receiver, 4 chirps of 64 samples.
     fn waveform() -> Waveform {
-        let rx_antennas = radome_dsp::RxMask::from_antennas(&[1]).expect("valid");
-        let request =
-            WaveformRequest { rx_antennas, samples_per_chirp: 64, chirps_per_frame: 4, ..WaveformRequest::paper() };
-        Waveform::realise(request).expect("valid")
+        pattern::waveform(&[1], 4, 64, 0.1)
     }
 
     fn chip_of(waveform: Waveform, pace: Pace) -> Chip {
@@ -479,9 +477,7 @@ mod tests {
         /// The FIFO holds exactly 16384 codes: a host that does not read loses the frames after them.
         #[test]
         fn a_fifo_that_nobody_reads_overflows() {
-            let request = WaveformRequest { chirps_per_frame: 64, ..waveform().request };
-            let waveform = Waveform::realise(request).expect("valid");
-            let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
+            let mut chip = started_with(pattern::waveform(&[1], 64, 64, 0.1), Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
                 chip.source.advance();
                 chip.check_overflow();
@@ -512,9 +508,7 @@ mod tests {
             let shared = Arc::new(Shared::default());
             let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
             let mut chip = Chip::new(ramp(waveform()), &options, &shared).expect("threads");
-            let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
-            let other = Waveform::realise(request).expect("valid");
-            program(&mut chip, &list(other, 128));
+            program(&mut chip, &list(pattern::waveform(&[1], 8, 64, 0.1), 128));
             assert!(chip.frames.is_some() && matches!(chip.poll(128), Slice::Wait));
             let refusal = shared.refusal().expect("says why");
             assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");

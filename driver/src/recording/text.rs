@@ -327,16 +327,15 @@ mod tests {
     }
 
     mod hard_cases {
-        use radome_dsp::WaveformRequest;
-
         use super::*;
+        use crate::pattern::waveform;
 
         /// A line end that an editor had added made a whole recording a cut one.
         #[test]
         fn line_ends_behind_the_last_frame_cut_nothing_short() {
             let folder = tempfile::tempdir().expect("folder");
             let path = folder.path().join("a.txt");
-            let header = RecordingHeader::new(Waveform::realise(WaveformRequest::paper()).expect("possible"));
+            let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
             let mut writer = TextWriter::create(&path, &header, Existing::Refuse).expect("creates");
             let mut frame = Frame::zeroed(header.waveform.shape());
             writer.frame(&frame).expect("writes");

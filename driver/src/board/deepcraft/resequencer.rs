@@ -134,16 +134,10 @@ impl Resequencer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use radome_dsp::{RxMask, WaveformRequest};
+    use crate::pattern::waveform;
 
     fn resequencer() -> (Resequencer, Frame) {
-        let request = WaveformRequest {
-            samples_per_chirp: 8,
-            chirps_per_frame: 2,
-            rx_antennas: RxMask::from_antennas(&[1, 3]).expect("valid"),
-            ..WaveformRequest::paper()
-        };
-        let waveform = Waveform::realise(request).expect("valid");
+        let waveform = waveform(&[1, 3], 2, 8, 0.1);
         let frame = Frame::zeroed(waveform.shape());
         (Resequencer::new(&waveform, 5), frame)
     }

@@ -194,13 +194,11 @@ fn is_ahead(number: u64, of: u64) -> bool {
 mod tests {
     use std::time::Duration;
 
-    use radome_dsp::WaveformRequest;
-
     use super::*;
+    use crate::pattern::waveform;
 
     fn resequencer() -> Resequencer {
-        let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
-        Resequencer::new(&Waveform::realise(request).expect("valid"))
+        Resequencer::new(&waveform(&[1, 2, 3], 2, 8, 0.1))
     }
 
     /// Feeds lines, given as number and code; all codes of a line are equal. Returns the codes of the resulting frames,

@@ -365,23 +365,15 @@ impl Assembler {
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{RxMask, WaveformRequest};
-
     use super::*;
+    use crate::pattern::waveform;
     use crate::protocol::mcu7::PacketFlags;
 
     const FRAME_US: u64 = 37_000;
 
     /// Assembler of frames of one receiver.
     fn assembler(chirps: usize, samples: usize) -> Assembler {
-        let waveform = Waveform::realise(WaveformRequest {
-            rx_antennas: RxMask::from_antennas(&[1]).expect("valid"),
-            chirps_per_frame: chirps,
-            samples_per_chirp: samples,
-            frame_interval_s: FRAME_US as f64 * 1e-6,
-            ..WaveformRequest::paper()
-        });
-        let waveform = waveform.expect("valid");
+        let waveform = waveform(&[1], chirps, samples, FRAME_US as f64 * 1e-6);
         Assembler::new(&waveform, SliceLayout::for_frame(waveform.shape().codes()))
     }
 

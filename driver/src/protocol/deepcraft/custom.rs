@@ -154,10 +154,6 @@ mod tests {
     use proptest::prelude::*;
     use radome_dsp::RxMask;
 
-    fn paper() -> Waveform {
-        Waveform::realise(WaveformRequest::paper()).expect("valid")
-    }
-
     proptest! {
         #[test]
         fn a_blob_gives_its_waveform_back(
@@ -205,7 +201,8 @@ mod tests {
 
         #[test]
         fn what_contradicts_itself_is_refused_with_both_figures() {
-            let blob = Custom::compile(&paper()).expect("fits").encode();
+            let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+            let blob = Custom::compile(&waveform).expect("fits").encode();
             let with = |index: usize, word: u32| {
                 let mut blob = blob.clone();
                 blob[4 * index..4 * index + 4].copy_from_slice(&word.to_le_bytes());

@@ -1,15 +1,11 @@
 //! Tests in which every operation on the disk fails in turn, or is lost by a power cut, while a recording is made,
 //! finished and labelled.
 
-#[path = "../../../tests/common/pattern.rs"]
-mod common;
-
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use common::{Pattern, Random, waveform};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use tempfile::TempDir;
 
@@ -17,6 +13,7 @@ use super::{
     LabelEditor, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, SyncOptions, repair, set_labels,
     stage_labels,
 };
+use crate::pattern::{Pattern, Random, waveform};
 use crate::recording::disk::trial::{Change, Plan, Trial, Watched};
 use crate::recording::{Existing, RecordingError, WriteReport};
 

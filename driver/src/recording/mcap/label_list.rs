@@ -261,9 +261,8 @@ impl<'a> Summary<'a> {
 mod tests {
     use std::io::{Seek, SeekFrom, Write};
 
-    use radome_dsp::{Waveform, WaveformRequest};
-
     use super::*;
+    use crate::pattern::waveform;
     use crate::recording::mcap::{Recorder, RecordingHeader};
 
     /// Recordings of several months have such a summary; the test uses a hole in a file.
@@ -271,8 +270,8 @@ mod tests {
     fn labels_of_a_recording_with_a_huge_summary_stay_beside_it() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.mcap");
-        let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
-        Recorder::create(&path, &RecordingHeader::new(waveform)).and_then(Recorder::finish).expect("records");
+        let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
+        Recorder::create(&path, &header).and_then(Recorder::finish).expect("records");
         let bytes = std::fs::read(&path).expect("reads");
         let footer = bytes.split_at(bytes.len() - FOOTER as usize).1;
         let mut file = File::options().write(true).open(&path).expect("opens");

@@ -557,9 +557,10 @@ fn open_device(path: &Path) -> Result<File, RecordingError> {
 #[cfg(test)]
 mod tests {
     use mcap::{Compression, Summary, WriteOptions};
-    use radome_dsp::{GapReason, WaveformRequest};
+    use radome_dsp::GapReason;
 
     use super::*;
+    use crate::pattern::{Pattern, waveform};
     use crate::recording::mcap::chunk_indexes::HELD_BYTES;
     use crate::recording::mcap::{Judge, RESULTS_VERSION};
 
@@ -568,8 +569,7 @@ mod tests {
     /// Records frames a second apart, so that each has a chunk of its own and so has its result, with a gap and a
     /// label.
     fn record(path: &Path, check: impl Fn(&Recorder)) -> WriteReport {
-        let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 8, ..WaveformRequest::paper() };
-        let waveform = radome_dsp::Waveform::realise(request).expect("possible");
+        let pattern = Pattern::new(waveform(&[1, 2, 3], 8, 64, 1.0), COUNT);
         let judge = Judge {
             version: RESULTS_VERSION,
             model: "a".into(),
@@ -577,14 +577,11 @@ mod tests {
             on_delay_s: 0.5,
             off_delay_s: 3.0,
         };
-        let mut frame = Frame::zeroed(waveform.shape());
-        let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
+        let mut frame = Frame::zeroed(pattern.waveform.shape());
+        let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(pattern.waveform.clone()) };
         let mut recorder = Recorder::create(path, &header).expect("creates");
         for number in 0..COUNT {
-            (frame.sequence, frame.time_ns) = (number, number * 1_000_000_000);
-            for (place, code) in frame.codes.iter_mut().enumerate() {
-                *code = ((place as u64 * 2_654_435_761 + number * 977) >> 5 & 0xFFF) as u16;
-            }
+            pattern.fill(number, &mut frame);
             recorder.frame(&frame).expect("records");
             if number == 100 {
                 recorder.gap(&Gap { first_sequence: 101, frames: 2, reason: GapReason::Crc }).expect("records");
@@ -676,8 +673,8 @@ mod tests {
     fn gaps_without_frames_end_their_chunk_too() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.mcap");
-        let waveform = radome_dsp::Waveform::realise(WaveformRequest::paper()).expect("possible");
-        let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("creates");
+        let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
+        let mut recorder = Recorder::create(&path, &header).expect("creates");
         let mut most = 0;
         for first_sequence in 0..150_000 {
             recorder.gap(&Gap { first_sequence, frames: 1, reason: GapReason::Crc }).expect("records");
