@@ -66,60 +66,58 @@ impl FromStr for Fault {
     type Err = FaultError;
 
     fn from_str(text: &str) -> Result<Self, FaultError> {
-        let fault = |what| FaultError { text: text.trim().to_owned(), what };
-        let (kind, rest) = text.trim().split_once(char::is_whitespace).ok_or(fault("expected a kind and a number"))?;
-        match kind {
-            "chip" => {
-                let chip_id = number(rest.trim()).filter(|id| *id <= 0xFF_FFFF);
-                return chip_id.map(Fault::ForeignChip).ok_or(fault("the chip's id is not 0 to 0xFFFFFF"));
-            }
-            "version" => {
-                let major = rest.trim().parse().map_err(|_| fault("the version is not 0 to 65535"))?;
-                return Ok(Fault::WrongVersion(major));
-            }
-            _ => {}
-        }
-        let (packet, detail) = match rest.trim().split_once(':') {
-            Some((packet, detail)) => (packet, Some(detail.trim())),
-            None => (rest.trim(), None),
-        };
-        let packet: u64 = packet.trim().parse().map_err(|_| fault("the packet is no whole number"))?;
-        let detail_of = |what| detail.ok_or(fault(what));
-        match (kind, detail) {
-            ("drop", None) => Ok(Fault::DropPacket(packet)),
-            ("double", None) => Ok(Fault::DoublePacket(packet)),
-            ("reorder", None) => Ok(Fault::ReorderPacket(packet)),
-            ("overflow", None) => Ok(Fault::Overflow(packet)),
-            ("stall", None) => Ok(Fault::Stall(packet)),
-            ("drop" | "double" | "reorder" | "overflow" | "stall", Some(_)) => Err(fault("takes the packet alone")),
-            ("flip", _) => {
-                let bit = detail_of("lacks the bit")?.parse().map_err(|_| fault("the bit is no whole number"))?;
-                Ok(Fault::FlipBit { packet, bit })
-            }
-            ("truncate", _) => {
-                let bytes =
-                    detail_of("lacks the bytes")?.parse().map_err(|_| fault("the bytes are no whole number"))?;
-                Ok(Fault::TruncatePacket { packet, bytes })
-            }
-            ("skip", _) => {
-                let by = detail_of("lacks the jump")?.parse().map_err(|_| fault("the jump is not 0 to 65535"))?;
-                Ok(Fault::SkipCounter { packet, by })
-            }
-            ("unplug" | "slow", _) => {
-                let seconds: f64 =
-                    detail_of("lacks the seconds")?.parse().map_err(|_| fault("the seconds are no number"))?;
-                if !(0.0..=LONGEST_WAIT_S).contains(&seconds) {
-                    return Err(fault("the seconds are not 0 to 3600"));
-                }
-                let duration = Duration::from_secs_f64(seconds);
-                Ok(match kind {
-                    "slow" => Fault::SlowHost { packet, duration },
-                    _ => Fault::Unplug { packet, duration },
-                })
-            }
-            _ => Err(fault("no such kind")),
-        }
+        let text = text.trim();
+        parse(text).map_err(|what| FaultError { text: text.to_owned(), what })
     }
+}
+
+/// Parses a fault; the error says what is wrong.
+fn parse(text: &str) -> Result<Fault, &'static str> {
+    let (kind, rest) = text.split_once(char::is_whitespace).ok_or("expected a kind and a number")?;
+    let rest = rest.trim();
+    match kind {
+        "chip" => {
+            let chip_id = number(rest).filter(|id| *id <= 0xFF_FFFF);
+            return chip_id.map(Fault::ForeignChip).ok_or("the chip's id is not 0 to 0xFFFFFF");
+        }
+        "version" => return rest.parse().map(Fault::WrongVersion).map_err(|_| "the version is not 0 to 65535"),
+        _ => {}
+    }
+    let (packet, detail) = match rest.split_once(':') {
+        Some((packet, detail)) => (packet.trim(), Some(detail.trim())),
+        None => (rest, None),
+    };
+    let packet: u64 = packet.parse().map_err(|_| "the packet is no whole number")?;
+    Ok(match (kind, detail) {
+        ("drop", None) => Fault::DropPacket(packet),
+        ("double", None) => Fault::DoublePacket(packet),
+        ("reorder", None) => Fault::ReorderPacket(packet),
+        ("overflow", None) => Fault::Overflow(packet),
+        ("stall", None) => Fault::Stall(packet),
+        ("drop" | "double" | "reorder" | "overflow" | "stall", Some(_)) => return Err("takes the packet alone"),
+        ("flip", _) => Fault::FlipBit { packet, bit: behind(detail, "lacks the bit", "the bit is no whole number")? },
+        ("truncate", _) => {
+            let bytes = behind(detail, "lacks the bytes", "the bytes are no whole number")?;
+            Fault::TruncatePacket { packet, bytes }
+        }
+        ("skip", _) => {
+            Fault::SkipCounter { packet, by: behind(detail, "lacks the jump", "the jump is not 0 to 65535")? }
+        }
+        ("unplug" | "slow", _) => {
+            let seconds: f64 = behind(detail, "lacks the seconds", "the seconds are no number")?;
+            if !(0.0..=LONGEST_WAIT_S).contains(&seconds) {
+                return Err("the seconds are not 0 to 3600");
+            }
+            let duration = Duration::from_secs_f64(seconds);
+            if kind == "slow" { Fault::SlowHost { packet, duration } } else { Fault::Unplug { packet, duration } }
+        }
+        _ => return Err("no such kind"),
+    })
+}
+
+/// Parses the number behind the packet; the error is `lacks` if there is none, and `wrong` if it is not of this type.
+fn behind<T: FromStr>(detail: Option<&str>, lacks: &'static str, wrong: &'static str) -> Result<T, &'static str> {
+    detail.ok_or(lacks)?.parse().map_err(|_| wrong)
 }
 
 #[cfg(test)]

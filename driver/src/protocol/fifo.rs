@@ -1,7 +1,7 @@
 //! Order of codes in the chip's FIFO: chirp by chirp, in a chirp sample by sample, in a sample the enabled receivers
 //! in ascending order. Frames are `[rx][chirp][sample]`.
 
-use radome_dsp::FrameShape;
+use radome_dsp::{Frame, FrameShape, Waveform};
 
 /// Reorders codes from FIFO order to frame order `[rx][chirp][sample]`. Codes that either slice lacks are left as they
 /// are.
@@ -27,6 +27,17 @@ pub fn deinterleave(fifo: &[u16], shape: FrameShape, codes: &mut [u16]) {
             }
         }
     }
+}
+
+/// Fills a frame from its codes in FIFO order. Protocols without time stamps need this: the time of the frame follows from
+/// its number and the frame interval.
+pub(crate) fn fill_frame(fifo: &[u16], waveform: &Waveform, sequence: u64, frame: &mut Frame) {
+    frame.shape = waveform.shape();
+    frame.codes.resize(frame.shape.codes(), 0);
+    deinterleave(fifo, frame.shape, &mut frame.codes);
+    frame.sequence = sequence;
+    frame.time_ns = waveform.frame_time_ns(sequence);
+    (frame.truth, frame.temperature_millicelsius) = (None, None);
 }
 
 /// Appends codes in FIFO order from frame order. `channels` are the indices on the frame's first axis to take, in

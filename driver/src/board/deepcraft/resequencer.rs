@@ -115,16 +115,9 @@ impl Resequencer {
         if let Some(gap) = self.gaps.pop_front() {
             return Some(SourceEvent::Gap(gap));
         }
-        let shape = self.waveform.shape();
-        let start = self.gone * shape.codes();
-        let codes = self.codes.get(start..start + shape.codes())?;
-        frame.shape = shape;
-        frame.codes.resize(shape.codes(), 0);
-        fifo::deinterleave(codes, shape, &mut frame.codes);
-        frame.sequence = self.next_sequence;
-        // Chunks carry no time stamps: the times of frames follow from the frame interval.
-        frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
-        (frame.truth, frame.temperature_millicelsius) = (None, None);
+        let length = self.waveform.shape().codes();
+        let codes = self.codes.get(self.gone * length..(self.gone + 1) * length)?;
+        fifo::fill_frame(codes, &self.waveform, self.next_sequence, frame);
         self.gone += 1;
         self.next_sequence += 1;
         Some(SourceEvent::Frame)

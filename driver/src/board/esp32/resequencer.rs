@@ -159,24 +159,13 @@ impl Resequencer {
                 Some(SourceEvent::Gap(Gap { first_sequence, ..gap }))
             }
             Ready::Frame(codes) => {
-                self.deliver(&codes, frame);
+                fifo::fill_frame(&codes, &self.waveform, self.next_sequence, frame);
+                frame.host_time_ns = now_ns();
+                self.next_sequence += 1;
                 self.spare.push(codes);
                 Some(SourceEvent::Frame)
             }
         }
-    }
-
-    fn deliver(&mut self, codes: &[u16], frame: &mut Frame) {
-        let shape = self.waveform.shape();
-        frame.shape = shape;
-        frame.codes.resize(shape.codes(), 0);
-        fifo::deinterleave(codes, shape, &mut frame.codes);
-        frame.sequence = self.next_sequence;
-        // Lines carry no time stamps: the times of frames follow from the frame interval.
-        frame.time_ns = self.waveform.frame_time_ns(self.next_sequence);
-        frame.host_time_ns = now_ns();
-        (frame.truth, frame.temperature_millicelsius) = (None, None);
-        self.next_sequence += 1;
     }
 }
 
