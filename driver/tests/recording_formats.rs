@@ -9,7 +9,7 @@ use radome_driver::recording::{Existing, Format, Recording, RecordingError, Reco
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
 
-use crate::common::{self, cases, in_folder, waveform};
+use crate::common::{self, cases, in_folder, make_pipe, waveform};
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");
@@ -269,8 +269,7 @@ mod hard_cases {
     fn a_pipe_is_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("pipe.mcap");
-        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
-        assert!(made.success());
+        make_pipe(&path);
         let repaired = mcap::repair(&path, &folder.path().join("out.mcap"), Existing::Refuse);
         for error in [Recording::open(&path).expect_err("a pipe"), repaired.expect_err("a pipe")] {
             assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
@@ -285,8 +284,7 @@ mod hard_cases {
     fn a_pipe_is_recorded_to_if_somebody_reads_it_and_else_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let (path, copy) = (folder.path().join("pipe.mcap"), folder.path().join("copy.mcap"));
-        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
-        assert!(made.success());
+        make_pipe(&path);
         let waveform = waveform(&[1], 2, 8, 0.1);
         let header = RecordingHeader::new(waveform.clone());
         let error = Recorder::create(&path, &header).err().expect("nobody reads");

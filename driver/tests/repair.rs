@@ -8,7 +8,7 @@ use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, set_
 use radome_driver::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, cases, in_folder, read, waveform};
+use crate::common::{Pattern, cases, chunks, in_folder, read, waveform};
 
 const FRAMES: u64 = 50;
 const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
@@ -52,18 +52,6 @@ fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), Recordin
     let (numbers, gaps) = content(&fixed);
     assert_eq!(numbers.len() as u64, report.frames);
     Ok((report, numbers, gaps))
-}
-
-/// Byte range of each chunk.
-fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
-    let summary = mcap::Summary::read(bytes).expect("reads").expect("a summary");
-    let mut chunks: Vec<_> = summary
-        .chunk_indexes
-        .iter()
-        .map(|c| (c.chunk_start_offset as usize, (c.chunk_start_offset + c.chunk_length) as usize))
-        .collect();
-    chunks.sort_unstable();
-    chunks
 }
 
 fn whole() -> Vec<u8> {
@@ -236,10 +224,12 @@ mod hard_cases {
         assert!(std::fs::read(&path).expect("reads") == bytes);
     }
 
-    /// Asserts that all complete chunks before a cut are saved.
+    /// Asserts that all complete chunks before a cut, as after `kill -9`, are read and saved.
     #[test]
     fn a_cut_costs_what_lies_behind_its_chunk() {
-        let bytes = whole();
+        let (folder, path) = in_folder("a.mcap");
+        let bytes = record(&path);
+        let cut_path = folder.path().join("cut.mcap");
         let chunks = chunks(&bytes);
         let header_end = chunks[0].0;
         for cut in (0..bytes.len()).step_by(61).chain(chunks.iter().flat_map(|c| [c.1 - 1, c.1, c.1 + 1])) {
@@ -252,6 +242,14 @@ mod hard_cases {
             let seconds = chunks[1..].iter().filter(|c| c.1 <= cut).count();
             let expected = [0, 10, 20, 30, 40, 47][seconds];
             assert_eq!(numbers.len(), expected, "cut at {cut}: {:?}", report.damage);
+            std::fs::write(&cut_path, &bytes[..cut]).expect("writes");
+            let Ok(mut reader) = McapReader::open(&cut_path) else {
+                assert!(cut < chunks[0].1, "cannot be opened when cut at {cut}");
+                continue;
+            };
+            assert!(!reader.is_complete());
+            let (frames, _, error) = read(&mut reader);
+            assert!(frames.len() == expected && error.is_none(), "cut at {cut}: {error:?}");
         }
     }
 

@@ -7,7 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
-use crate::common::{Pattern, cases, in_folder, waveform};
+use crate::common::{Pattern, cases, chunks, in_folder, waveform};
 
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
@@ -45,6 +45,29 @@ fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
     found
 }
 
+/// Asserts that the events behind each place are those that a reader from the start finds there.
+fn check_places(source: &mut Recording, numbers: std::ops::Range<u64>, tenths: impl Iterator<Item = i32>) {
+    let events = rest(source);
+    for sequence in numbers.rev().chain([u64::MAX]) {
+        source.seek_frame(sequence).expect("seeks");
+        assert_eq!(rest(source), from_frame(&events, sequence), "frame {sequence}");
+    }
+    for tenths in tenths {
+        let time_s = f64::from(tenths) / 10.0;
+        source.seek_time_s(time_s).expect("seeks");
+        let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
+        assert_eq!(rest(source), expected, "at {time_s} s");
+    }
+}
+
+/// Number of the first frame from this one on.
+fn next_from(source: &mut Recording, sequence: u64) -> u64 {
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    source.seek_frame(sequence).expect("seeks");
+    source.next_frame(&mut frame).expect("reads");
+    frame.sequence
+}
+
 /// Writes a recording of several chunks without the frames that `lost` selects.
 fn record(path: &Path, finish: bool, lost: impl Fn(u64) -> bool) {
     let pattern = Pattern::new(waveform(&[1], 4, 16, 0.17), 0);
@@ -75,18 +98,7 @@ proptest! {
     fn an_mcap_file_is_entered_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {
         let (_folder, path) = in_folder("a.mcap");
         record(&path, finish, |sequence| lost.contains(&sequence) || (40..55).contains(&sequence));
-        let mut source = Recording::open(&path).expect("opens");
-        let events = rest(&mut source);
-        for sequence in (0..95).rev().chain([u64::MAX]) {
-            source.seek_frame(sequence).expect("seeks");
-            prop_assert_eq!(rest(&mut source), from_frame(&events, sequence), "frame {}", sequence);
-        }
-        for tenths in (-3..170).step_by(3) {
-            let time_s = f64::from(tenths) / 10.0;
-            source.seek_time_s(time_s).expect("seeks");
-            let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
-            prop_assert_eq!(rest(&mut source), expected, "at {} s", time_s);
-        }
+        check_places(&mut Recording::open(&path).expect("opens"), 0..95, (-3..170).step_by(3));
     }
 }
 
@@ -106,18 +118,7 @@ fn the_vendors_formats_are_entered_anywhere() {
             writer.frame(&frame).expect("writes");
         }
         writer.finish().expect("finishes");
-        let mut source = Recording::open(&path).expect("opens");
-        let events = rest(&mut source);
-        for sequence in (0..45).rev().chain([u64::MAX]) {
-            source.seek_frame(sequence).expect("seeks");
-            assert_eq!(rest(&mut source), from_frame(&events, sequence));
-        }
-        for tenths in -3..80 {
-            let time_s = f64::from(tenths) / 10.0;
-            source.seek_time_s(time_s).expect("seeks");
-            let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
-            assert_eq!(rest(&mut source), expected, "at {time_s} s");
-        }
+        check_places(&mut Recording::open(&path).expect("opens"), 0..45, -3..80);
     }
 }
 
@@ -164,11 +165,8 @@ mod hard_cases {
         bytes[middle] ^= 0x10;
         std::fs::write(&path, bytes).expect("writes");
         let mut source = Recording::open(&path).expect("opens");
-        let mut frame = Frame::zeroed(source.waveform().shape());
         for sequence in [0, 1, 88, 89] {
-            source.seek_frame(sequence).expect("seeks");
-            source.next_frame(&mut frame).expect("reads");
-            assert_eq!(frame.sequence, sequence);
+            assert_eq!(next_from(&mut source, sequence), sequence);
         }
     }
 
@@ -179,22 +177,17 @@ mod hard_cases {
         let (_folder, path) = in_folder("a.mcap");
         record(&path, true, |_| false);
         let bytes = std::fs::read(&path).expect("reads");
-        let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
-        let mut chunks: Vec<_> = summary.chunk_indexes.iter().map(|c| (c.chunk_start_offset, c.chunk_length)).collect();
-        chunks.sort_unstable();
-        for (start, length) in &chunks[1..] {
+        for (start, end) in chunks(&bytes).into_iter().skip(1) {
+            let (start, end) = (start as u64, end as u64);
             // Position of the record after the chunk, which is neither a chunk nor damaged.
-            let wrong = (start + length).to_le_bytes();
+            let wrong = end.to_le_bytes();
             let at = bytes.windows(8).rposition(|w| w == start.to_le_bytes()).expect("in the index");
             let mut bytes = bytes.clone();
             bytes[at..at + 8].copy_from_slice(&wrong);
             std::fs::write(&path, bytes).expect("writes");
             let mut source = Recording::open(&path).expect("opens");
-            let mut frame = Frame::zeroed(source.waveform().shape());
             for sequence in 0..90 {
-                source.seek_frame(sequence).expect("seeks");
-                source.next_frame(&mut frame).expect("reads");
-                assert_eq!(frame.sequence, sequence);
+                assert_eq!(next_from(&mut source, sequence), sequence);
             }
         }
     }

@@ -106,6 +106,22 @@ pub fn in_folder(name: &str) -> (tempfile::TempDir, PathBuf) {
     (folder, path)
 }
 
+/// Byte range of each chunk of a finished recording.
+pub fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
+    let summary = mcap::Summary::read(bytes).expect("reads").expect("a summary");
+    let range = |start: u64, length: u64| (start as usize, (start + length) as usize);
+    let mut chunks: Vec<_> =
+        summary.chunk_indexes.iter().map(|chunk| range(chunk.chunk_start_offset, chunk.chunk_length)).collect();
+    chunks.sort_unstable();
+    chunks
+}
+
+/// Makes a named pipe.
+pub fn make_pipe(path: &Path) {
+    let made = std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo");
+    assert!(made.success());
+}
+
 /// Records a source with one label.
 pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
