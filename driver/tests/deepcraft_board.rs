@@ -467,13 +467,8 @@ mod hard_cases {
         let w = large();
         let fault = Fault::Unplug { packet: 10, duration: Duration::from_millis(20) };
         let board = spawn(&w, u64::MAX, linked(Kind::Deepcraft, &[fault], folder.path()));
-        let mut stream = start(&board, &w);
-        let mut frame = Frame::zeroed(w.shape());
-        let error = loop {
-            if let Err(error) = stream.next_frame(&mut frame) {
-                break error.to_string();
-            }
-        };
-        assert!(error.contains("connection broke"), "{error}");
+        let (_, _, error) = common::read(&mut start(&board, &w));
+        let error = error.expect("the board is away");
+        assert!(error.to_string().contains("connection broke"), "{error}");
     }
 }

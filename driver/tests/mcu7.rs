@@ -74,7 +74,7 @@ fn requests_of_the_other_version_are_refused() {
 #[test]
 fn answers_and_data_of_the_session_decode_to_an_unbroken_ramp() {
     let Some(transcript) = transcript(Protocol::V4) else { return };
-    let mut parser = BoardParser::new();
+    let mut parser = BoardParser::default();
     let (mut responses, mut packets, mut slice, mut codes) = (0, 0u16, Vec::new(), 0u64);
     for (host, bytes) in transcript {
         if host {
@@ -129,7 +129,7 @@ fn packet_bytes(counter: u16, payload: &[u8]) -> Vec<u8> {
 }
 
 fn counters(bytes: &[u8], piece: usize) -> Vec<u16> {
-    let mut parser = BoardParser::new();
+    let mut parser = BoardParser::default();
     let mut found = Vec::new();
     let mut drain = |parser: &mut BoardParser| {
         while let Some(event) = parser.next_event() {

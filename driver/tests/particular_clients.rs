@@ -41,7 +41,7 @@ impl Client {
     fn open(board: &EmulatedBoard, deaf_for: Duration) -> Self {
         let path = board.path().display().to_string();
         let port = serialport::new(path, 921_600).timeout(Duration::from_millis(20)).open_native().expect("opens");
-        Client { port, parser: BoardParser::new(), deaf_for, packets: Vec::new(), damaged: 0 }
+        Client { port, parser: BoardParser::default(), deaf_for, packets: Vec::new(), damaged: 0 }
     }
 
     /// Receives bytes for some milliseconds; returns whether the line is still open.

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use radome_driver::{Fault, Kind, Mcu7Board, Mcu7Stream};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, Waveform};
+use radome_driver::{Fault, Kind, Mcu7Board};
+use radome_dsp::{Gap, GapReason};
 
-use crate::common::{POLICY, board, linked, open, read_frames, spawn, waveform};
+use crate::common::{POLICY, board, linked, open, read, read_frames, spawn, waveform};
 
 fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
     gaps.iter().map(|g| g.reason).collect()
@@ -64,16 +64,6 @@ fn lost_alignment_is_found_by_starting_anew() {
 mod hard_cases {
     use super::*;
 
-    /// Reads until the first error.
-    fn first_error(stream: &mut Mcu7Stream, waveform: &Waveform) -> radome_dsp::SourceError {
-        let mut frame = Frame::zeroed(waveform.shape());
-        loop {
-            if let Err(error) = stream.next_frame(&mut frame) {
-                return error;
-            }
-        }
-    }
-
     #[test]
     fn packets_in_the_wrong_order_cost_their_frames_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -118,7 +108,8 @@ mod hard_cases {
         let board = spawn(&waveform, u64::MAX, linked(Kind::default(), &[fault], folder.path()));
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         read_frames(&mut stream, 10, |_| {});
-        let error = first_error(&mut stream, &waveform);
+        let (_, _, error) = read(&mut stream);
+        let error = error.expect("the board is away");
         assert!(error.to_string().contains("connection broke"), "{error}");
     }
 }

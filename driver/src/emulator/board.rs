@@ -100,16 +100,15 @@ impl EmulatedBoard {
         let shared = Arc::new(Shared::default());
         let mut firmware = firmware(feed, &options, &shared)?;
         let what = line.description();
-        let address = match &line {
-            HostLine::Pseudoterminal { .. } | HostLine::Terminal(_) => None,
-            HostLine::Endpoints(folder) => Some(Address::Usb(UsbAddress::Emulated(folder.clone()))),
-        };
         let mut wire = Wire::new(line, &options, shared.clone()).map_err(|source| match &options.link {
             Some(link) if source.kind() == ErrorKind::AlreadyExists => EmulatorError::LinkExists { link: link.clone() },
             _ => EmulatorError::Line { what, source },
         })?;
         let path = wire.path().to_owned();
-        let address = address.unwrap_or_else(|| Address::Serial(path.clone()));
+        let address = match options.kind {
+            Kind::Mcu7Bulk => Address::Usb(UsbAddress::Emulated(path.clone())),
+            _ => Address::Serial(path.clone()),
+        };
         let thread = thread::Builder::new()
             .name("emulated board".into())
             .spawn(move || {
@@ -157,9 +156,8 @@ impl EmulatedBoard {
     /// Returns the counts so far.
     pub fn counts(&self) -> EmulatorCounts {
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let Shared { slices, packets, overflows, frames, departures, .. } = &*self.shared;
+        let Shared { packets, overflows, frames, departures, .. } = &*self.shared;
         EmulatorCounts {
-            slices: load(slices),
             packets: load(packets),
             overflows: load(overflows),
             frames: load(frames),

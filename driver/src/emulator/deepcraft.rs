@@ -113,7 +113,6 @@ impl Deepcraft {
         self.number = self.number.wrapping_add(frames as u32);
         self.requests.current_frame = self.number;
         self.shared.frames.fetch_add(frames as u64, Ordering::Relaxed);
-        self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Sends all whole buffered frames.

@@ -166,7 +166,6 @@ impl Firmware for Esp32 {
             if number % FRAMES_BETWEEN_WAVEFORMS == FRAMES_BETWEEN_WAVEFORMS - 1 {
                 wire.send(|out| ascii::encode_waveform(&self.request, out));
             }
-            self.shared.slices.fetch_add(1, Ordering::Relaxed);
             self.shared.frames.fetch_add(1, Ordering::Relaxed);
         }
         true

@@ -6,8 +6,6 @@ use std::sync::{Mutex, PoisonError};
 /// Counts of an emulated board.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EmulatorCounts {
-    /// Slices sent.
-    pub slices: u64,
     /// Data packets, faulty ones included.
     pub packets: u64,
     /// FIFO overflows.
@@ -24,7 +22,6 @@ pub(super) struct Shared {
     pub(super) stop: AtomicBool,
     pub(super) dead: AtomicBool,
     pub(super) finished: AtomicBool,
-    pub(super) slices: AtomicU64,
     pub(super) packets: AtomicU64,
     pub(super) overflows: AtomicU64,
     pub(super) frames: AtomicU64,

@@ -74,9 +74,8 @@ impl InfineonReader {
         let of_data = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
         let waveform = read_waveform(&config, Some(of_data))?;
         let shape = waveform.shape();
-        if (rx, chirps, samples) != (shape.rx as u64, shape.chirps as u64, shape.samples as u64) {
-            let got = format!("{rx} rx x {chirps} chirps x {samples} samples");
-            return Err(RecordingError::Shape { data, got, config, expected: shape.to_string() });
+        if of_data != shape {
+            return Err(RecordingError::Shape { data, got: of_data.to_string(), config, expected: shape.to_string() });
         }
         let mut left_out = Vec::new();
         let timestamps_ns = read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames), &mut left_out)?;

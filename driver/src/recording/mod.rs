@@ -37,8 +37,7 @@ pub use writer::{Format, RecordingWriter};
 fn warn_once(message: String) {
     static WARNED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let mut warned = WARNED.lock().unwrap_or_else(PoisonError::into_inner);
-    if !warned.contains(&message) {
+    if warned.insert(message.clone()) {
         tracing::warn!("{message}");
-        warned.insert(message);
     }
 }

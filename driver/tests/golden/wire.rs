@@ -46,7 +46,7 @@ fn requests_mean_what_they_meant() {
 #[test]
 fn answers_and_packets_mean_what_they_meant() {
     for (name, kind, major) in [("wire-mcu7-4.txt", 0x43, 4), ("wire-mcu7-3.txt", 0xE1, 3)] {
-        let mut parser = BoardParser::new();
+        let mut parser = BoardParser::default();
         parser.push(&messages(name, "D").concat());
         let mut answers = Vec::new();
         while let Some(BoardEvent::Response(response)) = parser.next_event() {

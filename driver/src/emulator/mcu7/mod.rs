@@ -131,7 +131,6 @@ impl Mcu7 {
         bytes.extend(time_us.saturating_sub(clock_began_us).to_le_bytes());
         self.buffered_bytes += slice.data_bytes();
         self.buffer.push_back(Waiting::Slice(bytes));
-        self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Counts frames that the source lacks as lost packets; the counter cannot express every gap.

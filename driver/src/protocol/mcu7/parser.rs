@@ -67,11 +67,6 @@ pub struct BoardParser {
 }
 
 impl BoardParser {
-    /// Creates an empty parser.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Creates an empty parser that allocates nothing more while at most `bytes` bytes at a time are pushed and whole
     /// messages are taken out in between.
     pub fn with_capacity(bytes: usize) -> Self {
