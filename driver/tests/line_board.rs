@@ -38,25 +38,18 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
 mod hard_cases {
     use super::*;
 
-    #[test]
-    fn lines_of_another_waveform_are_refused_with_both_lengths() {
-        let built_for = waveform(&[1], 16, 32, 0.02);
-        let named = waveform(&[1, 2], 16, 32, 0.02);
-        let board = board(&built_for, 5, Kind::Esp32, &[]);
-        let mut stream = Esp32Stream::open(board.path(), Some(&named)).expect("opens");
-        let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
-        let reason = error.source().expect("a reason").to_string();
-        assert!(reason.contains("512 codes, expected 1024"), "{error}: {reason}");
-    }
-
     /// Regression test: of lines longer than any of the named waveform it was not said that the waveform is the cause.
     #[test]
-    fn lines_longer_than_those_of_the_waveform_name_it_as_the_cause() {
-        let (built_for, named) = (waveform(&[1, 2, 3], 16, 64, 0.02), waveform(&[1], 4, 32, 0.02));
-        let board = board(&built_for, 5, Kind::Esp32, &[]);
-        let mut stream = Esp32Stream::open(board.path(), Some(&named)).expect("opens");
-        let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
-        let reason = error.source().expect("a reason").to_string();
-        assert!(reason.contains("longer than any frame") && reason.contains("hint: name the waveform"), "{reason}");
+    fn lines_of_another_waveform_are_refused_and_name_it_as_the_cause() {
+        for (built_for, named, words) in [
+            (waveform(&[1], 16, 32, 0.02), waveform(&[1, 2], 16, 32, 0.02), "512 codes, expected 1024"),
+            (waveform(&[1, 2, 3], 16, 64, 0.02), waveform(&[1], 4, 32, 0.02), "longer than any frame"),
+        ] {
+            let board = board(&built_for, 5, Kind::Esp32, &[]);
+            let mut stream = Esp32Stream::open(board.path(), Some(&named)).expect("opens");
+            let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
+            let reason = error.source().expect("a reason").to_string();
+            assert!(reason.contains(words) && reason.contains("hint: name the waveform"), "{error}: {reason}");
+        }
     }
 }

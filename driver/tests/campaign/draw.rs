@@ -5,9 +5,9 @@ use std::time::Duration;
 use radome_driver::protocol::deepcraft::FIFO_LEVEL_CODES;
 use radome_driver::protocol::mcu7::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
-use radome_dsp::{RxMask, Waveform, WaveformRequest};
+use radome_dsp::Waveform;
 
-use crate::common::Random;
+use crate::common::{self, Random};
 
 /// Kinds of boards and their names.
 const BOARDS: [(Board, &str); 5] = [
@@ -116,14 +116,7 @@ fn waveform(random: &mut Random, board: Board, kind: Kind) -> Waveform {
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
         _ => std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|s| takes(board, *s)).expect("one of them"),
     };
-    let request = WaveformRequest {
-        rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
-        chirps_per_frame: chirps,
-        samples_per_chirp: samples,
-        frame_interval_s: 500e-6 * chirps as f64 + 5e-3,
-        ..WaveformRequest::paper()
-    };
-    Waveform::realise(request).expect("valid")
+    common::waveform(antennas, chirps, samples, 500e-6 * chirps as f64 + 5e-3)
 }
 
 fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f64, u64)) -> Fault {

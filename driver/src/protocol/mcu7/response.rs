@@ -8,6 +8,7 @@ macro_rules! statuses {
     ($($(#[$doc:meta])* $variant:ident = $code:literal, $name:literal;)*) => {
         /// Status of a request.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[allow(missing_docs, reason = "names are the firmware's, and say what most are")]
         pub enum Status {
             $($(#[$doc])* $variant,)*
             /// A code that the firmware's list lacks.
@@ -37,59 +38,35 @@ macro_rules! statuses {
 }
 
 statuses! {
-    /// The request succeeded.
     Ok = 0x00, "OK";
     /// The function failed for a reason of its own.
     Failed = 0x01, "FAILED";
-    /// A size is wrong.
     InvalidSize = 0x02, "INVALID_SIZE";
-    /// A parameter is wrong.
     InvalidParameter = 0x03, "INVALID_PARAMETER";
-    /// A parameter is absent.
     MissingParameter = 0x04, "MISSING_PARAMETER";
     /// A value is unexpected, such as a stale FIFO overflow after power-up.
     UnexpectedValue = 0x05, "UNEXPECTED_VALUE";
-    /// Out of bounds.
     OutOfBounds = 0x06, "OUT_OF_BOUNDS";
-    /// A buffer is too small.
     Overflow = 0x07, "OVERFLOW";
-    /// The operation took too long.
     Timeout = 0x08, "TIMEOUT";
-    /// The board is busy.
     Busy = 0x09, "BUSY";
-    /// The operation was aborted.
     Aborted = 0x0A, "ABORTED";
-    /// There are too few data.
     Underflow = 0x0B, "UNDERFLOW";
-    /// There is not enough memory.
     OutOfMemory = 0x0C, "OUT_OF_MEMORY";
-    /// The address does not exist.
     InvalidAddress = 0x0D, "INVALID_ADDRESS";
-    /// The firmware does not implement the function.
     NotImplemented = 0x10, "NOT_IMPLEMENTED";
-    /// The operation is not possible.
     NotPossible = 0x11, "NOT_POSSIBLE";
-    /// The object is not available.
     NotAvailable = 0x12, "NOT_AVAILABLE";
-    /// The operation is not allowed.
     NotAllowed = 0x13, "NOT_ALLOWED";
-    /// The object must be initialised first.
     NotInitialized = 0x14, "NOT_INITIALIZED";
-    /// The object must be configured first.
     NotConfigured = 0x15, "NOT_CONFIGURED";
-    /// The object must be opened first.
     NotOpen = 0x16, "NOT_OPEN";
-    /// The board does not support the function.
     NotSupported = 0x17, "NOT_SUPPORTED";
-    /// The request's header was cut short.
     RequestHeaderIncomplete = 0x80, "REQUEST_HEADER_INCOMPLETE";
-    /// The request's payload was cut short.
     RequestPayloadIncomplete = 0x81, "REQUEST_PAYLOAD_INCOMPLETE";
-    /// The request's payload is too long.
     RequestPayloadTooLong = 0x82, "REQUEST_PAYLOAD_TOO_LONG";
     /// The request's payload came in pieces.
     RequestPayloadFragmented = 0x83, "REQUEST_PAYLOAD_FRAGMENTED";
-    /// The request's CRC is wrong.
     RequestCrc = 0x84, "REQUEST_CRC";
     /// bmReqType is unknown.
     RequestTypeInvalid = 0x85, "REQUEST_TYPE_INVALID";
@@ -103,9 +80,7 @@ statuses! {
     RequestValueInvalid = 0x89, "REQUEST_WVALUE_INVALID";
     /// wIndex is wrong.
     RequestIndexInvalid = 0x8A, "REQUEST_WINDEX_INVALID";
-    /// The payload is wrong.
     RequestPayloadInvalid = 0x8B, "REQUEST_PAYLOAD_INVALID";
-    /// The object of the request is not available.
     RequestNotAvailable = 0x8C, "REQUEST_NOT_AVAILABLE";
     /// The component does not exist.
     RequestIdInvalid = 0x8D, "REQUEST_COMMAND_ID_INVALID";

@@ -34,6 +34,10 @@ const RESULTS_OF_A_CHUNK: usize = 4096;
 /// Number of bytes at which a part of the summary is written.
 const SUMMARY_BLOCK_BYTES: usize = 1 << 16;
 
+/// What could not be done, in messages.
+const WRITING: &str = "cannot be written";
+const FINISHING: &str = "cannot be finished";
+
 /// Name of the encoding of frames, and of its schema.
 const FRAME_ENCODING: &str = "radome.frame";
 /// Name of the language of [`FRAME_LAYOUT`].
@@ -248,6 +252,11 @@ impl Recorder {
         self.failure.get_or_insert(failure).error(&self.path)
     }
 
+    /// Keeps an error of the system, or of an encoder, if it is the first; returns the first.
+    fn cannot(&mut self, what: &'static str, source: impl Into<io::Error>) -> RecordingError {
+        self.fail(Failure::io(what, &source.into()))
+    }
+
     /// Returns the first error, if there was one.
     fn check(&mut self) -> Result<(), RecordingError> {
         if let Some(failure) = &self.failure {
@@ -264,7 +273,7 @@ impl Recorder {
         if let Err(source) = disk::append(&self.file, &self.path, self.end, &self.pending) {
             // A chunk that is cut short is of no use. If the disk does not even take this, readers skip it.
             let _ = disk::set_length(&self.file, &self.path, self.end);
-            return Err(self.fail(Failure::io(what, &source)));
+            return Err(self.cannot(what, source));
         }
         self.crc.update(&self.pending);
         self.end += self.pending.len() as u64;
@@ -303,15 +312,12 @@ impl Recorder {
         statistics.message_end_time = statistics.message_end_time.max(log_time);
         statistics.message_count += 1;
         *statistics.channel_message_counts.entry(channel_id).or_default() += 1;
-        let written = self.chunk.message(&header, data);
-        written.map_err(|e| self.fail(Failure::io("cannot be written", &e)))
+        self.chunk.message(&header, data).map_err(|e| self.cannot(WRITING, e))
     }
 
     fn write_json(&mut self, channel_id: u16, value: &impl serde::Serialize) -> Result<(), RecordingError> {
-        match serde_json::to_vec(value) {
-            Ok(json) => self.write(channel_id, None, &json),
-            Err(error) => Err(self.fail(Failure::io("cannot be written", &error.into()))),
-        }
+        let json = serde_json::to_vec(value).map_err(|e| self.cannot(WRITING, e))?;
+        self.write(channel_id, None, &json)
     }
 
     /// Writes the pending messages as a chunk, which survives the end of this process. A recording does so by itself
@@ -332,7 +338,6 @@ impl Recorder {
     }
 
     fn end_chunk(&mut self) -> Result<(), RecordingError> {
-        const WHAT: &str = "cannot be written";
         if self.chunk.is_empty() {
             return Ok(());
         }
@@ -341,12 +346,11 @@ impl Recorder {
             let chunk = std::mem::replace(&mut self.chunk, next);
             chunk.finish(&mut self.pending, self.end)
         });
-        let index = ended.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
-        self.write_out(WHAT)?;
+        let index = ended.map_err(|e| self.cannot(WRITING, e))?;
+        self.write_out(WRITING)?;
         self.frames_written = self.report.frames;
         self.statistics.chunk_count += 1;
-        let noted = self.chunk_indexes.push(&index);
-        noted.map_err(|e| self.fail(Failure::io(WHAT, &e)))
+        self.chunk_indexes.push(&index).map_err(|e| self.cannot(WRITING, e))
     }
 
     /// Writes the results that wait, as a chunk of their own. Frames must not be waiting.
@@ -358,9 +362,7 @@ impl Recorder {
         let last_time_ns = self.last_time_ns;
         for result in std::mem::take(&mut self.waiting) {
             json.clear();
-            if let Err(error) = serde_json::to_writer(&mut json, &result) {
-                return Err(self.fail(Failure::io("cannot be written", &error.into())));
-            }
+            serde_json::to_writer(&mut json, &result).map_err(|e| self.cannot(WRITING, e))?;
             let log_time = if result.host_time_ns > 0 { result.host_time_ns } else { result.time_ns };
             self.write(RESULT_CHANNEL, Some((log_time, result.time_ns)), &json)?;
         }
@@ -422,8 +424,7 @@ impl Recorder {
     /// The recording's first error.
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         if !self.takes_results {
-            let source = io::Error::other("a result in a recording that names no judge");
-            return Err(self.fail(Failure::io("cannot be written", &source)));
+            return Err(self.cannot(WRITING, io::Error::other("a result in a recording that names no judge")));
         }
         self.waiting.push(*result);
         self.report.results += 1;
@@ -456,9 +457,7 @@ impl Recorder {
 
     /// Ends the data and writes the summary, block by block. Returns the end of the file, which marks it finished.
     fn write_summary(&mut self) -> Result<Vec<u8>, RecordingError> {
-        const WHAT: &str = "cannot be finished";
-        let rewound = self.chunk_indexes.rewind();
-        rewound.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
+        self.chunk_indexes.rewind().map_err(|e| self.cannot(FINISHING, e))?;
         let data_crc = self.crc.clone().finalize();
         record(&mut self.pending, op::DATA_END, &data_crc.to_le_bytes());
         let mut summary = SummaryLayout::new(self.end + self.pending.len() as u64);
@@ -468,17 +467,17 @@ impl Recorder {
         summary.record(&mut self.pending, op::STATISTICS, &statistics_body(&self.statistics));
         loop {
             let read = self.chunk_indexes.read(&mut self.pending);
-            match read.map_err(|e| self.fail(Failure::io(WHAT, &e)))? {
+            match read.map_err(|e| self.cannot(FINISHING, e))? {
                 0 => break,
                 bytes => summary.add(op::CHUNK_INDEX, bytes),
             }
             if self.pending.len() >= SUMMARY_BLOCK_BYTES {
-                self.write_out(WHAT)?;
+                self.write_out(FINISHING)?;
             }
         }
         summary.record(&mut self.pending, op::METADATA_INDEX, &self.metadata_index);
         let footer = summary.finish(&mut self.pending);
-        self.write_out(WHAT)?;
+        self.write_out(FINISHING)?;
         Ok(footer)
     }
 
@@ -500,10 +499,10 @@ impl Recorder {
             self.sync()?;
         }
         self.pending = footer;
-        self.write_out("cannot be finished")?;
+        self.write_out(FINISHING)?;
         self.sync()?;
-        if has_taken && let Err(error) = staged::remove(&self.path) {
-            return Err(self.fail(Failure::io("cannot be finished", &error)));
+        if has_taken {
+            staged::remove(&self.path).map_err(|e| self.cannot(FINISHING, e))?;
         }
         self.report.bytes = self.end;
         Ok(std::mem::take(&mut self.report))
