@@ -32,9 +32,3 @@ impl fmt::Display for Address {
         }
     }
 }
-
-impl From<UsbAddress> for Address {
-    fn from(usb: UsbAddress) -> Self {
-        Address::Usb(usb)
-    }
-}

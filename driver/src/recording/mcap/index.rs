@@ -1,7 +1,6 @@
 //! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use mcap::records::{Record, op};
 
@@ -64,7 +63,10 @@ impl Index {
             index.drop_torn_end(records, channels)?;
         }
         if !index.complete && index.end.is_none() {
-            warn_of_missing_end(&records.path);
+            warn_once(format!(
+                "{}: not finished, or still being recorded: it is read up to its last whole chunk; radome recording repair makes a finished one",
+                records.path.display()
+            ));
         }
         index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
         index.gaps = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.gaps));
@@ -172,9 +174,7 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
             next => next?,
         };
         match next {
-            Next::Record(op::CHUNK, offset) => {
-                index.chunks.push(Chunk::new(offset));
-            }
+            Next::Record(op::CHUNK, offset) => index.chunks.push(Chunk::new(offset)),
             Next::Record(op::MESSAGE_INDEX, _) => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 let Some(chunk) = index.chunks.last_mut() else { continue };
@@ -194,14 +194,6 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
             Next::CutShort => return Ok(index),
         }
     }
-}
-
-/// Warns that a recording has no end.
-fn warn_of_missing_end(path: &Path) {
-    warn_once(format!(
-        "{}: not finished, or still being recorded: it is read up to its last whole chunk; radome recording repair makes a finished one",
-        path.display()
-    ));
 }
 
 fn warn_of_end(records: &Records, offset: u64, reason: &str) {
