@@ -8,6 +8,7 @@ use crate::kernel::KernelLevel;
 use crate::kernel::buffer::unwritten;
 use crate::kernel::level::{for_each_level, multiply_add};
 
+const ADD_RELU: &str = "add_relu";
 /// Number of values that one task processes.
 pub(super) const CHUNK: usize = 1 << 14;
 
@@ -147,7 +148,7 @@ for_each_level! {
 /// # Errors
 /// The tensor is not f32 on the CPU.
 pub fn activation(input: &Tensor, activation: Activation, level: KernelLevel) -> Result<Tensor> {
-    apply(&[input], Activate { activation, level: level.available() })
+    apply("activation", &[input], Activate { activation, level: level.available() })
 }
 
 struct Activate {
@@ -156,10 +157,6 @@ struct Activate {
 }
 
 impl Operation for Activate {
-    fn name(&self) -> &'static str {
-        "activation"
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("activation: expected one input") };
         let mut output = unwritten(input.values.len());
@@ -209,7 +206,7 @@ pub(super) fn each_pair(
 /// # Errors
 /// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add_relu(a: &Tensor, b: &Tensor, level: KernelLevel) -> Result<Tensor> {
-    apply(&[a, b], AddRelu { level: level.available() })
+    apply(ADD_RELU, &[a, b], AddRelu { level: level.available() })
 }
 
 struct AddRelu {
@@ -217,12 +214,8 @@ struct AddRelu {
 }
 
 impl Operation for AddRelu {
-    fn name(&self) -> &'static str {
-        "add_relu"
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        each_pair(self.name(), inputs, |a, b, output| sum_relu(self.level, a, b, output))
+        each_pair(ADD_RELU, inputs, |a, b, output| sum_relu(self.level, a, b, output))
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {

@@ -22,7 +22,7 @@ const NAME: &str = "adaptive_average_pool";
 /// # Errors
 /// An axis or a number of bins is 0, the input has another number of axes, or it is not f32 on the CPU.
 pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Result<Tensor> {
-    apply(&[input], AveragePool { rows, columns })
+    apply(NAME, &[input], AveragePool { rows, columns })
 }
 
 /// First and end index of bin `index` of `bins` over `length` cells.
@@ -119,10 +119,6 @@ impl Feature {
 }
 
 impl Operation for AveragePool {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, _, _, channels] = self.sizes(input.dims)?;

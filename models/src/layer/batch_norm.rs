@@ -128,7 +128,7 @@ pub fn batch_norm(
 ) -> Result<Tensor> {
     let operation =
         BatchNorm { statistics: statistics.clone(), mode, activation, level: level.available(), used: OnceLock::new() };
-    apply(&[input, weight, bias], operation)
+    apply(NAME, &[input, weight, bias], operation)
 }
 
 struct BatchNorm {
@@ -291,10 +291,6 @@ impl BatchNorm {
 }
 
 impl Operation for BatchNorm {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let channels = self.channels(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };

@@ -21,7 +21,7 @@ const ROWS: usize = 1024;
 /// # Errors
 /// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn circuit(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
-    apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
+    apply(NAME, &[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }
 
 /// Expectations `[row][qubit]` of any circuit at inputs of the same shape.
@@ -113,10 +113,6 @@ impl CircuitLayer {
 }
 
 impl Operation for CircuitLayer {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input, theta] = inputs else { bail!("{NAME}: expected inputs and angles") };
         let batch = self.check(input.dims, theta.dims)?;

@@ -67,10 +67,8 @@ pub fn conv2d(
     level: KernelLevel,
 ) -> Result<Tensor> {
     let operation = Conv2d { geometry, input_gradient, tiles: Tiles::new(level) };
-    match bias {
-        Some(bias) => apply(&[input, weight, bias], operation),
-        None => apply(&[input, weight], operation),
-    }
+    let inputs: Vec<&Tensor> = [input, weight].into_iter().chain(bias).collect();
+    apply(NAME, &inputs, operation)
 }
 
 struct Conv2d {
@@ -282,10 +280,6 @@ impl Conv2d {
 }
 
 impl Operation for Conv2d {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let sizes = self.sizes(inputs)?;
         let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };

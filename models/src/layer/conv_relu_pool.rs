@@ -29,7 +29,7 @@ pub fn conv_relu_pool(
     input_gradient: InputGradient,
     level: KernelLevel,
 ) -> Result<Tensor> {
-    apply(&[input, weight, bias], ConvReluPool { input_gradient, level, winner: OnceLock::new() })
+    apply(NAME, &[input, weight, bias], ConvReluPool { input_gradient, level, winner: OnceLock::new() })
 }
 
 struct ConvReluPool {
@@ -54,10 +54,6 @@ fn geometry(inputs: &[Argument<'_>]) -> Result<(usize, Block)> {
 }
 
 impl Operation for ConvReluPool {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (batch, block) = geometry(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };

@@ -25,7 +25,7 @@ pub fn cross_entropy(logits: &Tensor, labels: &[usize], class_weights: &[f32]) -
             class_weights.len()
         );
     }
-    apply(&[logits], CrossEntropy { labels: labels.to_vec(), class_weights: class_weights.to_vec() })
+    apply(NAME, &[logits], CrossEntropy { labels: labels.to_vec(), class_weights: class_weights.to_vec() })
 }
 
 /// Probabilities of one row of logits, by the softmax; f64, shifted by the maximum so that nothing overflows.
@@ -53,10 +53,6 @@ impl CrossEntropy {
 }
 
 impl Operation for CrossEntropy {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [Argument { values: logits, .. }] = inputs else { candle_core::bail!("{NAME}: expected one input") };
         let mut loss = 0.0f64;

@@ -316,7 +316,7 @@ fn logarithm_of(count: usize) -> f64 {
 /// # Errors
 /// The input has another shape, more than one channel, or maps without cells.
 pub fn map_descriptors(input: &Tensor) -> Result<Tensor> {
-    apply(&[input], MapDescriptors)
+    apply(NAME, &[input], MapDescriptors)
 }
 
 /// Checks the shape of maps. Returns batch, rows and columns.
@@ -350,10 +350,6 @@ impl Feature {
 struct MapDescriptors;
 
 impl Operation for MapDescriptors {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, ..] = sizes_of(input.dims)?;

@@ -26,7 +26,7 @@ pub fn dropout(input: &Tensor, probability: f32, seed: u64, draw: u64) -> Result
             }
         });
     };
-    apply(&[input], Dropout { name, drop })
+    apply(name, &[input], Dropout(drop))
 }
 
 /// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only
@@ -45,7 +45,7 @@ pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> R
         let samples = values.par_chunks_exact_mut(length.max(1)).zip(&factors);
         samples.for_each(|(sample, factor)| sample.iter_mut().for_each(|x| *x *= factor));
     };
-    apply(&[input], Dropout { name, drop })
+    apply(name, &[input], Dropout(drop))
 }
 
 /// Factor on the values that are kept.
@@ -57,25 +57,18 @@ fn scale(name: &str, probability: f32) -> Result<f32> {
 }
 
 /// A layer that multiplies values by constants, and gradients by the same ones.
-struct Dropout<F> {
-    name: &'static str,
-    drop: F,
-}
+struct Dropout<F>(F);
 
 impl<F: Fn(&mut [f32]) + Send + Sync + 'static> Operation for Dropout<F> {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { bail!("{}: expected one input", self.name) };
+        let [input] = inputs else { bail!("dropout: expected one input") };
         let mut output = input.values.to_vec();
-        (self.drop)(&mut output);
+        (self.0)(&mut output);
         Ok((output, Shape::from(input.dims)))
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
-        (self.drop)(&mut gradient);
+        (self.0)(&mut gradient);
         Ok(vec![Some(gradient)])
     }
 }

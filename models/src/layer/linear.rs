@@ -17,7 +17,7 @@ const NAME: &str = "linear";
 /// # Errors
 /// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, level: KernelLevel) -> Result<Tensor> {
-    apply(&[input, weight, bias], Linear { tiles: Tiles::new(level) })
+    apply(NAME, &[input, weight, bias], Linear { tiles: Tiles::new(level) })
 }
 
 struct Linear {
@@ -33,10 +33,6 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
 }
 
 impl Operation for Linear {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [batch, i, o] = sizes(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };

@@ -21,7 +21,7 @@ const NAME: &str = "max_pool2d";
 /// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is
 /// smaller than the kernel or has an empty axis, or it is not f32 on the CPU.
 pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize, level: KernelLevel) -> Result<Tensor> {
-    apply(&[input], MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() })
+    apply(NAME, &[input], MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() })
 }
 
 struct MaxPool {
@@ -190,10 +190,6 @@ for_each_level! {
 }
 
 impl Operation for MaxPool {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let (batch, sizes) = self.sizes(input.dims)?;

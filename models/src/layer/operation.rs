@@ -19,9 +19,6 @@ pub(super) type Gradients = Vec<Option<Vec<f32>>>;
 
 /// A layer of one to three inputs and one output.
 pub(super) trait Operation: Send + Sync + 'static {
-    /// Name in errors.
-    fn name(&self) -> &'static str;
-
     /// Checks the shapes and computes the output.
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)>;
 
@@ -39,9 +36,10 @@ pub enum InputGradient {
     Unused,
 }
 
-/// Applies `operation` to tensors as one node of candle's graph.
-pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Tensor> {
+/// Applies `operation`, which errors call `name`, to tensors as one node of candle's graph.
+pub(super) fn apply(name: &'static str, inputs: &[&Tensor], operation: impl Operation) -> Result<Tensor> {
     let node = Arc::new(Node {
+        name,
         operation: Box::new(operation),
         inputs: inputs.iter().map(|&t| t.clone()).collect(),
         output: OnceLock::new(),
@@ -51,7 +49,7 @@ pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Ten
         [a] => a.apply_op1(handle),
         [a, b] => a.apply_op2(b, handle),
         [a, b, c] => a.apply_op3(b, c, handle),
-        _ => candle_core::bail!("{}: {} inputs", node.operation.name(), inputs.len()),
+        _ => candle_core::bail!("{name}: {} inputs", inputs.len()),
     }?;
     // If no input depends on a variable, candle has dropped the operation, and no backward pass will need it.
     if Arc::strong_count(&node) > 1 {
@@ -75,6 +73,7 @@ fn nodes() -> MutexGuard<'static, HashMap<TensorId, Weak<Node>>> {
 
 /// Layer that was applied to tensors.
 pub(super) struct Node {
+    name: &'static str,
     operation: Box<dyn Operation>,
     pub inputs: Vec<Tensor>,
     output: OnceLock<TensorId>,
@@ -94,7 +93,7 @@ impl Node {
     /// # Errors
     /// A tensor is not f32 on the CPU, or the layer has no such gradient.
     pub fn backward(&self, output: &Tensor, gradient: Vec<f32>) -> Result<Gradients> {
-        let name = self.operation.name();
+        let name = self.name;
         let contiguous = self.inputs.iter().map(|t| t.contiguous()).collect::<Result<Vec<_>>>()?;
         let locked: Vec<_> = contiguous.iter().map(|t| t.storage_and_layout()).collect();
         let arguments = locked
@@ -111,20 +110,17 @@ impl Node {
 struct Handle(Arc<Node>);
 
 impl Handle {
-    fn run(&self, inputs: &[(&CpuStorage, &Layout)]) -> Result<(CpuStorage, Shape)> {
-        let operation = &self.0.operation;
-        let arguments = inputs
-            .iter()
-            .map(|(storage, layout)| {
-                Ok(Argument { values: values(operation.name(), storage, layout)?, dims: layout.dims() })
-            })
-            .collect::<Result<Vec<_>>>()?;
-        let (output, shape) = operation.forward(&arguments)?;
+    fn run<'a>(&self, inputs: &[(&'a CpuStorage, &'a Layout)]) -> Result<(CpuStorage, Shape)> {
+        let argument = |&(storage, layout): &(&'a CpuStorage, &'a Layout)| {
+            values(self.0.name, storage, layout).map(|values| Argument { values, dims: layout.dims() })
+        };
+        let arguments = inputs.iter().map(argument).collect::<Result<Vec<_>>>()?;
+        let (output, shape) = self.0.operation.forward(&arguments)?;
         Ok((CpuStorage::F32(output), shape))
     }
 
     fn gradients(&self, output: &Tensor, gradient: &Tensor) -> Result<Vec<Option<Tensor>>> {
-        let gradient = with_values(self.0.operation.name(), gradient, |g| Ok(g.to_vec()))?;
+        let gradient = with_values(self.0.name, gradient, |g| Ok(g.to_vec()))?;
         let gradients = self.0.backward(output, gradient)?;
         self.0
             .inputs
@@ -137,7 +133,7 @@ impl Handle {
 
 impl CustomOp1 for Handle {
     fn name(&self) -> &'static str {
-        self.0.operation.name()
+        self.0.name
     }
 
     fn cpu_fwd(&self, a: &CpuStorage, la: &Layout) -> Result<(CpuStorage, Shape)> {
@@ -151,7 +147,7 @@ impl CustomOp1 for Handle {
 
 impl CustomOp2 for Handle {
     fn name(&self) -> &'static str {
-        self.0.operation.name()
+        self.0.name
     }
 
     fn cpu_fwd(&self, a: &CpuStorage, la: &Layout, b: &CpuStorage, lb: &Layout) -> Result<(CpuStorage, Shape)> {
@@ -172,7 +168,7 @@ impl CustomOp2 for Handle {
 
 impl CustomOp3 for Handle {
     fn name(&self) -> &'static str {
-        self.0.operation.name()
+        self.0.name
     }
 
     fn cpu_fwd(

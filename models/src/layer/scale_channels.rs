@@ -15,7 +15,7 @@ const NAME: &str = "scale_channels";
 /// # Errors
 /// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn scale_channels(input: &Tensor, scale: &Tensor) -> Result<Tensor> {
-    apply(&[input, scale], ScaleChannels)
+    apply(NAME, &[input, scale], ScaleChannels)
 }
 
 struct ScaleChannels;
@@ -58,10 +58,6 @@ impl Feature {
 }
 
 impl Operation for ScaleChannels {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (map, channels) = sizes(inputs)?;
         let [input, scale] = inputs else { bail!("{NAME}: expected two inputs") };

@@ -16,7 +16,7 @@ const NAME: &str = "scaled_sigmoid";
 /// # Errors
 /// The tensor is not f32 on the CPU.
 pub fn scaled_sigmoid(input: &Tensor, penalty: f32) -> Result<Tensor> {
-    apply(&[input], ScaledSigmoid { penalty })
+    apply(NAME, &[input], ScaledSigmoid { penalty })
 }
 
 struct ScaledSigmoid {
@@ -29,10 +29,6 @@ pub(crate) fn scaled_sigmoid_of(u: f32) -> f32 {
 }
 
 impl Operation for ScaledSigmoid {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
         Ok((input.values.iter().map(|&u| scaled_sigmoid_of(u)).collect(), Shape::from(input.dims)))

@@ -13,7 +13,7 @@ const NAME: &str = "standardise";
 /// There is not one mean and one sigma for each feature, there are none, or the tensor is not f32 on the CPU.
 pub fn standardise(input: &Tensor, mean: &[f32], sigma: &[f32]) -> Result<Tensor> {
     let factor = sigma.iter().map(|sigma| 1.0 / sigma).collect();
-    apply(&[input], Standardise { mean: mean.to_vec(), factor })
+    apply(NAME, &[input], Standardise { mean: mean.to_vec(), factor })
 }
 
 struct Standardise {
@@ -22,10 +22,6 @@ struct Standardise {
 }
 
 impl Operation for Standardise {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let width = self.mean.len();

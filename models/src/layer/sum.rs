@@ -5,23 +5,21 @@ use candle_core::{Result, Shape, Tensor, bail};
 use super::activation::each_pair;
 use super::operation::{Argument, Gradients, Operation, apply};
 
+const ADD: &str = "add";
+
 /// `a + b`, of one shape.
 ///
 /// # Errors
 /// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add(a: &Tensor, b: &Tensor) -> Result<Tensor> {
-    apply(&[a, b], Add)
+    apply(ADD, &[a, b], Add)
 }
 
 struct Add;
 
 impl Operation for Add {
-    fn name(&self) -> &'static str {
-        "add"
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        each_pair(self.name(), inputs, |a, b, output| {
+        each_pair(ADD, inputs, |a, b, output| {
             output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b);
         })
     }
@@ -36,7 +34,7 @@ impl Operation for Add {
 /// # Errors
 /// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn concatenate(a: &Tensor, b: &Tensor) -> Result<Tensor> {
-    apply(&[a, b], Concatenate)
+    apply("concatenate", &[a, b], Concatenate)
 }
 
 struct Concatenate;
@@ -55,10 +53,6 @@ fn widths(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
 }
 
 impl Operation for Concatenate {
-    fn name(&self) -> &'static str {
-        "concatenate"
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [batch, a, b] = widths(inputs)?;
         let [first, second] = inputs else { bail!("concatenate: expected two inputs") };

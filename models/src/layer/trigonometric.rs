@@ -12,7 +12,7 @@ const NAME: &str = "trigonometric";
 /// # Errors
 /// The input has another shape, or it is not f32 on the CPU.
 pub fn trigonometric(input: &Tensor) -> Result<Tensor> {
-    apply(&[input], Trigonometric)
+    apply(NAME, &[input], Trigonometric)
 }
 
 struct Trigonometric;
@@ -28,10 +28,6 @@ fn rows<'a>(inputs: &[Argument<'a>]) -> Result<impl Iterator<Item = [f64; 2]> + 
 }
 
 impl Operation for Trigonometric {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let output: Vec<f32> = rows(inputs)?.flat_map(|x| features(x).0.map(|value| value as f32)).collect();
         let batch = output.len() / 5;
