@@ -25,20 +25,22 @@ pub enum Activation {
     Sigmoid,
 }
 
-/// Codes of [`Activation`] for constant parameters of kernels.
-pub(super) const NONE: u8 = 0;
-pub(super) const RELU: u8 = 1;
-pub(super) const SILU: u8 = 2;
-pub(super) const SIGMOID: u8 = 3;
+/// Codes of activations for constant parameters of kernels.
+const RELU: u8 = Activation::Relu as u8;
+const SILU: u8 = Activation::Silu as u8;
+const SIGMOID: u8 = Activation::Sigmoid as u8;
 
-/// Calls a kernel with the activation as a constant parameter.
+/// Compiles `$body` once for each activation, whose code is the constant `$code` there, and runs that of `$activation`.
 macro_rules! by_activation {
-    ($activation:expr, $function:ident :: <$fused:ident>($($argument:expr),* $(,)?)) => {
+    ($activation:expr, $code:ident => $body:expr) => {
+        by_activation!($activation, $code => $body; None Relu Silu Sigmoid)
+    };
+    ($activation:expr, $code:ident => $body:expr; $($name:ident)*) => {
         match $activation {
-            Activation::None => $function::<$fused, { $crate::layer::activation::NONE }>($($argument),*),
-            Activation::Relu => $function::<$fused, { $crate::layer::activation::RELU }>($($argument),*),
-            Activation::Silu => $function::<$fused, { $crate::layer::activation::SILU }>($($argument),*),
-            Activation::Sigmoid => $function::<$fused, { $crate::layer::activation::SIGMOID }>($($argument),*),
+            $(Activation::$name => {
+                const $code: u8 = Activation::$name as u8;
+                $body
+            })*
         }
     };
 }
@@ -97,49 +99,33 @@ pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> 
     }
 }
 
-#[inline(always)]
-fn activate_all<const FUSED: bool, const A: u8>(input: &[f32], output: &mut [f32]) {
-    output.iter_mut().zip(input).for_each(|(y, &x)| *y = activate::<FUSED, A>(x));
-}
-
-#[inline(always)]
-fn activate_in_place<const FUSED: bool, const A: u8>(values: &mut [f32]) {
-    values.iter_mut().for_each(|v| *v = activate::<FUSED, A>(*v));
-}
-
-#[inline(always)]
-fn activate_sum<const FUSED: bool, const A: u8>(values: &mut [f32], others: &[f32]) {
-    values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED, A>(*v + o));
-}
-
-#[inline(always)]
-fn descend_all<const FUSED: bool, const A: u8>(input: &[f32], gradient: &mut [f32]) {
-    gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g));
-}
-
 for_each_level! {
     fn forward(activation: Activation, input: &[f32], output: &mut [f32]) {
-        by_activation!(activation, activate_all::<FUSED>(input, output))
+        by_activation!(activation, A => output.iter_mut().zip(input).for_each(|(y, &x)| *y = activate::<FUSED, A>(x)))
     }
 }
 
 for_each_level! {
     fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) {
-        by_activation!(activation, descend_all::<FUSED>(input, gradient))
+        by_activation!(
+            activation, A => gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g))
+        )
     }
 }
 
 for_each_level! {
     /// Replaces values by their activation.
     pub(super) fn in_place(activation: Activation, values: &mut [f32]) {
-        by_activation!(activation, activate_in_place::<FUSED>(values))
+        by_activation!(activation, A => values.iter_mut().for_each(|v| *v = activate::<FUSED, A>(*v)))
     }
 }
 
 for_each_level! {
     /// Replaces values by the activation of their sums with others.
     pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) {
-        by_activation!(activation, activate_sum::<FUSED>(values, others))
+        by_activation!(
+            activation, A => values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED, A>(*v + o))
+        )
     }
 }
 

@@ -180,48 +180,38 @@ for_each_level! {
     }
 }
 
-#[inline(always)]
-fn normalise_with<const FUSED: bool, const A: u8>(input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32]) {
-    for (input, output) in input.chunks(scale.len()).zip(output.chunks_mut(scale.len())) {
-        for (((y, &x), &a), &b) in output.iter_mut().zip(input).zip(scale).zip(shift) {
-            *y = activate::<FUSED, A>(multiply_add::<FUSED>(x, a, b));
-        }
-    }
-}
-
 for_each_level! {
     fn normalise(activation: Activation, input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32]) {
-        by_activation!(activation, normalise_with::<FUSED>(input, scale, shift, output))
-    }
-}
-
-#[inline(always)]
-fn sums_with<const FUSED: bool, const A: u8>(
-    input: &[f32],
-    [mean, scale, shift]: [&[f32]; 3],
-    gradient: &mut [f32],
-    sum: &mut [f32],
-    product: &mut [f32],
-) {
-    let length = mean.len();
-    let (scale, shift, sum, product) = (&scale[..length], &shift[..length], &mut sum[..length], &mut product[..length]);
-    for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
-        for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
-            *g = descend::<FUSED, A>(multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
-            sum[k] += *g;
-            product[k] = multiply_add::<FUSED>(*g, x - mean[k], product[k]);
-        }
+        let length = scale.len();
+        by_activation!(activation, A => {
+            for (input, output) in input.chunks(length).zip(output.chunks_mut(length)) {
+                for (((y, &x), &a), &b) in output.iter_mut().zip(input).zip(scale).zip(shift) {
+                    *y = activate::<FUSED, A>(multiply_add::<FUSED>(x, a, b));
+                }
+            }
+        })
     }
 }
 
 for_each_level! {
     /// Replaces the gradient of the output by the one before the activation and adds it, and its product with the
-    /// centred input, to the sums of each channel.
+    /// centred input, to the sums of each channel. `constants` are mean, scale and shift.
     fn gradient_sums(
         activation: Activation, input: &[f32], constants: [&[f32]; 3], gradient: &mut [f32],
         sum: &mut [f32], product: &mut [f32],
     ) {
-        by_activation!(activation, sums_with::<FUSED>(input, constants, gradient, sum, product))
+        let length = constants[0].len();
+        let [mean, scale, shift] = constants.map(|constant| &constant[..length]);
+        let (sum, product) = (&mut sum[..length], &mut product[..length]);
+        by_activation!(activation, A => {
+            for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
+                for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
+                    *g = descend::<FUSED, A>(multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
+                    sum[k] += *g;
+                    product[k] = multiply_add::<FUSED>(*g, x - mean[k], product[k]);
+                }
+            }
+        })
     }
 }
 
