@@ -19,10 +19,7 @@ pub enum Domain {
 
 impl std::fmt::Display for Domain {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Domain::Sim => "sim",
-            Domain::Real => "real",
-        })
+        self.serialize(f)
     }
 }
 
@@ -40,11 +37,7 @@ pub enum Split {
 
 impl std::fmt::Display for Split {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Split::Train => "train",
-            Split::Validation => "validation",
-            Split::Test => "test",
-        })
+        self.serialize(f)
     }
 }
 
@@ -163,11 +156,6 @@ impl SplitBy {
 
 impl std::fmt::Display for SplitBy {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            SplitBy::Sequence => "sequence",
-            SplitBy::Subject => "subject",
-            SplitBy::Scene => "scene",
-            SplitBy::Seed => "seed",
-        })
+        self.serialize(f)
     }
 }

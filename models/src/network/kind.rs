@@ -31,17 +31,9 @@ pub enum NetworkKind {
 }
 
 impl std::fmt::Display for NetworkKind {
-    /// Writes the name that users type.
+    /// Writes the name that users type and that files hold.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            NetworkKind::Hqnn => "hqnn",
-            NetworkKind::DopplerNet => "doppler_net",
-            NetworkKind::ResNet18 => "resnet18",
-            NetworkKind::EfficientNetB0 => "efficientnet_b0",
-            NetworkKind::EfficientNetB0Rgb => "efficientnet_b0_rgb",
-            NetworkKind::DescriptorLinear => "descriptor_linear",
-            NetworkKind::DescriptorHqnn => "descriptor_hqnn",
-        })
+        self.serialize(f)
     }
 }
 
