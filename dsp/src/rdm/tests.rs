@@ -90,6 +90,22 @@ fn last_map(processor: &mut RdmProcessor, frames: &[Frame]) -> Rdm {
     map
 }
 
+/// Map of one frame by a processor of its own.
+fn map_of(spec: &RdmSpec, waveform: &Waveform, frame: &Frame) -> Rdm {
+    last_map(&mut RdmProcessor::new(spec, waveform).expect("spec fits"), std::slice::from_ref(frame))
+}
+
+/// Map of samples in the spec's scale.
+fn map_of_samples(processor: &mut RdmProcessor, samples: &[f32]) -> Rdm {
+    let mut map = processor.empty_map();
+    processor.process_samples(0, samples, &mut map).expect("length fits");
+    map
+}
+
+fn to_f64(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|value| f64::from(*value)).collect()
+}
+
 /// Worst amplitude error of a cell against the strongest cell, dBc.
 fn error_dbc(db: &[f32], expected: &[f64]) -> f64 {
     assert_eq!(db.len(), expected.len());
@@ -211,8 +227,7 @@ fn every_level_is_within_minus_135_dbc_of_the_formula() {
         maps.push(map.db);
     }
     for map in &maps[1..] {
-        let first: Vec<f64> = maps[0].iter().map(|db| f64::from(*db)).collect();
-        assert!(error_dbc(map, &first) < -132.0);
+        assert!(error_dbc(map, &to_f64(&maps[0])) < -132.0);
     }
 }
 
@@ -231,10 +246,8 @@ fn codes_and_samples_agree() {
         let samples: Vec<f32> = frame.codes.iter().map(|c| (f64::from(*c) * factor + offset) as f32).collect();
         for mut processor in processors(&spec, &w) {
             let by_codes = last_map(&mut processor, std::slice::from_ref(&frame));
-            let mut by_samples = processor.empty_map();
-            processor.process_samples(9, &samples, &mut by_samples).expect("length fits");
-            let by_samples: Vec<f64> = by_samples.db.iter().map(|db| f64::from(*db)).collect();
-            let error = error_dbc(&by_codes.db, &by_samples);
+            let by_samples = map_of_samples(&mut processor, &samples);
+            let error = error_dbc(&by_codes.db, &to_f64(&by_samples.db));
             assert!(error < -110.0, "{error} dBc {scale:?} {}", name(&processor));
         }
     }
@@ -245,14 +258,12 @@ fn full_scale_sine_reads_zero_dbfs_and_its_bin_is_its_range() {
     let w = waveform(1, 16, 64);
     for mut processor in processors(&RdmSpec::default(), &w) {
         let frame = frame_of(w.shape(), 0, |_, _, n| (TAU * 9.0 * n as f64 / 64.0).cos() * 2047.0 / 2048.0);
-        let mut map = processor.empty_map();
-        processor.process(&frame, &mut map).expect("frame fits");
+        let map = last_map(&mut processor, &[frame]);
         assert_eq!(map.peak(), Some((0, 8, 9)), "{}", name(&processor));
         assert!(map.at(0, 8, 9).abs() < 0.02, "{} {}", map.at(0, 8, 9), name(&processor));
         // A constant of full scale reads 0 dBFS too: one-sided amplitudes count DC once.
         let frame = frame_of(w.shape(), 1, |_, _, _| -1.0);
-        processor.process(&frame, &mut map).expect("frame fits");
-        assert!(map.at(0, 8, 0).abs() < 1e-3, "{}", name(&processor));
+        assert!(last_map(&mut processor, &[frame]).at(0, 8, 0).abs() < 1e-3, "{}", name(&processor));
     }
 }
 
@@ -285,9 +296,7 @@ fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
     let sigma = 0.02;
     let mut samples: Vec<f32> = Vec::new();
     samples.resize_with(w.shape().codes(), || (sigma * random.normal()) as f32);
-    let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-    let mut map = processor.empty_map();
-    processor.process_samples(0, &samples, &mut map).expect("length fits");
+    let map = map_of_samples(&mut RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits"), &samples);
     let cells: Vec<f64> =
         (0..128).flat_map(|d| (2..127).map(move |r| (d, r))).map(|(d, r)| f64::from(map.at(0, d, r))).collect();
     let mean = cells.iter().sum::<f64>() / cells.len() as f64;

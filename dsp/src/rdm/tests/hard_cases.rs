@@ -1,18 +1,10 @@
 use super::*;
 
-fn default_map(frame: &Frame, w: &Waveform, spec: RdmSpec) -> Rdm {
-    let mut processor = RdmProcessor::new(&spec, w).expect("spec fits");
-    let mut map = processor.empty_map();
-    processor.process(frame, &mut map).expect("frame fits");
-    map
-}
-
 #[test]
 fn all_zero_samples_read_the_floor_everywhere() {
     let w = waveform(2, 16, 32);
     for mut processor in processors(&RdmSpec::default(), &w) {
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &vec![0.0; w.shape().codes()], &mut map).expect("length fits");
+        let map = map_of_samples(&mut processor, &vec![0.0; w.shape().codes()]);
         assert!(map.db.iter().all(|v| (v + 200.0).abs() < 1e-3), "{}", name(&processor));
         assert_eq!(map.flags, MapFlags::default());
     }
@@ -21,7 +13,7 @@ fn all_zero_samples_read_the_floor_everywhere() {
 #[test]
 fn a_frame_of_zero_codes_is_flagged_as_saturated_throughout() {
     let w = waveform(2, 16, 32);
-    let map = default_map(&Frame::zeroed(w.shape()), &w, RdmSpec::default());
+    let map = map_of(&RdmSpec::default(), &w, &Frame::zeroed(w.shape()));
     assert_eq!(map.flags.saturated_samples, 2 * 16 * 32);
     assert!(map.db.iter().all(|v| v.is_finite()));
 }
@@ -30,9 +22,9 @@ fn a_frame_of_zero_codes_is_flagged_as_saturated_throughout() {
 fn saturation_is_counted_in_the_used_channels_only() {
     let w = waveform(2, 8, 16);
     let frame = frame_of(w.shape(), 0, |rx, _, n| if rx == 1 && n < 3 { 2.0 } else { 0.0 });
-    assert_eq!(default_map(&frame, &w, RdmSpec::default()).flags.saturated_samples, 24);
+    assert_eq!(map_of(&RdmSpec::default(), &w, &frame).flags.saturated_samples, 24);
     let first = RdmSpec { channels: Channels::One(0), ..RdmSpec::default() };
-    assert_eq!(default_map(&frame, &w, first).flags.saturated_samples, 0);
+    assert_eq!(map_of(&first, &w, &frame).flags.saturated_samples, 0);
 }
 
 #[test]
@@ -67,8 +59,7 @@ fn one_not_a_number_stays_visible_and_is_flagged_in_its_channel() {
 fn power_beyond_f32_is_infinite_and_counted() {
     let w = waveform(1, 16, 32);
     for mut processor in processors(&RdmSpec::default(), &w) {
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &vec![1e25; w.shape().codes()], &mut map).expect("length fits");
+        let map = map_of_samples(&mut processor, &vec![1e25; w.shape().codes()]);
         assert_eq!(map.at(0, 8, 0), f32::INFINITY);
         let infinite = map.db.iter().filter(|v| !v.is_finite()).count();
         assert_eq!(map.flags.non_finite_cells as usize, infinite, "{}", name(&processor));
@@ -123,8 +114,7 @@ fn target_ninety_decibels_below_dc_leakage_is_exact() {
         })
         .collect();
     for mut processor in processors(&RdmSpec::default(), &w) {
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &samples, &mut map).expect("length fits");
+        let map = map_of_samples(&mut processor, &samples);
         assert!((map.at(0, 64 + 20, 40) + 90.0).abs() < 0.02, "{} {}", map.at(0, 84, 40), name(&processor));
     }
 }

@@ -112,12 +112,8 @@ fn natural_axes_give_the_ordinary_map() {
         let natural = RdmSpec { physical_axes: Some(axes), ..natural };
         assert_eq!((natural.steps(&w), natural.shape(&w)), (ordinary.steps(&w), Ok(shape)));
         let frame = busy_frame(w.shape(), 2);
-        let [got, expected] = [natural, ordinary].map(|spec| {
-            let mut processor = RdmProcessor::new(&spec, &w).expect("spec fits");
-            last_map(&mut processor, std::slice::from_ref(&frame))
-        });
-        let expected: Vec<f64> = expected.db.iter().map(|db| f64::from(*db)).collect();
-        let error = error_dbc(&got.db, &expected);
+        let [got, expected] = [natural, ordinary].map(|spec| map_of(&spec, &w, &frame));
+        let error = error_dbc(&got.db, &to_f64(&expected.db));
         assert!(error < -100.0, "{title}: {error} dBc");
     }
 }
@@ -128,8 +124,7 @@ fn a_point_is_where_it_is_whatever_the_waveform() {
     for (title, w) in waveforms() {
         for (range_m, velocity) in [(2.42, 0.62), (3.3, -1.17), (1.58, 2.03)] {
             let frame = frame_of(w.shape(), 0, |_, m, n| 0.3 * echo(&w, range_m, velocity, m, n));
-            let mut processor = RdmProcessor::new(&on_axes(AXES), &w).expect("spec fits");
-            let map = last_map(&mut processor, std::slice::from_ref(&frame));
+            let map = map_of(&on_axes(AXES), &w, &frame);
             assert_eq!((map.range_step_m, map.velocity_step_m_per_s), (0.15, 0.098));
             let (_, doppler, range) = map.peak().expect("finite");
             let (at_m, at_speed) = (map.range_m(range), map.velocity_m_per_s(doppler));
@@ -235,10 +230,7 @@ fn a_dead_receiver_is_left_out() {
     let two = realised(|w| w.rx_antennas = RxMask::from_antennas(&[1, 3]).expect("receivers"));
     let sample = |rx: usize, m: usize, n: usize| 0.1 * echo(&w, 2.0 + 0.1 * rx as f64, 0.4, m, n);
     let alive = frame_of(two.shape(), 0, |rx, m, n| sample(2 * rx, m, n));
-    let expected: Vec<f64> = {
-        let mut processor = RdmProcessor::new(&on_axes(AXES), &two).expect("spec fits");
-        last_map(&mut processor, std::slice::from_ref(&alive)).db.iter().map(|db| f64::from(*db)).collect()
-    };
+    let expected = to_f64(&map_of(&on_axes(AXES), &two, &alive).db);
     let mut processor = RdmProcessor::new(&on_axes(AXES), &w).expect("spec fits");
     // Constant, and at the ends of the ADC most of the time.
     let kinds: [fn(usize) -> f64; 2] =
@@ -252,7 +244,7 @@ fn a_dead_receiver_is_left_out() {
     }
     // All of them: the map is finite and empty.
     let frame = frame_of(w.shape(), 1, |_, _, _| 0.3);
-    let map = last_map(&mut processor, std::slice::from_ref(&frame));
+    let map = last_map(&mut processor, &[frame]);
     assert!(map.db.iter().all(|db| db.is_finite() && *db < -100.0));
 }
 
@@ -289,10 +281,7 @@ fn a_dead_receiver_is_replaced_by_another() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);
     let spec = |channel: usize| RdmSpec { channels: Channels::One(channel), ..on_axes(AXES) };
     let sample = |rx: usize, m: usize, n: usize| 0.1 * echo(&w, 2.0 + 0.1 * rx as f64, 0.4, m, n);
-    let map = |channel: usize, frame: &Frame| {
-        let mut processor = RdmProcessor::new(&spec(channel), &w).expect("spec fits");
-        last_map(&mut processor, std::slice::from_ref(frame))
-    };
+    let map = |channel: usize, frame: &Frame| map_of(&spec(channel), &w, frame);
     let alive = frame_of(w.shape(), 0, sample);
     let dead = frame_of(w.shape(), 0, |rx, m, n| if rx == 0 { 0.3 } else { sample(rx, m, n) });
     assert_eq!(map(0, &dead).db, map(1, &alive).db);
@@ -382,8 +371,7 @@ fn axes_that_cannot_be_are_refused_by_key() {
     let coarse = PhysicalAxes { range_step_m: 1e6, velocity_step_m_per_s: 1e6, range_bins: 2, velocity_bins: 3 };
     let fine = PhysicalAxes { range_step_m: 1e-9, velocity_step_m_per_s: 1e-9, range_bins: 7, velocity_bins: 7 };
     for axes in [coarse, fine] {
-        let mut processor = RdmProcessor::new(&on_axes(axes), &w).expect("spec fits");
-        let map = last_map(&mut processor, &[busy_frame(w.shape(), 0)]);
+        let map = map_of(&on_axes(axes), &w, &busy_frame(w.shape(), 0));
         assert!(map.db.iter().all(|db| db.is_finite()), "{axes:?}");
     }
 }
@@ -407,8 +395,7 @@ proptest::proptest! {
         };
         let spec = RdmSpec { static_removal: StaticRemoval::SlowTimeMean, ..on_axes(axes) };
         let frame = if is_flat { frame_of(w.shape(), seed, |_, _, _| 0.1) } else { busy_frame(w.shape(), seed) };
-        let mut processor = RdmProcessor::new(&spec, &w).expect("within the limits");
-        let map = last_map(&mut processor, std::slice::from_ref(&frame));
+        let map = map_of(&spec, &w, &frame);
         proptest::prop_assert_eq!(map.db.len(), range_bins * velocity_bins);
         proptest::prop_assert_eq!(map.flags.non_finite_cells, 0);
         proptest::prop_assert!(map.db.iter().all(|db| db.is_finite()));
