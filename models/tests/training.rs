@@ -1,5 +1,7 @@
 //! Tests of training on made-up maps, and of saving and loading models.
 
+use std::path::Path;
+
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
@@ -59,6 +61,19 @@ fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
     set.header().rdm(set.map(index).expect("map"), index as u64)
+}
+
+/// Trains until the checkpoint holds so many epochs. The report of the next one panics, which is as abrupt as a signal: an epoch is
+/// written after its report.
+fn stop_after(epochs: usize, set: &Dataset, spec: &TrainSpec, checkpoint: &Path) {
+    let mut count = 0;
+    let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        let _ = train_with_checkpoint(set, spec, Some(checkpoint), &mut |_| {
+            count += 1;
+            assert!(count <= epochs, "stop");
+        });
+    }));
+    assert!(stopped.is_err() && checkpoint.exists());
 }
 
 /// Saves and loads a model; returns the original and the loaded one. Asserts that the folder holds only the file.
@@ -174,15 +189,7 @@ fn a_stopped_training_ends_as_if_it_had_not_been() {
         for stop in 1..epochs {
             let dir = tempfile::tempdir().expect("folder");
             let path = dir.path().join("checkpoint");
-            // A panic during the report is as abrupt as a signal; the file is written after the report.
-            let mut count = 0;
-            let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                let _ = train_with_checkpoint(set, &spec, Some(&path), &mut |_| {
-                    count += 1;
-                    assert!(count <= stop, "stop");
-                });
-            }));
-            assert!(stopped.is_err() && path.exists());
+            stop_after(stop, set, &spec, &path);
             let mut told = 0;
             let resumed = train_with_checkpoint(set, &spec, Some(&path), &mut |_| told += 1).expect("training");
             assert_eq!(told, epochs - stop);
@@ -200,13 +207,7 @@ fn a_checkpoint_of_another_training_is_refused() {
     let (set, spec) = brief();
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("checkpoint");
-    let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        let mut count = 0;
-        let _ = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {
-            count += 1;
-            assert!(count < 2, "stop");
-        });
-    }));
+    stop_after(1, &set, &spec, &path);
     let other = TrainSpec { seed: spec.seed + 1, ..spec.clone() };
     let error = train_with_checkpoint(&set, &other, Some(&path), &mut |_| {}).err().expect("refused").to_string();
     assert!(error.contains("other settings") && error.contains("hint:"), "{error}");
@@ -407,14 +408,7 @@ mod hard_cases {
         let (set, spec) = brief();
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("checkpoint");
-        let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            let mut count = 0;
-            let _ = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {
-                count += 1;
-                assert!(count < 2, "stop");
-            });
-        }));
-        assert!(stopped.is_err());
+        stop_after(1, &set, &spec, &path);
         let mut bytes = std::fs::read(&path).expect("read");
         let last = bytes.len() - 4;
         bytes[last] ^= 1;
