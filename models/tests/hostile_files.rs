@@ -6,7 +6,9 @@ mod hard_cases {
 
     use radome_models::layer::KernelLevel;
     use radome_models::network::Network;
+    use radome_models::standardise::MapReference;
     use radome_models::study::StudySpec;
+    use radome_models::train::Superpose;
     use radome_models::{MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainSpec, onnx};
     use safetensors::SafeTensors;
 
@@ -139,7 +141,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn specs_with_numbers_beyond_any_training_are_refused() {
+    fn settings_out_of_range_are_named() {
         let refused = |change: &dyn Fn(&mut TrainSpec), expected: &str| {
             let mut spec = TrainSpec::default();
             change(&mut spec);
@@ -147,8 +149,22 @@ mod hard_cases {
             assert!(error.contains(expected), "{error}");
         };
         assert!(TrainSpec::default().check().is_ok());
-        refused(&|spec| spec.epochs = usize::MAX, "epochs");
-        refused(&|spec| spec.batch_size = usize::MAX, "batch_size");
+        for count in [0, usize::MAX] {
+            refused(&|spec| spec.epochs = count, "epochs");
+            refused(&|spec| spec.batch_size = count, "batch_size");
+        }
+        refused(&|spec| spec.learning_rate = f64::NAN, "learning_rate");
+        refused(&|spec| spec.start_epochs = 0, "start_epochs");
+        refused(&|spec| spec.linear_epochs = Some(99), "linear_epochs");
+        refused(&|spec| spec.latent_penalty = -1.0, "latent_penalty");
+        refused(&|spec| spec.smoothing.weight = Some(0.5), "smoothing.weight");
+        let over_noise = |most_db| MapReference::OverNoise { skip_range_bins: 2, most_db };
+        refused(&|spec| spec.reference = over_noise(Some(-1.0)), "most_db");
+        let leaks_changed_labels = |spec: &mut TrainSpec| {
+            (spec.reference, spec.label_leaking_cells) = (over_noise(None), true);
+            spec.augmentation.superpose = Some(Superpose { probability: 0.3 });
+        };
+        refused(&leaks_changed_labels, "label_leaking_cells");
         refused(&|spec| spec.starts = u64::MAX, "starts");
         refused(&|spec| spec.pooled = [usize::MAX, 1], "pooled");
         // A study built its dataset before it found this.

@@ -47,9 +47,8 @@ mod tests {
 
     use super::*;
     use crate::layer::{KernelLevel, backward};
-    use crate::network::{Inference, Mode, Network, NetworkKind, NetworkSpec, Normalisation, Parameter, Placement};
+    use crate::network::{Inference, Mode, Network, NetworkSpec, Normalisation, Parameter, Placement};
     use crate::quantum::{CircuitSpec, Encoding};
-    use crate::standardise::MapReference;
 
     const SHAPE: [usize; 3] = [4, 24, 33];
 
@@ -191,34 +190,6 @@ mod tests {
                     }
                 }
             }
-        }
-
-        #[test]
-        fn a_nan_is_found_in_the_descriptors() {
-            let network = network(&specs()[0]);
-            let mut cells = maps();
-            cells[100] = f32::NAN;
-            let input = Tensor::from_vec(cells, &SHAPE[..], &Device::Cpu).expect("tensor");
-            let mode = Mode::Training { seed: 1, step: 1, penalty: 0.0 };
-            let values = network.run(&input, network.graph().output, mode).expect("run");
-            assert_eq!(values.first_non_finite().expect("look"), Some("descriptors"));
-        }
-
-        #[test]
-        fn maps_that_are_no_decibels_over_noise_are_refused() {
-            let over_noise = MapReference::OverNoise { skip_range_bins: 3, most_db: None };
-            for kind in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
-                assert_eq!(kind.check_maps(over_noise, false, false), Ok(()));
-                for (reference, transposed, leaking, found) in [
-                    (MapReference::Absolute, false, false, "absolute"),
-                    (over_noise, true, false, "transposed"),
-                    (over_noise, false, true, "scene and class"),
-                ] {
-                    let error = kind.check_maps(reference, transposed, leaking).expect_err("refused").to_string();
-                    assert!(error.contains(found) && error.contains("hint: "), "{error}");
-                }
-            }
-            assert_eq!(NetworkKind::Hqnn.check_maps(MapReference::Absolute, true, true), Ok(()));
         }
     }
 }

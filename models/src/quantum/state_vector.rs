@@ -128,13 +128,6 @@ impl Circuit {
     }
 }
 
-/// The paper's circuit.
-#[cfg(test)]
-pub(crate) fn paper(x: [f64; 2], theta: [f64; 4]) -> State {
-    let circuit = Circuit::new(&super::CircuitSpec::default()).expect("the default");
-    run(&circuit, &x, &theta).expect("as many numbers as it takes")
-}
-
 /// Derivatives of the result of `run` by the angle of each rotation gate, `[observable][gate]`: half the difference at
 /// `+- pi/2`. This is exact for gates with two eigenvalues (Mitarai et al., Phys. Rev. A 98 (2018) 032309), through any
 /// linear noise that follows them.
