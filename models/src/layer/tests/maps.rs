@@ -230,16 +230,18 @@ mod hard_cases {
     fn any_number_of_threads_gives_the_same_bits() {
         same_bits("a network", || {
             let level = KernelLevel::detect();
-            let (x, w) = (var(&random(5 * 30 * 29 * 24, "x"), &[5, 30, 29, 24]), var(&random(24, "w"), &[24]));
-            let (fw, fb) = (var(&random(24 * 70, "fw"), &[70, 24]), var(&random(70, "fb"), &[70]));
+            let (x, w) = (var(&random(7 * 60 * 58 * 16, "x"), &[7, 60, 58, 16]), var(&random(24, "w"), &[24]));
+            let (cw, cb) = (var(&random(24 * 144, "cw"), &[24, 16, 3, 3]), var(&random(24, "cb"), &[24]));
+            let (fw, fb) = (var(&random(24 * 8 * 70, "fw"), &[70, 24 * 8]), var(&random(70, "fb"), &[70]));
             let statistics = RunningStatistics::new(24, BatchNormConstants::default());
-            let y = batch_norm(&x, &w, &w, &statistics, BatchNormMode::Training, Activation::Silu, level);
+            let y = conv_relu_pool(&x, &cw, &cb, InputGradient::Needed, level).expect("convolution");
+            let y = batch_norm(&y, &w, &w, &statistics, BatchNormMode::Training, Activation::Silu, level);
             let y = max_pool2d(&y.expect("norm"), 3, 2, 1, level).expect("pool");
             let y = dropout(&y, 0.2, 1, 2).expect("dropout");
-            let y = linear(&adaptive_average_pool(&y, 1, 1).expect("mean"), &fw, &fb, level).expect("linear");
-            let loss = cross_entropy(&y, &[0, 1, 2, 3, 4], &[1.0; 70]).expect("loss");
+            let y = linear(&adaptive_average_pool(&y, 2, 4).expect("mean"), &fw, &fb, level).expect("linear");
+            let loss = cross_entropy(&y, &[0, 1, 2, 3, 4, 5, 6], &[1.0; 70]).expect("loss");
             let gradients = backward(&loss).expect("backward");
-            [&x, &w, &fw, &fb].map(|v| flat(gradients.get(v).expect("gradient")))
+            [&x, &cw, &cb, &w, &fw, &fb].map(|v| flat(gradients.get(v).expect("gradient")))
         });
     }
 
@@ -247,6 +249,7 @@ mod hard_cases {
     fn wrong_shapes_name_the_layer_and_what_was_expected() {
         let level = KernelLevel::detect();
         let (x, y) = (var(&random(32, "x"), &[1, 4, 4, 2]), var(&random(6, "y"), &[2, 3]));
+        let (z, w, b) = (var(&[0.0; 6], &[3, 2]), var(&random(27, "w"), &[1, 3, 3, 3]), var(&[0.0], &[1]));
         let statistics = RunningStatistics::new(3, BatchNormConstants::default());
         let errors = [
             ("add_relu: expected equal shapes", add_relu(&x, &y, level)),
@@ -257,6 +260,13 @@ mod hard_cases {
                 "batch_norm: expected input",
                 batch_norm(&x, &y, &y, &statistics, BatchNormMode::Training, Activation::None, level),
             ),
+            ("conv_relu_pool: expected input", conv_relu_pool(&x, &w, &b, InputGradient::Needed, level)),
+            ("linear: expected input", linear(&x, &w, &b, level)),
+            ("labels below 3", cross_entropy(&y, &[0, 3], &[1.0; 3])),
+            ("add: expected equal shapes, got [2, 3] and [3, 2]", add(&y, &z)),
+            ("concatenate: expected [batch, a] and [batch, b], got [[2, 3], [3, 2]]", concatenate(&y, &z)),
+            ("trigonometric: expected input", trigonometric(&y)),
+            ("standardise: expected input", standardise(&y, &[0.0; 2], &[1.0; 2])),
         ];
         for (want, result) in errors {
             let error = result.expect_err(want).to_string();
