@@ -40,15 +40,15 @@ pub(super) fn write(
         Encoding::ZzFeatureMap => {
             let [real, imaginary] = feature_map(w, name, spec, input);
             let parts = [("real", real), ("imaginary", imaginary)].map(|(part, state)| {
-                let turned = w.op("MatMul", &[&state, &trained], &named(&format!("turned_{part}")), Vec::new());
-                w.op("Mul", &[&turned, &turned], &named(&format!("squared_{part}")), Vec::new())
+                let turned = w.op("MatMul", &[&state, &trained], &named(&format!("turned_{part}")));
+                w.op("Mul", &[&turned, &turned], &named(&format!("squared_{part}")))
             });
-            w.op("Add", &[&parts[0], &parts[1]], &named("probabilities"), Vec::new())
+            w.op("Add", &[&parts[0], &parts[1]], &named("probabilities"))
         }
         Encoding::Angle => {
             let state = product_state(w, name, qubits, input);
-            let turned = w.op("MatMul", &[&state, &trained], &named("turned"), Vec::new());
-            w.op("Mul", &[&turned, &turned], &named("probabilities"), Vec::new())
+            let turned = w.op("MatMul", &[&state, &trained], &named("turned"));
+            w.op("Mul", &[&turned, &turned], &named("probabilities"))
         }
     };
     // Z on the highest qubit first; an error of the readout shrinks every expectation alike.
@@ -56,7 +56,7 @@ pub(super) fn write(
     let sign = |state: usize, qubit: usize| if state >> qubit & 1 == 0 { shrink } else { -shrink };
     let signs: Vec<f32> = (0..states).flat_map(|s| (0..qubits).rev().map(move |q| sign(s, q))).collect();
     let signs = w.constant(&named("signs"), &[states, qubits], &signs);
-    Ok(w.op("MatMul", &[&probabilities, &signs], output, Vec::new()))
+    Ok(w.op("MatMul", &[&probabilities, &signs], output))
 }
 
 /// Real and imaginary parts `[batch][state]` after the ZZ feature map.
@@ -78,12 +78,12 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
         }
     }
     let phases = w.constant(&named("phases"), &[count, states], &phases);
-    let angle = w.op("MatMul", &[&terms, &phases], &named("angle"), Vec::new());
-    let cosine = w.op("Cos", &[&angle], &named("cosine"), Vec::new());
-    let sine = w.op("Sin", &[&angle], &named("sine"), Vec::new());
+    let angle = w.op("MatMul", &[&terms, &phases], &named("angle"));
+    let cosine = w.op("Cos", &[&angle], &named("cosine"));
+    let sine = w.op("Sin", &[&angle], &named("sine"));
     let uniform = w.constant(&named("uniform"), &[1], &[(states as f32).sqrt().recip()]);
-    let mut real = w.op("Mul", &[&cosine, &uniform], &named("real_1"), Vec::new());
-    let mut imaginary = w.op("Mul", &[&sine, &uniform], &named("imaginary_1"), Vec::new());
+    let mut real = w.op("Mul", &[&cosine, &uniform], &named("real_1"));
+    let mut imaginary = w.op("Mul", &[&sine, &uniform], &named("imaginary_1"));
     for repetition in 2..=spec.repetitions {
         let hadamard: Vec<f32> = (0..states * states)
             .map(|k| {
@@ -93,14 +93,14 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
             .collect();
         let part = |what: &str| named(&format!("{what}_{repetition}"));
         let hadamard = w.constant(&part("hadamard"), &[states, states], &hadamard);
-        let a = w.op("MatMul", &[&real, &hadamard], &part("a"), Vec::new());
-        let b = w.op("MatMul", &[&imaginary, &hadamard], &part("b"), Vec::new());
-        let ac = w.op("Mul", &[&a, &cosine], &part("ac"), Vec::new());
-        let bs = w.op("Mul", &[&b, &sine], &part("bs"), Vec::new());
-        let bc = w.op("Mul", &[&b, &cosine], &part("bc"), Vec::new());
-        let as_ = w.op("Mul", &[&a, &sine], &part("as"), Vec::new());
-        real = w.op("Sub", &[&ac, &bs], &part("real"), Vec::new());
-        imaginary = w.op("Add", &[&bc, &as_], &part("imaginary"), Vec::new());
+        let a = w.op("MatMul", &[&real, &hadamard], &part("a"));
+        let b = w.op("MatMul", &[&imaginary, &hadamard], &part("b"));
+        let ac = w.op("Mul", &[&a, &cosine], &part("ac"));
+        let bs = w.op("Mul", &[&b, &sine], &part("bs"));
+        let bc = w.op("Mul", &[&b, &cosine], &part("bc"));
+        let as_ = w.op("Mul", &[&a, &sine], &part("as"));
+        real = w.op("Sub", &[&ac, &bs], &part("real"));
+        imaginary = w.op("Add", &[&bc, &as_], &part("imaginary"));
     }
     [real, imaginary]
 }
@@ -109,7 +109,7 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
 fn phase_terms(w: &mut Writer, name: &str, qubits: usize, pairs: &[(usize, usize)], input: &str) -> String {
     let named = |what: &str| format!("{name}.{what}");
     let pi = w.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
-    let rest = w.op("Sub", &[&pi, input], &named("rest"), Vec::new());
+    let rest = w.op("Sub", &[&pi, input], &named("rest"));
     if pairs.is_empty() {
         return input.to_owned();
     }
@@ -120,43 +120,40 @@ fn phase_terms(w: &mut Writer, name: &str, qubits: usize, pairs: &[(usize, usize
             matrix[of(pair) * pairs.len() + k] = 1.0;
         }
         let matrix = w.constant(&named(&format!("pick_{side}")), &[qubits, pairs.len()], &matrix);
-        w.op("MatMul", &[&rest, &matrix], &named(&format!("rest_{side}")), Vec::new())
+        w.op("MatMul", &[&rest, &matrix], &named(&format!("rest_{side}")))
     };
     let (first, second) = (pick("first", &|pair| pair.0), pick("second", &|pair| pair.1));
-    let products = w.op("Mul", &[&first, &second], &named("products"), Vec::new());
+    let products = w.op("Mul", &[&first, &second], &named("products"));
     // Twice a product is an angle: multiples of pi are taken off before rounding errors of large sums matter.
     let per_turn = w.constant(&named("per_turn"), &[1], &[std::f32::consts::FRAC_1_PI]);
-    let turns = w.op("Mul", &[&products, &per_turn], &named("turns"), Vec::new());
-    let whole = w.op("Round", &[&turns], &named("whole_turns"), Vec::new());
-    let off = w.op("Mul", &[&whole, &pi], &named("off"), Vec::new());
-    let products = w.op("Sub", &[&products, &off], &named("rests"), Vec::new());
-    w.op("Concat", &[input, &products], &named("terms"), vec![int("axis", 1)])
+    let turns = w.op("Mul", &[&products, &per_turn], &named("turns"));
+    let whole = w.op("Round", &[&turns], &named("whole_turns"));
+    let off = w.op("Mul", &[&whole, &pi], &named("off"));
+    let products = w.op("Sub", &[&products, &off], &named("rests"));
+    w.op_with("Concat", &[input, &products], &named("terms"), vec![int("axis", 1)])
 }
 
 /// Amplitudes `[batch][state]` after RY(x_i) on each qubit: products of `cos(x/2)` and `sin(x/2)` by the bits, qubit by qubit.
 fn product_state(w: &mut Writer, name: &str, qubits: usize, input: &str) -> String {
     let named = |what: &str| format!("{name}.{what}");
     let half = w.constant(&named("half"), &[1], &[0.5]);
-    let halves = w.op("Mul", &[input, &half], &named("halves"), Vec::new());
+    let halves = w.op("Mul", &[input, &half], &named("halves"));
     let mut state = String::new();
     for qubit in 0..qubits {
         let mut pick = vec![0.0f32; qubits];
         pick[qubit] = 1.0;
         let pick = w.constant(&named(&format!("pick_{qubit}")), &[qubits, 1], &pick);
         let part = |what: &str| named(&format!("{what}_{qubit}"));
-        let x = w.op("MatMul", &[&halves, &pick], &part("x"), Vec::new());
-        let cosine = w.op("Cos", &[&x], &part("cosine"), Vec::new());
-        let sine = w.op("Sin", &[&x], &part("sine"), Vec::new());
+        let x = w.op("MatMul", &[&halves, &pick], &part("x"));
+        let cosine = w.op("Cos", &[&x], &part("cosine"));
+        let sine = w.op("Sin", &[&x], &part("sine"));
         let [low, high] = if qubit == 0 {
             [cosine, sine]
         } else {
-            [
-                w.op("Mul", &[&state, &cosine], &part("low"), Vec::new()),
-                w.op("Mul", &[&state, &sine], &part("high"), Vec::new()),
-            ]
+            [w.op("Mul", &[&state, &cosine], &part("low")), w.op("Mul", &[&state, &sine], &part("high"))]
         };
         // The newest qubit is the highest bit so far.
-        state = w.op("Concat", &[&low, &high], &part("state"), vec![int("axis", 1)]);
+        state = w.op_with("Concat", &[&low, &high], &part("state"), vec![int("axis", 1)]);
     }
     state
 }
@@ -169,17 +166,17 @@ pub(super) fn write_features(w: &mut Writer, name: &str, input: &str, output: &s
     let picks = [0, 1].map(|k| {
         let column = if k == 0 { [1.0, 0.0] } else { [0.0, 1.0] };
         let pick = w.constant(&named(&format!("pick_{k}")), &[2, 1], &column);
-        w.op("MatMul", &[input, &pick], &named(&format!("x_{k}")), Vec::new())
+        w.op("MatMul", &[input, &pick], &named(&format!("x_{k}")))
     });
-    let rests = [0, 1].map(|k| w.op("Sub", &[&pi, &picks[k]], &named(&format!("rest_{k}")), Vec::new()));
-    let product = w.op("Mul", &[&rests[0], &rests[1]], &named("product"), Vec::new());
-    let w_angle = w.op("Mul", &[&product, &two], &named("w"), Vec::new());
-    let doubles = [0, 1].map(|k| w.op("Mul", &[&picks[k], &two], &named(&format!("double_{k}")), Vec::new()));
-    let mut wave = |kind: &str, of: &str, what: &str| w.op(kind, &[of], &named(what), Vec::new());
+    let rests = [0, 1].map(|k| w.op("Sub", &[&pi, &picks[k]], &named(&format!("rest_{k}"))));
+    let product = w.op("Mul", &[&rests[0], &rests[1]], &named("product"));
+    let w_angle = w.op("Mul", &[&product, &two], &named("w"));
+    let doubles = [0, 1].map(|k| w.op("Mul", &[&picks[k], &two], &named(&format!("double_{k}"))));
+    let mut wave = |kind: &str, of: &str, what: &str| w.op(kind, &[of], &named(what));
     let (sw, cw) = (wave("Sin", &w_angle, "sw"), wave("Cos", &w_angle, "cw"));
     let (s0, c0) = (wave("Sin", &doubles[0], "s0"), wave("Cos", &doubles[0], "c0"));
     let (s1, c1) = (wave("Sin", &doubles[1], "s1"), wave("Cos", &doubles[1], "c1"));
     let pairs = [("a", &s1, &sw), ("b", &s0, &sw), ("c", &c0, &c1), ("d", &c1, &cw), ("e", &c0, &cw)];
-    let features = pairs.map(|(what, x, y)| w.op("Mul", &[x, y], &named(what), Vec::new()));
-    w.op("Concat", &features.each_ref().map(String::as_str), output, vec![int("axis", 1)])
+    let features = pairs.map(|(what, x, y)| w.op("Mul", &[x, y], &named(what)));
+    w.op_with("Concat", &features.each_ref().map(String::as_str), output, vec![int("axis", 1)])
 }

@@ -95,34 +95,34 @@ impl Writer<'_> {
         let named = |what: &str| format!("{name}.{what}");
         Ok(match &node.layer {
             Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
-            Layer::Repeat { channels } => self.op("Concat", &vec![first; *channels], output, vec![int("axis", 1)]),
+            Layer::Repeat { channels } => self.op_with("Concat", &vec![first; *channels], output, vec![int("axis", 1)]),
             Layer::ConvReluPool { .. } => {
                 let [weight, bias] = self.weight_and_bias(name)?;
-                let convolved = self.op("Conv", &[first, &weight, &bias], &named("convolved"), window(3, 1, 1));
-                let rectified = self.op("Relu", &[&convolved], &named("rectified"), Vec::new());
-                self.op("MaxPool", &[&rectified], output, window(2, 2, 0))
+                let convolved = self.op_with("Conv", &[first, &weight, &bias], &named("convolved"), window(3, 1, 1));
+                let rectified = self.op("Relu", &[&convolved], &named("rectified"));
+                self.op_with("MaxPool", &[&rectified], output, window(2, 2, 0))
             }
             Layer::Convolution { kernel, geometry, bias, .. } => {
                 let mut attributes = window(*kernel, geometry.stride, geometry.padding);
                 attributes.push(int("group", geometry.groups as i64));
                 if !bias {
                     let weight = self.parameter(&named("weight"))?;
-                    return Ok(self.op("Conv", &[first, &weight], output, attributes));
+                    return Ok(self.op_with("Conv", &[first, &weight], output, attributes));
                 }
                 let [weight, bias] = self.weight_and_bias(name)?;
-                self.op("Conv", &[first, &weight, &bias], output, attributes)
+                self.op_with("Conv", &[first, &weight, &bias], output, attributes)
             }
             Layer::BatchNorm { channels, activation } => {
                 self.batch_norm(name, *channels, *activation, first, output)?
             }
             Layer::Activate(function) => self.activate(*function, first, output),
             Layer::MaxPool { kernel, stride, padding } => {
-                self.op("MaxPool", &[first], output, window(*kernel, *stride, *padding))
+                self.op_with("MaxPool", &[first], output, window(*kernel, *stride, *padding))
             }
             Layer::AveragePool { rows, columns } => self.average_pool(node, *rows, *columns, first, output),
             Layer::Linear { .. } => {
                 let [weight, bias] = self.weight_and_bias(name)?;
-                self.op("Gemm", &[first, &weight, &bias], output, vec![int("transB", 1)])
+                self.op_with("Gemm", &[first, &weight, &bias], output, vec![int("transB", 1)])
             }
             Layer::ScaleChannels => self.scale_channels(name, first, second, output),
             Layer::Add { rectified } => {
@@ -136,23 +136,23 @@ impl Writer<'_> {
             },
             Layer::ScaledSigmoid => {
                 let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
-                let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"), Vec::new());
-                self.op("Mul", &[&sigmoid, &pi], output, Vec::new())
+                let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"));
+                self.op("Mul", &[&sigmoid, &pi], output)
             }
             Layer::Circuit { circuit, .. } => {
                 let theta = network.parameters().numbers(&named("theta"))?;
                 circuit::write(self, name, circuit, &theta, first, output)?
             }
             Layer::Trigonometric => circuit::write_features(self, name, first, output),
-            Layer::Concatenate => self.op("Concat", &[first, second], output, vec![int("axis", 1)]),
+            Layer::Concatenate => self.op_with("Concat", &[first, second], output, vec![int("axis", 1)]),
         })
     }
 
     fn scale_channels(&mut self, name: &str, maps: &str, factors: &str, output: &str) -> String {
         // ONNX takes axes as integers here, so they are written as a shape.
         let shape = self.whole_numbers(&format!("{name}.axes"), &[0, -1, 1, 1]);
-        let factors = self.op("Reshape", &[factors, &shape], &format!("{name}.factors"), Vec::new());
-        self.op("Mul", &[maps, &factors], output, Vec::new())
+        let factors = self.op("Reshape", &[factors, &shape], &format!("{name}.factors"));
+        self.op("Mul", &[maps, &factors], output)
     }
 
     fn standardise(
@@ -166,8 +166,8 @@ impl Writer<'_> {
         let named = |what: &str| format!("{name}.{what}");
         let mean = self.constant(&named("mean"), &[width], &constants.mean);
         let sigma = self.constant(&named("sigma"), &[width], &constants.sigma);
-        let centred = self.op("Sub", &[input, &mean], &named("centred"), Vec::new());
-        self.op("Div", &[&centred, &sigma], output, Vec::new())
+        let centred = self.op("Sub", &[input, &mean], &named("centred"));
+        self.op("Div", &[&centred, &sigma], output)
     }
 
     fn batch_norm(
@@ -197,9 +197,9 @@ impl Writer<'_> {
         };
         let by_columns = self.constant(&named("columns"), &[width, columns], &means(width, columns, true));
         let by_rows = self.constant(&named("rows"), &[rows, height], &means(height, rows, false));
-        let narrow = self.op("MatMul", &[input, &by_columns], &named("narrow"), Vec::new());
-        let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"), Vec::new());
-        self.op("Flatten", &[&pooled], output, vec![int("axis", 1)])
+        let narrow = self.op("MatMul", &[input, &by_columns], &named("narrow"));
+        let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"));
+        self.op_with("Flatten", &[&pooled], output, vec![int("axis", 1)])
     }
 }
 

@@ -41,8 +41,13 @@ pub(super) struct Writer<'a> {
 }
 
 impl Writer<'_> {
+    /// Adds an operator without attributes. Returns the name of its result.
+    pub fn op(&mut self, kind: &str, inputs: &[&str], output: &str) -> String {
+        self.op_with(kind, inputs, output, Vec::new())
+    }
+
     /// Adds an operator. Returns the name of its result.
-    pub fn op(&mut self, kind: &str, inputs: &[&str], output: &str, attributes: Vec<proto::Attribute>) -> String {
+    pub fn op_with(&mut self, kind: &str, inputs: &[&str], output: &str, attributes: Vec<proto::Attribute>) -> String {
         self.graph.node.push(proto::Node {
             input: inputs.iter().map(|&input| input.to_owned()).collect(),
             output: vec![output.to_owned()],
@@ -55,12 +60,19 @@ impl Writer<'_> {
 
     /// Adds constant numbers. Returns their name.
     pub fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> String {
-        self.graph.initializer.push(proto::Tensor {
-            dims: shape.iter().map(|&size| size as i64).collect(),
-            data_type: FLOAT,
-            name: name.to_owned(),
-            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-        });
+        let dims = shape.iter().map(|&size| size as i64).collect();
+        self.initializer(name, dims, FLOAT, values.iter().flat_map(|v| v.to_le_bytes()).collect())
+    }
+
+    /// Adds constant 64-bit integers. Returns their name.
+    pub fn whole_numbers(&mut self, name: &str, values: &[i64]) -> String {
+        const INT64: i32 = 7;
+        let raw_data = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.initializer(name, vec![values.len() as i64], INT64, raw_data)
+    }
+
+    fn initializer(&mut self, name: &str, dims: Vec<i64>, data_type: i32, raw_data: Vec<u8>) -> String {
+        self.graph.initializer.push(proto::Tensor { dims, data_type, name: name.to_owned(), raw_data });
         name.to_owned()
     }
 
@@ -85,12 +97,12 @@ impl Writer<'_> {
 
     pub fn activate(&mut self, function: Activation, input: &str, output: &str) -> String {
         match function {
-            Activation::None => self.op("Identity", &[input], output, Vec::new()),
-            Activation::Relu => self.op("Relu", &[input], output, Vec::new()),
-            Activation::Sigmoid => self.op("Sigmoid", &[input], output, Vec::new()),
+            Activation::None => self.op("Identity", &[input], output),
+            Activation::Relu => self.op("Relu", &[input], output),
+            Activation::Sigmoid => self.op("Sigmoid", &[input], output),
             Activation::Silu => {
-                let sigmoid = self.op("Sigmoid", &[input], &format!("{output}.sigmoid"), Vec::new());
-                self.op("Mul", &[input, &sigmoid], output, Vec::new())
+                let sigmoid = self.op("Sigmoid", &[input], &format!("{output}.sigmoid"));
+                self.op("Mul", &[input, &sigmoid], output)
             }
         }
     }
@@ -105,24 +117,12 @@ impl Writer<'_> {
         function: Activation,
     ) -> String {
         match function {
-            Activation::None => self.op(kind, inputs, output, attributes),
+            Activation::None => self.op_with(kind, inputs, output, attributes),
             function => {
-                let bare = self.op(kind, inputs, &format!("{output}.bare"), attributes);
+                let bare = self.op_with(kind, inputs, &format!("{output}.bare"), attributes);
                 self.activate(function, &bare, output)
             }
         }
-    }
-
-    /// Adds constant 64-bit integers. Returns their name.
-    pub fn whole_numbers(&mut self, name: &str, values: &[i64]) -> String {
-        const INT64: i32 = 7;
-        self.graph.initializer.push(proto::Tensor {
-            dims: vec![values.len() as i64],
-            data_type: INT64,
-            name: name.to_owned(),
-            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-        });
-        name.to_owned()
     }
 }
 
