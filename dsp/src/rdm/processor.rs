@@ -385,11 +385,10 @@ impl RdmProcessor {
 
 /// Contents of a map after its transform.
 enum Cells {
+    /// Powers.
     Power,
     /// Decibels. Unless all cells are known to be finite, the others must be counted.
-    Decibels {
-        are_finite: bool,
-    },
+    Decibels { are_finite: bool },
 }
 
 /// Computes all channels by the lane transform, to decibels unless channels are summed.

@@ -46,43 +46,21 @@ struct Step {
 #[allow(clippy::large_enum_variant)]
 enum Kernel {
     Descriptors,
-    Repeat {
-        channels: usize,
-    },
+    Repeat { channels: usize },
     Block(PreparedBlock),
-    /// Convolution or dense layer; a second input is added before the activation.
+    // Also of a dense layer; a second input is added before the activation.
     Convolution(PreparedConv),
     Dense(PreparedDense),
     Activate(Activation),
-    MaxPool {
-        kernel: usize,
-        stride: usize,
-        padding: usize,
-        level: KernelLevel,
-    },
-    AveragePool {
-        rows: usize,
-        columns: usize,
-    },
+    MaxPool { kernel: usize, stride: usize, padding: usize, level: KernelLevel },
+    AveragePool { rows: usize, columns: usize },
     ScaleChannels,
-    Add {
-        rectified: bool,
-    },
-    Affine {
-        scale: Vec<f32>,
-        shift: Vec<f32>,
-        activation: Activation,
-    },
-    Standardise {
-        mean: Vec<f32>,
-        factor: Vec<f32>,
-    },
+    Add { rectified: bool },
+    Affine { scale: Vec<f32>, shift: Vec<f32>, activation: Activation },
+    Standardise { mean: Vec<f32>, factor: Vec<f32> },
     ScaledSigmoid,
     ClosedForm(Trained),
-    Circuit {
-        circuit: Circuit,
-        theta: Vec<f64>,
-    },
+    Circuit { circuit: Circuit, theta: Vec<f64> },
     Trigonometric,
     Concatenate,
 }

@@ -8,23 +8,14 @@ use super::spec::{CircuitError, CircuitSpec, Encoding};
 /// One gate. A rotation gate names its place in the list of angles ([`Circuit::gate_angles`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Gate {
-    Hadamard {
-        qubit: usize,
-    },
+    /// H.
+    Hadamard { qubit: usize },
     /// P(angle) = diag(1, e^{i angle}).
-    Phase {
-        qubit: usize,
-        angle: usize,
-    },
+    Phase { qubit: usize, angle: usize },
     /// exp(-i angle Y / 2).
-    RotationY {
-        qubit: usize,
-        angle: usize,
-    },
-    ControlledNot {
-        control: usize,
-        target: usize,
-    },
+    RotationY { qubit: usize, angle: usize },
+    /// CX.
+    ControlledNot { control: usize, target: usize },
 }
 
 /// Layer of gates that [`super::layers`] runs together.
