@@ -194,16 +194,9 @@ pub struct Waveform {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum WaveformError {
-    /// A value is out of the chip's range.
+    /// A value of the [`WaveformRequest`], or the slope that follows from it, is out of the chip's range.
     #[error("waveform: {name} is {value} {unit}, allowed is {min} to {max} {unit}")]
-    OutOfRange {
-        /// Field of [`WaveformRequest`].
-        name: &'static str,
-        value: f64,
-        min: f64,
-        max: f64,
-        unit: &'static str,
-    },
+    OutOfRange { name: &'static str, value: f64, min: f64, max: f64, unit: &'static str },
     /// The antenna list is empty, repeats one, or names one that the chip lacks.
     #[error("waveform: rx_antennas is {got:?}, expected one to three different numbers out of 1, 2, 3")]
     Antennas { got: Vec<u8> },

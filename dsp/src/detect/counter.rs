@@ -49,12 +49,8 @@ pub enum CounterError {
     #[error(transparent)]
     Map(#[from] MapError),
     /// The detector's window does not fit the maps.
-    #[error("{source}\n\nhint: people can be counted in frames of at least 20 samples and 2 chirps")]
-    Cfar {
-        /// Cause.
-        #[from]
-        source: CfarError,
-    },
+    #[error("{0}\n\nhint: people can be counted in frames of at least 20 samples and 2 chirps")]
+    Cfar(#[from] CfarError),
 }
 
 /// Observation of people in a frame.

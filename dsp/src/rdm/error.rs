@@ -56,14 +56,9 @@ pub enum MapMismatch {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum SpecError {
-    /// A physical axis is out of range.
+    /// A key of [`PhysicalAxes`](super::PhysicalAxes) is out of range.
     #[error("map spec: physical_axes.{key} is {value}, expected {expected}")]
-    Axis {
-        /// Key of [`PhysicalAxes`](super::PhysicalAxes).
-        key: &'static str,
-        value: f64,
-        expected: &'static str,
-    },
+    Axis { key: &'static str, value: f64, expected: &'static str },
     /// Physical axes and another key contradict each other.
     #[error("map spec: physical_axes and {key} exclude each other\n\nhint: leave one of them out")]
     AxesExclude { key: &'static str },

@@ -31,14 +31,9 @@ pub enum DatasetError {
     /// Datasets to be merged hold different kinds of maps.
     #[error("{path}: {what} is not that of {first}; only maps that were made in the same way can be merged")]
     Unlike { path: PathBuf, what: String, first: PathBuf },
-    /// A JSON document or line is invalid.
+    /// A JSON document or line is invalid. Lines count from 1.
     #[error("{path}, line {line}: {source}")]
-    Json {
-        path: PathBuf,
-        /// Line, from 1.
-        line: usize,
-        source: serde_json::Error,
-    },
+    Json { path: PathBuf, line: usize, source: serde_json::Error },
     /// A newer program wrote the dataset.
     #[error(
         "{path}: dataset format {found} is newer than {supported}, the newest this program reads\n\nhint: update it"
@@ -50,23 +45,14 @@ pub enum DatasetError {
     /// The parts of a dataset contradict each other.
     #[error("{path}: expected {expected}, found {found}")]
     Inconsistent { path: PathBuf, expected: String, found: String },
-    /// A map has another shape than the dataset.
+    /// A map has another shape than the dataset, or another number of cells than its shape says.
     #[error("map of frame {sequence}: shape is {got}, the dataset holds {expected}")]
-    Shape {
-        sequence: u64,
-        expected: RdmShape,
-        /// Shape of the map (or its number of cells disagrees).
-        got: RdmShape,
-    },
-    /// A map holds NaN or infinity.
+    Shape { sequence: u64, expected: RdmShape, got: RdmShape },
+    /// A map, told by its index or name, holds NaN or infinity.
     #[error(
         "map {map}: {cells} cells are not finite\n\nhint: check the program that made the map; all cells of a dataset are finite"
     )]
-    NonFinite {
-        /// Index or name of the map.
-        map: String,
-        cells: usize,
-    },
+    NonFinite { map: String, cells: usize },
     /// The dataset has no map with this index.
     #[error("there is no map {index}: the dataset has {maps} maps")]
     NoSuchMap { index: usize, maps: usize },

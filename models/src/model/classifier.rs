@@ -70,20 +70,13 @@ pub enum ClassifyError {
         "map is {got} ({cells} cells), the model needs {expected}\n\nhint: make maps with the waveform and the map spec that the model names"
     )]
     Shape { expected: RdmShape, got: RdmShape, cells: usize },
-    /// The maps were made by other settings, or of the frames of another waveform, than the model was trained on.
+    /// The maps were made by other settings, or of the frames of another waveform, than the model was trained on: the difference, and
+    /// what was expected.
     #[error("{what}\n\nhint: make the maps with the waveform and the map spec that the model names")]
-    OtherMaps {
-        /// Difference, and what was expected.
-        what: String,
-    },
-    /// The map holds NaN or infinity.
+    OtherMaps { what: String },
+    /// The map holds NaN or infinity, `first` at this index of `db`.
     #[error("map of frame {sequence}: {cells} cells are not finite, the first at index {first}; it is not classified")]
-    NonFinite {
-        sequence: u64,
-        cells: usize,
-        /// Index in `db` of the first such cell.
-        first: usize,
-    },
+    NonFinite { sequence: u64, cells: usize, first: usize },
     /// The model standardises maps by scene and class, so it needs labels.
     #[error(
         "the model standardises maps by scene and class, so it classifies only maps with known labels\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
@@ -91,10 +84,7 @@ pub enum ClassifyError {
     NeedsLabels,
     /// The output of the network holds a number that is not finite.
     #[error("the network's output is not finite; cells of the map reach {largest_db} dB in magnitude")]
-    Diverged {
-        /// Largest magnitude of a cell.
-        largest_db: f32,
-    },
+    Diverged { largest_db: f32 },
     /// A map could not be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

@@ -15,22 +15,14 @@ use crate::standardise::StandardiseError;
 #[derive(Debug, Error)]
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum TrainError {
-    /// A setting is out of range.
+    /// A setting, a field of [`TrainSpec`](super::TrainSpec), is out of range.
     #[error("training: {name} is {value}, expected {expected}")]
-    Setting {
-        /// Field of [`TrainSpec`](super::TrainSpec).
-        name: &'static str,
-        value: String,
-        expected: &'static str,
-    },
-    /// The augmentation needs levels over noise, which maps of an absolute reference lack.
+    Setting { name: &'static str, value: String, expected: &'static str },
+    /// A setting of the [`Augmentation`](super::Augmentation) needs levels over noise, which maps of an absolute reference lack.
     #[error(
         "training: augmentation.{setting} changes levels over noise, which maps of an absolute reference do not have\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
     )]
-    NeedsOverNoise {
-        /// Field of [`Augmentation`](super::Augmentation).
-        setting: &'static str,
-    },
+    NeedsOverNoise { setting: &'static str },
     /// Networks take one channel.
     #[error(
         "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"
@@ -58,33 +50,19 @@ pub enum TrainError {
     /// Maps cannot be standardised.
     #[error(transparent)]
     Standardise(#[from] StandardiseError),
-    /// A number became NaN or infinite.
+    /// A number became NaN or infinite. Starts count from 0 (from 1 in the message, as in the log), epochs and the steps of a start
+    /// from 1.
     #[error(
         "{what} is not finite at start {}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high",
         start + 1
     )]
-    NonFinite {
-        what: String,
-        /// Initialisation, from 0; the message counts from 1, as the log does.
-        start: u64,
-        /// Epoch, from 1.
-        epoch: usize,
-        /// Step within the start, from 1.
-        step: usize,
-        learning_rate: f64,
-    },
-    /// A training step does not fit into memory.
+    NonFinite { what: String, start: u64, epoch: usize, step: usize, learning_rate: f64 },
+    /// A training step does not fit into the memory of the machine, or of the process's control group where it has a limit.
     #[error(
         "a training of {network} with {batch_size} maps in a step takes {:.1} GB of memory or more, this process may use {:.1}\n\nhint: lower batch_size or most_training_maps in the training's settings",
         gigabytes(.needed_bytes), gigabytes(.available_bytes)
     )]
-    Memory {
-        network: NetworkKind,
-        batch_size: usize,
-        needed_bytes: u64,
-        /// Memory of the machine, or of the process's control group where it has a limit, bytes.
-        available_bytes: u64,
-    },
+    Memory { network: NetworkKind, batch_size: usize, needed_bytes: u64, available_bytes: u64 },
     /// Initial weights do not fit.
     #[error(transparent)]
     Weights(#[from] WeightsError),
