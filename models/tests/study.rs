@@ -394,6 +394,11 @@ mod hard_cases {
         Study::open(spec, maps, folder, (0, 1))?.with_conditions(conditions)
     }
 
+    /// Error of a run under conditions that the study takes.
+    fn refused(spec: &StudySpec, maps: &Dataset, folder: &Path, conditions: &[Condition]) -> StudyError {
+        open(spec, maps, folder, conditions).expect("opens").run(&|| true, &mut |_| {}).expect_err("refused")
+    }
+
     #[test]
     fn conditions_that_models_cannot_judge_are_refused_by_name() {
         let (maps, spec) = (maps(), StudySpec { seeds: vec![1], learning_rates: Vec::new(), ..spec() });
@@ -408,19 +413,13 @@ mod hard_cases {
 
         // A set that contains only training sequences is refused.
         let seen = [condition("seen", dataset(Maps { sequences: [6, 2, 0], ..FEW }))];
-        let error = open(&spec, &maps, folder.path(), &seen)
-            .expect("like maps")
-            .run(&|| true, &mut |_| {})
-            .expect_err("nothing to judge by");
+        let error = refused(&spec, &maps, folder.path(), &seen);
         assert!(matches!(&error, StudyError::NothingUnseen { condition } if condition == "seen"), "{error}");
 
         // A study from before models were kept lacks this file.
         let strange = [strangers()];
         std::fs::remove_file(folder.path().join("models/hqnn-1-0.001-1.safetensors")).expect("removed");
-        let error = open(&spec, &maps, folder.path(), &strange)
-            .expect("like maps")
-            .run(&|| true, &mut |_| {})
-            .expect_err("no model");
+        let error = refused(&spec, &maps, folder.path(), &strange);
         assert!(matches!(&error, StudyError::NoModel { .. }), "{error}");
         assert!(error.to_string().contains("remove ") && error.to_string().contains("hqnn-1-0.001-1.json"), "{error}");
 
@@ -439,10 +438,7 @@ mod hard_cases {
         outcomes(&spec, &maps, folder.path());
         let at = |name: &str| folder.path().join(name);
         let strange = [strangers()];
-        let said = || {
-            let study = open(&spec, &maps, folder.path(), &strange).expect("opens");
-            study.run(&|| true, &mut |_| {}).expect_err("refused").to_string()
-        };
+        let said = || refused(&spec, &maps, folder.path(), &strange).to_string();
         let (model, result) = ("models/hqnn-1-0.001-1.safetensors", "results/hqnn-1-0.001-1.json");
         let whole = [model, result].map(|name| std::fs::read(at(name)).expect("reads"));
         std::fs::write(at(model), &whole[0][..whole[0].len() / 2]).expect("writes");

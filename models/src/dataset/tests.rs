@@ -1,3 +1,6 @@
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
 use radome_dsp::rdm::PhysicalAxes;
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
@@ -16,6 +19,15 @@ fn map(header: &DatasetHeader, sequence: u64) -> Rdm {
 
 fn row(sequence: &str, frame: u64, label: Occupancy) -> ManifestRow {
     ManifestRow::new(Domain::Sim, "corridor", "run-1", sequence, frame, label)
+}
+
+/// Writes a dataset of these rows, each with the map of its frame.
+fn write(path: &Path, rows: impl IntoIterator<Item = ManifestRow>) {
+    let mut writer = DatasetWriter::create(path, &header()).expect("create");
+    for row in rows {
+        writer.push(&map(&header(), row.frame), row).expect("push");
+    }
+    writer.finish().expect("finish");
 }
 
 #[test]
@@ -40,11 +52,7 @@ fn what_is_written_is_read_back_across_shards() {
     }
     set.verify().expect("hashes agree");
     assert_eq!(set.hash(), Dataset::open(&path).expect("open again").hash());
-    let mut copy = DatasetWriter::create(&dir.path().join("copy"), set.header()).expect("create");
-    for (index, row) in set.rows().iter().enumerate() {
-        copy.push(&map(&header, index as u64), row.clone()).expect("push");
-    }
-    copy.finish().expect("finish");
+    write(&dir.path().join("copy"), set.rows().iter().cloned());
     assert_eq!(set.hash(), Dataset::open(&dir.path().join("copy")).expect("open").hash());
     assert!(matches!(set.map(maps), Err(DatasetError::NoSuchMap { .. })));
     assert!(matches!(DatasetWriter::create(&path, &header), Err(DatasetError::Exists { .. })));
@@ -117,7 +125,7 @@ fn whole_subjects_and_whole_scenes_are_held_out() {
     let splits = SplitSpec::default().assign(&rows).expect("splits");
     let splits_of = |subject: String| {
         let rows = rows.iter().zip(&splits).filter(|(row, _)| row.subject.as_ref() == Some(&subject));
-        rows.map(|(_, split)| *split).collect::<std::collections::BTreeSet<_>>()
+        rows.map(|(_, split)| *split).collect::<BTreeSet<_>>()
     };
     assert!((0..5).any(|i| splits_of(format!("subject{i}")).len() > 1));
 }
@@ -127,25 +135,19 @@ fn merged_parts_are_what_one_writer_would_have_written() {
     let dir = tempfile::tempdir().expect("folder");
     let header = header();
     let write = |name: &str, frames: std::ops::Range<u64>| {
-        let mut writer = DatasetWriter::create(&dir.path().join(name), &header).expect("create");
-        for frame in frames {
-            writer.push(&map(&header, frame), row(&format!("s{}", frame / 4), frame, Occupancy::One)).expect("push");
-        }
-        writer.finish().expect("finish");
+        write(&dir.path().join(name), frames.map(|frame| row(&format!("s{}", frame / 4), frame, Occupancy::One)));
         Dataset::open(&dir.path().join(name)).expect("open")
     };
     let (whole, a, b, c) = (write("whole", 0..300), write("a", 0..7), write("b", 7..7), write("c", 7..300));
     let parts = [(dir.path(), &a), (dir.path(), &b), (dir.path(), &c)];
     assert_eq!(merge(&parts, &dir.path().join("merged"), None).expect("merges"), 300);
     let files = |name: &str| {
-        let read =
-            |e: std::io::Result<std::fs::DirEntry>| e.map(|e| (e.file_name(), std::fs::read(e.path()).expect("reads")));
-        std::fs::read_dir(dir.path().join(name))
-            .expect("list")
-            .map(read)
-            .collect::<Result<std::collections::BTreeMap<_, _>, _>>()
+        let entries = std::fs::read_dir(dir.path().join(name)).expect("list").map(|entry| entry.expect("entry"));
+        entries
+            .map(|entry| (entry.file_name(), std::fs::read(entry.path()).expect("reads")))
+            .collect::<BTreeMap<_, _>>()
     };
-    assert_eq!(files("merged").expect("files"), files("whole").expect("files"));
+    assert_eq!(files("merged"), files("whole"));
     // A split that is fixed while merging stays fixed.
     merge(&parts, &dir.path().join("split"), Some(&SplitSpec::default())).expect("merges");
     let split = Dataset::open(&dir.path().join("split")).expect("open");
@@ -250,9 +252,7 @@ mod hard_cases {
         // Files of a killed writer do not block the next one.
         std::fs::create_dir(dir.path().join("set.partial")).expect("folder");
         std::fs::write(dir.path().join("set.partial/maps-00000.npy"), b"half").expect("write");
-        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
-        writer.push(&map(&header(), 0), row("a", 0, Occupancy::Empty)).expect("push");
-        writer.finish().expect("finish");
+        write(&path, [row("a", 0, Occupancy::Empty)]);
         assert_eq!(Dataset::open(&path).expect("open").len(), 1);
         assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1);
     }
@@ -298,12 +298,8 @@ mod hard_cases {
     }
 
     /// A small dataset, and the content of its files.
-    fn small(path: &std::path::Path) -> [(&'static str, Vec<u8>); 3] {
-        let mut writer = DatasetWriter::create(path, &header()).expect("create");
-        for frame in 0..3 {
-            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
-        }
-        writer.finish().expect("finish");
+    fn small(path: &Path) -> [(&'static str, Vec<u8>); 3] {
+        write(path, (0..3).map(|frame| row("a", frame, Occupancy::One)));
         ["dataset.json", "manifest.jsonl", "maps-00000.npy"]
             .map(|name| (name, std::fs::read(path.join(name)).expect("read")))
     }
@@ -333,11 +329,7 @@ mod hard_cases {
     fn a_shard_that_the_manifest_does_not_list_is_refused() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("set");
-        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
-        for frame in 0..MAPS_PER_SHARD as u64 + 1 {
-            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
-        }
-        writer.finish().expect("finish");
+        write(&path, (0..MAPS_PER_SHARD as u64 + 1).map(|frame| row("a", frame, Occupancy::One)));
         let manifest = path.join("manifest.jsonl");
         let text = std::fs::read_to_string(&manifest).expect("read");
         let cut: String = text.split_inclusive('\n').take(MAPS_PER_SHARD).collect();
@@ -395,7 +387,7 @@ mod hard_cases {
             let file = path.join(name);
             let outside = dir.path().join(name);
             std::fs::write(&outside, &whole).expect("write");
-            for target in [outside.as_path(), std::path::Path::new("/dev/zero")] {
+            for target in [outside.as_path(), Path::new("/dev/zero")] {
                 std::fs::remove_file(&file).expect("removed");
                 std::os::unix::fs::symlink(target, &file).expect("linked");
                 let error = Dataset::open(&path).expect_err("a link").to_string();
