@@ -213,24 +213,20 @@ mod hard_cases {
         );
     }
 
-    fn refusal(circuit: CircuitSpec) -> String {
-        let spec = NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement: Placement::Latent });
-        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
-        let error = onnx::export_network(&network, 32, 32).expect_err("refused");
-        assert!(matches!(error, ExportError::Circuit { .. }), "{error}");
-        error.to_string()
-    }
-
     #[test]
     fn circuits_that_are_no_closed_form_are_refused() {
-        let large = refusal(CircuitSpec { qubits: 9, ..Default::default() });
-        assert!(large.contains("9 qubits"), "{large}");
         let shots = Execution::Shots(Shots { count: 100, seed: 1, gradient: Default::default() });
-        let measured = refusal(CircuitSpec { execution: shots, ..Default::default() });
-        assert!(measured.contains("shots"), "{measured}");
         let noise = Noise { depolarising_one_qubit: 0.01, ..Default::default() };
-        let erring = refusal(CircuitSpec { noise, ..Default::default() });
-        assert!(erring.contains("gates err"), "{erring}");
+        for (circuit, reason) in [
+            (CircuitSpec { qubits: 9, ..Default::default() }, "9 qubits"),
+            (CircuitSpec { execution: shots, ..Default::default() }, "shots"),
+            (CircuitSpec { noise, ..Default::default() }, "gates err"),
+        ] {
+            let spec = NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement: Placement::Latent });
+            let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+            let error = onnx::export_network(&network, 32, 32).expect_err("refused");
+            assert!(matches!(error, ExportError::Circuit { .. }) && error.to_string().contains(reason), "{error}");
+        }
     }
 
     #[test]
