@@ -324,6 +324,7 @@ mod hard_cases {
         }
     }
 
+    /// Asserts that a training that diverged, and therefore has no model, counts as chance, under every condition too.
     #[test]
     fn a_seed_that_diverges_is_counted_with_its_reason() {
         let maps = maps();
@@ -331,13 +332,26 @@ mod hard_cases {
         spec.train.warm_up_steps = 1;
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        outcomes(&spec, &maps, &at("one"));
-        let all = report(&spec, &maps, &at("one"));
+        // A plan timed steps at the study's learning rate, and failed where that diverges.
+        let study = Study::open(&spec, &maps, &at("one"), (0, 1)).expect("opens");
+        let plan = study.plan(0, &mut |_| {}).expect("a plan");
+        assert_eq!((plan.trainings, plan.done), (4, 0));
+        let mut steps = plan.networks.iter().map(|network| network.step_seconds);
+        assert!(steps.all(|step| step.is_some_and(|seconds| seconds > 0.0)), "{plan:?}");
+
+        let (counts, all) = judge(&spec, &maps, &at("one"), (0, 1), &[strangers()]);
+        assert_eq!(counts, [4, 4]);
         assert_eq!((all.done, all.planned, all.failures.len()), (4, 4, 4));
         for cell in &all.cells {
             let test = cell.test.expect("chance");
             assert_eq!((cell.failed, test.count), (2, 2));
             assert!((test.mean - 1.0 / 3.0).abs() < 1e-12, "{test:?}");
+        }
+        for cell in &all.conditions[0].cells {
+            let accuracy = cell.balanced_accuracy.expect("chance");
+            assert!(cell.done == 2 && (accuracy.mean - 1.0 / 3.0).abs() < 1e-12, "{cell:?}");
+            assert_eq!(cell.confusion.iter().flatten().sum::<u64>(), 0);
+            assert!(cell.scores.len() == 2 && cell.scores.iter().all(|score| score.balanced_accuracy == accuracy.mean));
         }
         for failure in &all.failures {
             assert!(failure.reason.contains("not finite at start"), "{failure:?}");
@@ -350,39 +364,6 @@ mod hard_cases {
         assert!(all.cells.iter().all(|cell| cell.learning_rate == 1e-3 && cell.done == 2), "{all:?}");
         let lost = all.failures.iter().filter(|failure| failure.job.learning_rate == 1e30);
         assert_eq!(lost.filter(|failure| failure.reason.contains("not finite")).count(), 2, "{all:?}");
-    }
-
-    /// A plan timed steps at the study's learning rate, and failed where that diverges.
-    #[test]
-    fn a_study_that_diverges_can_be_planned() {
-        let maps = maps();
-        let mut spec = StudySpec { learning_rates: vec![1e30], label_fractions: vec![1.0], ..spec() };
-        spec.train.warm_up_steps = 1;
-        let folder = tempfile::tempdir().expect("a folder");
-        let plan =
-            Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens").plan(0, &mut |_| {}).expect("a plan");
-        assert_eq!((plan.trainings, plan.done), (4, 0));
-        assert!(
-            plan.networks.iter().all(|network| network.step_seconds.is_some_and(|seconds| seconds > 0.0)),
-            "{plan:?}"
-        );
-    }
-
-    /// Asserts that a training that diverged, and therefore has no model, counts as chance under every condition.
-    #[test]
-    fn a_training_that_diverged_is_chance_under_conditions() {
-        let maps = maps();
-        let mut spec = StudySpec { learning_rates: vec![1e30], label_fractions: vec![1.0], ..spec() };
-        spec.train.warm_up_steps = 1;
-        let folder = tempfile::tempdir().expect("a folder");
-        let (counts, report) = judge(&spec, &maps, folder.path(), (0, 1), &[strangers()]);
-        assert_eq!(counts, [4, 4]);
-        for cell in &report.conditions[0].cells {
-            let accuracy = cell.balanced_accuracy.expect("chance");
-            assert!(cell.done == 2 && (accuracy.mean - 1.0 / 3.0).abs() < 1e-12, "{cell:?}");
-            assert_eq!(cell.confusion.iter().flatten().sum::<u64>(), 0);
-            assert!(cell.scores.len() == 2 && cell.scores.iter().all(|score| score.balanced_accuracy == accuracy.mean));
-        }
     }
 
     fn open<'a>(

@@ -197,20 +197,27 @@ fn a_stopped_training_ends_as_if_it_had_not_been() {
 }
 
 #[test]
-fn a_checkpoint_of_another_training_is_refused() {
+fn checkpoints_of_another_training_and_damaged_ones_are_refused() {
     let (set, spec) = brief();
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("checkpoint");
     stop_after(1, &set, &spec, &path);
-    let other = TrainSpec { seed: spec.seed + 1, ..spec.clone() };
-    let error = train_with_checkpoint(&set, &other, Some(&path), &mut |_| {}).err().expect("refused").to_string();
-    assert!(error.contains("other settings") && error.contains("hint:"), "{error}");
     let whole = std::fs::read(&path).expect("read");
+    let refused = |spec: &TrainSpec, bytes: &[u8]| {
+        std::fs::write(&path, bytes).expect("write");
+        train_with_checkpoint(&set, spec, Some(&path), &mut |_| {}).err().expect("refused").to_string()
+    };
+    let error = refused(&TrainSpec { seed: spec.seed + 1, ..spec.clone() }, &whole);
+    assert!(error.contains("other settings") && error.contains("hint:"), "{error}");
     for length in (0..whole.len()).step_by(9973) {
-        std::fs::write(&path, &whole[..length]).expect("write");
-        let error = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {}).err().expect("refused").to_string();
+        let error = refused(&spec, &whole[..length]);
         assert!(error.contains("checkpoint"), "{error}");
     }
+    let mut flipped = whole;
+    let last = flipped.len() - 4;
+    flipped[last] ^= 1;
+    let error = refused(&spec, &flipped);
+    assert!(error.contains("not those that were written") && error.contains("hint: "), "{error}");
 }
 
 /// Asserts that maps of another spec or waveform are refused: with the same shape, errors would otherwise go unnoticed.
@@ -375,20 +382,6 @@ mod hard_cases {
         let error = train(&set, &TrainSpec { reference, ..spec }, &mut |_| {}).err().expect("refused");
         assert!(matches!(error, TrainError::AllSkipped { skipped: 16, range: 16 }), "{error}");
         assert!(error.to_string().contains("skip_range_bins") && error.to_string().contains("hint: "), "{error}");
-    }
-
-    #[test]
-    fn a_flipped_bit_in_a_checkpoint_is_noticed() {
-        let (set, spec) = brief();
-        let dir = tempfile::tempdir().expect("folder");
-        let path = dir.path().join("checkpoint");
-        stop_after(1, &set, &spec, &path);
-        let mut bytes = std::fs::read(&path).expect("read");
-        let last = bytes.len() - 4;
-        bytes[last] ^= 1;
-        std::fs::write(&path, &bytes).expect("write");
-        let error = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {}).err().expect("damaged").to_string();
-        assert!(error.contains("not those that were written") && error.contains("hint: "), "{error}");
     }
 
     #[test]
