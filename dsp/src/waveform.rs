@@ -355,40 +355,25 @@ impl Waveform {
     /// [`WaveformMismatch`] with the first quantity that differs: the number of chirps or samples, a missing receiver, a range
     /// step or an unambiguous velocity off by more than 1 %, or a frame interval off by more than 5 %.
     pub fn check_compatible(&self, needed: &Waveform) -> Result<(), WaveformMismatch> {
-        let differ = |what, expected, got| Err(WaveformMismatch { what, expected, got });
-        let (a, b) = (&self.request, &needed.request);
-        if (a.samples_per_chirp, a.chirps_per_frame) != (b.samples_per_chirp, b.chirps_per_frame) {
-            return differ(
-                "map size",
-                format!("{} chirps x {} samples", b.chirps_per_frame, b.samples_per_chirp),
-                format!("{} chirps x {} samples", a.chirps_per_frame, a.samples_per_chirp),
-            );
+        let differ = |what, show: &dyn Fn(&Waveform) -> String| {
+            Err(WaveformMismatch { what, expected: show(needed), got: show(self) })
+        };
+        let near = |of: &dyn Fn(&Waveform) -> f64, tolerance: f64| (of(self) / of(needed) - 1.0).abs() <= tolerance;
+        let size = |w: &Waveform| (w.request.chirps_per_frame, w.request.samples_per_chirp);
+        if size(self) != size(needed) {
+            return differ("map size", &|w| format!("{} chirps x {} samples", size(w).0, size(w).1));
         }
-        if b.rx_antennas.bits() & !a.rx_antennas.bits() != 0 {
-            return differ(
-                "receivers",
-                format!("{:?}", b.rx_antennas.antennas()),
-                format!("{:?}", a.rx_antennas.antennas()),
-            );
+        if needed.request.rx_antennas.bits() & !self.request.rx_antennas.bits() != 0 {
+            return differ("receivers", &|w| format!("{:?}", w.request.rx_antennas.antennas()));
         }
-        let near = |x: f64, y: f64, tolerance: f64| (x / y - 1.0).abs() <= tolerance;
-        if !near(self.range_resolution_m(), needed.range_resolution_m(), 0.01) {
-            return differ(
-                "range step",
-                format!("{:.4} m", needed.range_resolution_m()),
-                format!("{:.4} m", self.range_resolution_m()),
-            );
+        if !near(&|w| w.range_resolution_m(), 0.01) {
+            return differ("range step", &|w| format!("{:.4} m", w.range_resolution_m()));
         }
-        let steps = (self.velocity_step_m_per_s(1), needed.velocity_step_m_per_s(1));
-        if !near(steps.0, steps.1, 0.01) {
-            return differ("unambiguous velocity span", format!("{:.4} m/s", steps.1), format!("{:.4} m/s", steps.0));
+        if !near(&|w| w.velocity_step_m_per_s(1), 0.01) {
+            return differ("unambiguous velocity span", &|w| format!("{:.4} m/s", w.velocity_step_m_per_s(1)));
         }
-        if !near(self.frame_interval_s(), needed.frame_interval_s(), 0.05) {
-            return differ(
-                "frame interval",
-                format!("{:.4} s", needed.frame_interval_s()),
-                format!("{:.4} s", self.frame_interval_s()),
-            );
+        if !near(&|w| w.frame_interval_s(), 0.05) {
+            return differ("frame interval", &|w| format!("{:.4} s", w.frame_interval_s()));
         }
         Ok(())
     }

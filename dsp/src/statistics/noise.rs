@@ -16,12 +16,8 @@ pub fn noise_floor_db(map: &Rdm, rx: usize, guard_bins: usize) -> Vec<f32> {
     (0..map.shape.range)
         .map(|range| {
             column.clear();
-            column.extend(
-                (0..map.shape.doppler)
-                    .filter(|d| d.abs_diff(zero) > guard_bins)
-                    .map(|d| map.at(rx, d, range))
-                    .filter(|v| v.is_finite()),
-            );
+            let levels = (0..map.shape.doppler).filter(|d| d.abs_diff(zero) > guard_bins).map(|d| map.at(rx, d, range));
+            column.extend(levels.filter(|v| v.is_finite()));
             if column.is_empty() {
                 return f32::NAN;
             }

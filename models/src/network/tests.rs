@@ -147,13 +147,8 @@ mod hard_cases {
         let spec = NetworkSpec::named("hqnn").expect("known");
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         for scale in [1e-30f32, 1e4, 1e30] {
-            let weight: Vec<f32> = network
-                .parameters()
-                .numbers("fc2.weight")
-                .expect("weight")
-                .iter()
-                .map(|w| w.signum() * scale)
-                .collect();
+            let weight = network.parameters().numbers("fc2.weight").expect("weight");
+            let weight: Vec<f32> = weight.iter().map(|w| w.signum() * scale).collect();
             network.parameters().set_numbers("fc2.weight", &weight).expect("set");
             let logits: Vec<f32> =
                 network.logits(&maps(1, 16, 16)).and_then(|t| t.flatten_all()?.to_vec1()).expect("run");

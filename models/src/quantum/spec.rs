@@ -166,11 +166,7 @@ impl CircuitSpec {
             "at most {MOST_DEPOLARISED_QUBITS} with depolarising gates, which take a density matrix of 4^qubits entries\n\n\
              hint: use fewer qubits, or errors of the readout alone"
         );
-        require(
-            !self.noise.is_depolarising() || self.qubits <= MOST_DEPOLARISED_QUBITS,
-            "qubits",
-            &self.qubits,
-            &expected,
-        )
+        let fits = !self.noise.is_depolarising() || self.qubits <= MOST_DEPOLARISED_QUBITS;
+        require(fits, "qubits", &self.qubits, &expected)
     }
 }
