@@ -88,13 +88,11 @@ impl SplitSpec {
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         self.check()?;
         let names = group_names(rows, self.by);
-        let held_out = match &self.held_out {
-            None => None,
-            Some(name) => match names.get(name.as_str()) {
-                Some(group) => Some(*group),
-                None => return Err(DatasetError::NoSuchSequence { sequence: name.clone() }),
-            },
+        let group_of_name = |name: &String| {
+            let group = names.get(name.as_str()).copied();
+            group.ok_or_else(|| DatasetError::NoSuchSequence { sequence: name.clone() })
         };
+        let held_out = self.held_out.as_ref().map(group_of_name).transpose()?;
         let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();
         let groups = self.groups(rows, group_of, held_out.is_none())?;
         let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();

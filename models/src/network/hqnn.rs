@@ -112,7 +112,8 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {
         let latent = latent(&mut g, count, width, centred);
-        let expectations = circuit_node(&mut g, circuit, *frozen, latent);
+        let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
+        let expectations = circuit_node(&mut g, circuit, *frozen, squashed);
         let hidden = hidden(&mut g, width, expectations);
         g.output = linear(&mut g, "head", HIDDEN, CLASSES, hidden);
         g.warm_up = Some(linear(&mut g, "warm_up", width, CLASSES, latent));
@@ -120,27 +121,23 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
     }
     let (inputs, from) = if deep { (HIDDEN, hidden(&mut g, count, centred)) } else { (count, centred) };
     let latent = latent(&mut g, inputs, width, from);
+    let seen = if head.uses_scaled_sigmoid() { g.add("squash", Layer::ScaledSigmoid, &[latent]) } else { latent };
     g.output = match head {
         Head::Circuit { circuit, frozen, placement } => {
-            let mut seen = (circuit_node(&mut g, circuit, *frozen, latent), width);
+            let mut seen = (circuit_node(&mut g, circuit, *frozen, seen), width);
             if *placement == Placement::Beside {
                 seen = (g.add("beside", Layer::Concatenate, &[latent, seen.0]), 2 * width);
             }
             linear(&mut g, "head", seen.1, CLASSES, seen.0)
         }
-        Head::Linear => linear(&mut g, "head", width, CLASSES, latent),
-        Head::Dequantization => dequantized(&mut g, width, latent),
-        Head::SquashedLinear => {
-            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
-            linear(&mut g, "head", width, CLASSES, squashed)
-        }
-        Head::SquashedDequantization => {
-            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
-            dequantized(&mut g, width, squashed)
+        Head::Linear | Head::SquashedLinear => linear(&mut g, "head", width, CLASSES, seen),
+        Head::Dequantization | Head::SquashedDequantization => {
+            let dense = linear(&mut g, "head_hidden", width, width, seen);
+            let hidden = g.add("head_relu", Layer::Activate(Activation::Relu), &[dense]);
+            linear(&mut g, "head", width, CLASSES, hidden)
         }
         Head::Trigonometric => {
-            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
-            let features = g.add("trigonometric", Layer::Trigonometric, &[squashed]);
+            let features = g.add("trigonometric", Layer::Trigonometric, &[seen]);
             linear(&mut g, "head", 5, CLASSES, features)
         }
     };
@@ -163,13 +160,6 @@ fn latent(g: &mut Graph, inputs: usize, width: usize, from: Value) -> Value {
     g.add("latent", Layer::Standardise { width }, &[raw])
 }
 
-fn circuit_node(g: &mut Graph, circuit: &CircuitSpec, frozen: bool, latent: Value) -> Value {
-    let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
+fn circuit_node(g: &mut Graph, circuit: &CircuitSpec, frozen: bool, squashed: Value) -> Value {
     g.add("circuit", Layer::Circuit { circuit: circuit.clone(), frozen }, &[squashed])
-}
-
-fn dequantized(g: &mut Graph, width: usize, from: Value) -> Value {
-    let dense = linear(g, "head_hidden", width, width, from);
-    let hidden = g.add("head_relu", Layer::Activate(Activation::Relu), &[dense]);
-    linear(g, "head", width, CLASSES, hidden)
 }
