@@ -21,7 +21,7 @@ use radome_driver::recording::mcap::RecordingHeader;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
-    Player, RealTime, Reconnect, Transport, candidates,
+    Player, RealTime, Reconnect, StartedBoard, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
@@ -195,11 +195,6 @@ impl Source {
         let source = Source::without_board(frames, format!("recording {}", path.display()));
         Source { board, registers, is_recording: true, ..source }
     }
-
-    fn of_board(frames: Box<dyn FrameSource>, board: BoardIdentity, at: impl Display, registers: RegisterList) -> Self {
-        let description = format!("{} on {at}", board.name);
-        Source { is_live: true, board: Some(board), registers, ..Source::without_board(frames, description) }
-    }
 }
 
 /// Reads the next frame, skipping gaps; `false` at the end.
@@ -230,16 +225,16 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return emulated(inner, options);
     }
     if let Some(port) = spec.strip_prefix("serial:") {
-        return board(&Address::Serial(port.into()), options);
+        return board_at(&Address::Serial(port.into()), options);
     }
     if let Some(device) = spec.strip_prefix("usb:") {
-        return board(&Address::Usb(device.parse()?), options);
+        return board_at(&Address::Usb(device.parse()?), options);
     }
     if let Some(port) = spec.strip_prefix("deepcraft:") {
-        return deepcraft_board(DeepcraftBoard::open(Path::new(port))?, options);
+        return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
     }
     if spec == "auto" {
-        return board(&the_one_board()?, options);
+        return board_at(&the_one_board()?, options);
     }
     let path = Path::new(spec);
     ensure!(
@@ -345,40 +340,22 @@ fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     Ok(Source { playback: Some(playback), ..Source::of_recording(Box::new(player), path, header) })
 }
 
-fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
-    match Detected::open(address, options.waveform.as_ref())? {
-        Detected::Mcu7(board, left) => {
-            let Some(waveform) = options.to_program().or(left.as_ref()) else {
-                bail!(
-                    "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml"
-                );
-            };
-            let identity = board.identity().clone();
-            // Boards may disconnect by accident; frames lost meanwhile are a gap.
-            let stream = board.start(waveform)?.with_reconnect(options.reconnect());
-            let (registers, outage) = (stream.registers().clone(), stream.outage());
-            Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, address, registers) })
-        }
-        Detected::Deepcraft(board) => deepcraft_board(*board, options),
-        Detected::Esp32(stream) => {
-            let description = format!("ESP32 on {address}");
-            let stream = stream.with_reconnect(options.reconnect());
-            let outage = stream.outage();
-            Ok(Source { is_live: true, outage, ..Source::without_board(Box::new(stream), description) })
-        }
-    }
+fn board_at(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
+    board(Detected::open(address, options.waveform.as_ref())?, address, options)
 }
 
-fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Result<Source> {
-    let Some(waveform) = options.to_program().cloned().or_else(|| board.configured_waveform()) else {
-        bail!(
+/// Starts a board with the waveform of the options, or else with its own.
+fn board(detected: Detected, at: impl Display, options: &SourceOptions) -> anyhow::Result<Source> {
+    let waveform = options.to_program().cloned().or_else(|| detected.waveform()).context(match &detected {
+        Detected::Deepcraft(_) => {
             "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
-        );
-    };
-    let (identity, port) = (board.identity().clone(), board.path().display().to_string());
-    let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
-    let (registers, outage) = (stream.registers().clone(), stream.outage());
-    Ok(Source { outage, ..Source::of_board(Box::new(stream), identity, port, registers) })
+        }
+        _ => "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml",
+    })?;
+    // Boards may disconnect by accident; frames lost meanwhile are a gap.
+    let StartedBoard { frames, identity, registers, outage } = detected.start(&waveform, options.reconnect())?;
+    let description = format!("{} on {at}", identity.as_ref().map_or("ESP32", |board| board.name.as_str()));
+    Ok(Source { is_live: true, board: identity, registers, outage, ..Source::without_board(frames, description) })
 }
 
 /// Returns the only board that discovery finds.

@@ -58,7 +58,7 @@ pub mod transport;
 
 pub use board::{
     BoardError, BoardIdentity, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, Esp32Stream, Mcu7Board,
-    Mcu7Stream, Outage, Reconnect,
+    Mcu7Stream, Outage, Reconnect, StartedBoard,
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{

@@ -1,5 +1,6 @@
 //! The program's SOURCE grammar without the program: opens the frames that a string refers to.
 
+use std::fmt::Display;
 use std::path::Path;
 use std::time::Duration;
 
@@ -7,7 +8,7 @@ use pyo3::prelude::*;
 use radome_driver::recording::Recording;
 use radome_driver::{
     Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Pace,
-    RealTime, Reconnect, candidates,
+    RealTime, Reconnect, StartedBoard, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -15,8 +16,6 @@ use serde::Deserialize;
 
 use crate::error::{Outcome, detached, to_python};
 use crate::fork;
-
-const NAME_A_WAVEFORM: &str = "hint: give open() a waveform, such as radome.Waveform.load('paper')";
 
 /// Options of a source, as `radome.open` passes them.
 #[derive(Debug, Clone, Default, Deserialize)]
@@ -122,16 +121,16 @@ fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
         return emulated(inner, options);
     }
     if let Some(port) = spec.strip_prefix("serial:") {
-        return board(&Address::Serial(port.into()), options);
+        return board_at(&Address::Serial(port.into()), options);
     }
     if let Some(device) = spec.strip_prefix("usb:") {
-        return board(&Address::Usb(device.parse()?), options);
+        return board_at(&Address::Usb(device.parse()?), options);
     }
     if let Some(port) = spec.strip_prefix("deepcraft:") {
-        return deepcraft(DeepcraftBoard::open(Path::new(port))?, options);
+        return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
     }
     if spec == "auto" {
-        return board(&the_one_board()?, options);
+        return board_at(&the_one_board()?, options);
     }
     let mut opened = file(Path::new(spec), options)?;
     if let Some(speed) = options.speed() {
@@ -184,33 +183,22 @@ fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
     Ok(Opened { board: Some(identity), ..emulated })
 }
 
-fn board(address: &Address, options: &Options) -> Outcome<Opened> {
-    match Detected::open(address, options.waveform.as_ref())? {
-        Detected::Mcu7(board, left) => {
-            let waveform = options.waveform.as_ref().or(left.as_ref());
-            let waveform =
-                waveform.ok_or_else(|| format!("the board has not been told a waveform\n\n{NAME_A_WAVEFORM}"))?;
-            let identity = board.identity().clone();
-            let description = format!("{} on {address}", identity.name);
-            let stream = board.start(waveform)?.with_reconnect(options.reconnect()?);
-            Ok(Opened { board: Some(identity), ..Opened::new(Box::new(stream), true, description) })
-        }
-        Detected::Deepcraft(board) => deepcraft(*board, options),
-        Detected::Esp32(stream) => {
-            let stream = stream.with_reconnect(options.reconnect()?);
-            Ok(Opened::new(Box::new(stream), true, format!("ESP32 on {address}")))
-        }
-    }
+fn board_at(address: &Address, options: &Options) -> Outcome<Opened> {
+    board(Detected::open(address, options.waveform.as_ref())?, address, options)
 }
 
-fn deepcraft(board: DeepcraftBoard, options: &Options) -> Outcome<Opened> {
-    let waveform = options.waveform.clone().or_else(|| board.configured_waveform());
-    let waveform = waveform
-        .ok_or_else(|| format!("the board is set to no waveform that this package understands\n\n{NAME_A_WAVEFORM}"))?;
-    let identity = board.identity().clone();
-    let description = format!("{} on {}", identity.name, board.path().display());
-    let stream = board.start(&waveform)?.with_reconnect(options.reconnect()?);
-    Ok(Opened { board: Some(identity), ..Opened::new(Box::new(stream), true, description) })
+/// Starts a board with the waveform of the options, or else with its own.
+fn board(detected: Detected, at: impl Display, options: &Options) -> Outcome<Opened> {
+    let waveform = options.waveform.clone().or_else(|| detected.waveform()).ok_or_else(|| {
+        let lack = match &detected {
+            Detected::Deepcraft(_) => "is set to no waveform that this package understands",
+            _ => "has not been told a waveform",
+        };
+        format!("the board {lack}\n\nhint: give open() a waveform, such as radome.Waveform.load('paper')")
+    })?;
+    let StartedBoard { frames, identity, .. } = detected.start(&waveform, options.reconnect()?)?;
+    let description = format!("{} on {at}", identity.as_ref().map_or("ESP32", |board| board.name.as_str()));
+    Ok(Opened { board: identity, ..Opened::new(frames, true, description) })
 }
 
 /// Address of the only board that discovery finds.

@@ -4,11 +4,12 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use radome_dsp::Waveform;
+use radome_dsp::{FrameSource, Waveform};
 use serialport::TTYPort;
 
 use super::host::{lost, open_port};
-use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board};
+use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board, Outage, Reconnect};
+use crate::chip::RegisterList;
 use crate::transport::serial::read_more;
 use crate::transport::{Address, trace};
 
@@ -40,6 +41,18 @@ pub enum Detected {
     Esp32(Box<Esp32Stream>),
 }
 
+/// Board whose frames have been started.
+pub struct StartedBoard {
+    /// Frames of the board, which is opened again if it is lost.
+    pub frames: Box<dyn FrameSource>,
+    /// Identity; `None` of a board that only prints.
+    pub identity: Option<BoardIdentity>,
+    /// Registers that the chip was programmed with; empty if the host does not program it.
+    pub registers: RegisterList,
+    /// Whether the board is away.
+    pub outage: Outage,
+}
+
 impl Detected {
     /// Opens the board at an address: on a serial port the kind that is detected, on USB the only supported kind. A
     /// board that prints its frames has one fixed waveform: `waveform` if given, else the one that the board states.
@@ -53,6 +66,41 @@ impl Detected {
             return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
         asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board)))
+    }
+
+    /// Returns the waveform that the board has already: the one that it was left with, is set to, or prints.
+    pub fn waveform(&self) -> Option<Waveform> {
+        match self {
+            Detected::Mcu7(_, left) => left.clone(),
+            Detected::Deepcraft(board) => board.configured_waveform(),
+            Detected::Esp32(stream) => Some(stream.waveform().clone()),
+        }
+    }
+
+    /// Programs the board with a waveform and starts its frames. A board that prints its frames keeps its own waveform.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the chip cannot hold the waveform, or the board does not take it or does not answer.
+    pub fn start(self, waveform: &Waveform, reconnect: Reconnect) -> Result<StartedBoard, BoardError> {
+        Ok(match self {
+            Detected::Mcu7(board, _) => {
+                let identity = Some(board.identity().clone());
+                let stream = board.start(waveform)?.with_reconnect(reconnect);
+                let (registers, outage) = (stream.registers().clone(), stream.outage());
+                StartedBoard { frames: Box::new(stream), identity, registers, outage }
+            }
+            Detected::Deepcraft(board) => {
+                let identity = Some(board.identity().clone());
+                let stream = board.start(waveform)?.with_reconnect(reconnect);
+                let (registers, outage) = (stream.registers().clone(), stream.outage());
+                StartedBoard { frames: Box::new(stream), identity, registers, outage }
+            }
+            Detected::Esp32(stream) => {
+                let stream = stream.with_reconnect(reconnect);
+                let outage = stream.outage();
+                StartedBoard { frames: Box::new(stream), identity: None, registers: RegisterList::new(), outage }
+            }
+        })
     }
 
     fn mcu7(address: &Address) -> Result<Detected, BoardError> {

@@ -11,8 +11,8 @@ mod mcu7;
 mod reconnect;
 
 pub use deepcraft::{DeepcraftBoard, DeepcraftStream};
-pub use detect::Detected;
 pub(crate) use detect::identity_on;
+pub use detect::{Detected, StartedBoard};
 pub use error::{BoardError, DeepcraftError};
 pub use esp32::Esp32Stream;
 pub use identity::BoardIdentity;
