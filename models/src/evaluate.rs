@@ -1,6 +1,9 @@
 //! Scores of a classifier over the maps of a dataset.
 
-pub use crate::metrics::{FalseAlarms, FoundTimes, FramePrediction, Metrics, RecordingScores, Stretch, most_probable};
+pub use crate::metrics::{
+    Confusion, FalseAlarms, FoundTimes, FramePrediction, Metrics, RecordingScores, Stretch, add_confusion,
+    most_probable,
+};
 
 use crate::dataset::Dataset;
 use crate::model::{Classifier, ClassifyError};

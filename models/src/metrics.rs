@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 pub(crate) const CLASSES: usize = Occupancy::ALL.len();
 
 /// Counts `[truth][prediction]`.
-pub(crate) type Confusion = [[u64; CLASSES]; CLASSES];
+pub type Confusion = [[u64; CLASSES]; CLASSES];
 
 /// Adds the counts of `more` to `sum`.
-pub(crate) fn add_confusion(sum: &mut Confusion, more: &Confusion) {
+pub fn add_confusion(sum: &mut Confusion, more: &Confusion) {
     sum.iter_mut().flatten().zip(more.iter().flatten()).for_each(|(sum, count)| *sum += count);
 }
 

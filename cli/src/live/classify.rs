@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use radome_driver::Outage;
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Truth, Waveform};
-use radome_models::evaluate::{Metrics, most_probable};
+use radome_models::evaluate::{Confusion, Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 
 use super::answer::{Answer, Latency, Summary};
@@ -46,9 +46,6 @@ pub struct FrameClassifier {
     settled: Confusion,
     unfiltered: Confusion,
 }
-
-/// Counts `[truth][label]`.
-type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Creates a classifier for a waveform; refuses one that the model does not support.

@@ -13,12 +13,12 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
-use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, evaluate};
+use radome_models::evaluate::{Confusion, FalseAlarms, Metrics, RecordingScores, Stretch, add_confusion, evaluate};
 use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
 
-use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion, count_reliability};
+use self::candidate::{Candidate, Predictions, Refused, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};

@@ -5,6 +5,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::ablation::{Ablation, AblationScores, ablate};
 use radome_models::dataset::Dataset;
+use radome_models::evaluate::Confusion;
 use radome_models::{Classifier, Metrics};
 use serde::Serialize;
 
@@ -21,7 +22,7 @@ pub struct Row {
     recall: [Option<f64>; Occupancy::ALL.len()],
     balanced_accuracy: f64,
     /// Counts `[truth][label]`.
-    confusion: [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()],
+    confusion: Confusion,
 }
 
 /// Scores a network on the single labelled frames of recordings. Returns the network with the scores.

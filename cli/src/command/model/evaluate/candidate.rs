@@ -155,13 +155,3 @@ impl Refused {
         Refused { recording, reason }
     }
 }
-
-/// Number of frames by true class (row) and predicted class (column).
-pub type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
-
-/// Adds the counts of one confusion matrix to another.
-pub fn add_confusion(sum: &mut Confusion, more: &Confusion) {
-    for (sum, more) in sum.iter_mut().flatten().zip(more.iter().flatten()) {
-        *sum += more;
-    }
-}

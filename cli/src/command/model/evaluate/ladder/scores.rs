@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use radome_dsp::Occupancy;
 use radome_models::calibration::{Reliability, ReliabilitySums};
-use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores};
+use radome_models::evaluate::{Confusion, FalseAlarms, FoundTimes, Metrics, RecordingScores, add_confusion};
 use radome_models::train::{FilterSequence, SmoothingFit};
 use serde::Serialize;
 
-use super::super::candidate::{Confusion, Predictions, Refused, add_confusion, count_reliability};
+use super::super::candidate::{Predictions, Refused, count_reliability};
 use super::rung::Rung;
 use crate::output;
 
