@@ -55,7 +55,7 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
 
 /// Checks that a model's file is there.
 fn check_exists(name: &Path) -> anyhow::Result<()> {
-    anyhow::ensure!(
+    ensure!(
         name.exists(),
         "{}: there is no such model\n\nhint: name a model's file, or {BUILT_IN}, which is built in",
         name.display()
@@ -161,12 +161,16 @@ impl Model {
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
 
-    /// Returns the waveform to program a board with; `None` for the detector, which accepts any.
-    pub fn waveform(&self) -> Option<&Waveform> {
+    fn network(&self) -> Option<&Classifier> {
         match self {
-            Model::Network(classifier) => Some(classifier.waveform()),
+            Model::Network(classifier) => Some(classifier),
             Model::Cfar => None,
         }
+    }
+
+    /// Returns the waveform to program a board with; `None` for the detector, which accepts any.
+    pub fn waveform(&self) -> Option<&Waveform> {
+        self.network().map(Classifier::waveform)
     }
 
     /// Returns name and hash of the model, as recordings store them.
@@ -193,28 +197,19 @@ impl Model {
 
     /// Returns the time over which the model averages the evidence of frames, s.
     pub fn memory_s(&self) -> f64 {
-        match self {
-            Model::Network(classifier) => classifier.card().memory_s,
-            Model::Cfar => 0.0,
-        }
+        self.network().map_or(0.0, |network| network.card().memory_s)
     }
 
     /// Returns the settings of the filter over predictions.
     pub fn smoothing(&self) -> Smoothing {
-        match self {
-            Model::Network(classifier) => classifier.card().smoothing,
-            Model::Cfar => Smoothing::default(),
-        }
+        self.network().map(|network| network.card().smoothing).unwrap_or_default()
     }
 
     /// Number of frames that form a map.
     pub fn frames(&self) -> usize {
-        match self {
-            Model::Network(classifier) => match classifier.rdm_spec().slow_time {
-                SlowTime::Chirps => 1,
-                SlowTime::Frames { frames } => frames,
-            },
-            Model::Cfar => 1,
+        match self.network().map(|network| network.rdm_spec().slow_time) {
+            Some(SlowTime::Frames { frames }) => frames,
+            Some(SlowTime::Chirps) | None => 1,
         }
     }
 
@@ -224,12 +219,8 @@ impl Model {
     /// The quantity in which the waveform differs from the model's own; of a model on physical axes, the limit that it
     /// exceeds.
     pub fn check_waveform(&self, waveform: &Waveform) -> anyhow::Result<()> {
-        match self {
-            Model::Network(classifier) => {
-                Ok(classifier.rdm_spec().check_compatible(waveform, classifier.waveform())?)
-            }
-            Model::Cfar => Ok(()),
-        }
+        let Some(network) = self.network() else { return Ok(()) };
+        Ok(network.rdm_spec().check_compatible(waveform, network.waveform())?)
     }
 
     /// Sets the model up for frames of a waveform. Prints on stderr what is lost relative to the model's own waveform.
