@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use anyhow::{Context, ensure};
 use radome_driver::Judge as NamedJudge;
@@ -16,6 +16,8 @@ use radome_models::evidence_mean::EvidenceMean;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
+
+use crate::panics::lock;
 
 /// Name that selects the classical detector instead of a model file.
 pub const CFAR: &str = "cfar";
@@ -140,7 +142,7 @@ impl std::fmt::Display for FaultyReceiver {
 /// Prints the error of a receiver on stderr, each one once per run of the program.
 fn say_fault(faulty: FaultyReceiver) {
     static SAID: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
-    if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(faulty) {
+    if lock(&SAID).insert(faulty) {
         message!("warning: {faulty}");
     }
 }
@@ -296,7 +298,7 @@ fn say_losses(losses: &[String]) {
         return;
     }
     let text = losses.join("; ");
-    if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+    if lock(&SAID).insert(text.clone()) {
         message!("note: frames of another waveform than the model's own are brought onto its axes: {text}");
     }
 }

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
@@ -31,7 +31,7 @@ pub fn remember_places() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic: &PanicHookInfo| {
         let place = panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
-        let mut places = PLACES.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut places = lock(&PLACES);
         if places.len() == REMEMBERED {
             places.pop_front();
         }
@@ -50,11 +50,16 @@ pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked::new(payload.as_ref()))
 }
 
+/// Locks a mutex, also after a panic of a thread that held it.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Panicked {
     /// Creates the error from the payload of a panic, as returned by `catch_unwind` or by joining a thread.
     pub fn new(payload: &(dyn Any + Send)) -> Self {
         let message = message(payload);
-        let places = PLACES.lock().unwrap_or_else(PoisonError::into_inner);
+        let places = lock(&PLACES);
         let place = places.iter().rev().find(|(said, _)| *said == message).map(|(_, place)| place.clone());
         Panicked { place: place.unwrap_or_else(|| "an unknown place".to_owned()), message }
     }

@@ -1,14 +1,14 @@
 //! Adaptation of a model to a room.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use pyo3::prelude::*;
 use radome_models::train::{self, AdaptFrame, AdaptRecording, Adaptation};
 use serde_json::json;
 
 use crate::dataset::Dataset;
-use crate::error::{Outcome, detached, to_python};
+use crate::error::{Outcome, detached, lock, to_python};
 use crate::fork;
 use crate::frame::occupancy;
 use crate::map::Map;
@@ -30,7 +30,7 @@ impl Adapter {
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Work) -> Outcome<T> + Send) -> PyResult<T> {
         detached(py, || {
             fork::check_pools("adapting")?;
-            match self.work.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+            match lock(&self.work).as_mut() {
                 Some(held) => work(held),
                 None => Err("the model has been adapted\n\nhint: begin anew".into()),
             }
@@ -80,7 +80,7 @@ impl Adapter {
     fn adapt<'py>(&self, py: Python<'py>) -> PyResult<(Model, Bound<'py, PyAny>)> {
         let adaptation = detached(py, || {
             fork::check_pools("adapting")?;
-            let held = self.work.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let held = lock(&self.work).take();
             let Work { adapter, recordings } = held.ok_or("the model has been adapted\n\nhint: begin anew")?;
             Ok(adapter.adapt(&recordings)?)
         })?;

@@ -1,7 +1,7 @@
 //! Datasets.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray1, PyArray3};
@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use radome_dsp::RdmSpec;
 use radome_models::dataset::{self, DatasetHeader, ManifestRow, Split, SplitSpec};
 
-use crate::error::{detached, from_python, raised, raised_text, to_python};
+use crate::error::{detached, from_python, lock, raised, raised_text, to_python};
 use crate::map::{Map, spec};
 use crate::waveform::Waveform;
 
@@ -115,7 +115,7 @@ impl DatasetWriter {
             let text = "the map was made by another map spec than the dataset's\n\nhint: make maps with the dataset's map_spec";
             return Err(raised_text(py, text.to_owned()));
         }
-        detached(py, || match self.writer.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        detached(py, || match lock(&self.writer).as_mut() {
             Some(writer) => Ok(writer.push(map, row)?),
             None => Err("the dataset is finished".into()),
         })
@@ -123,7 +123,7 @@ impl DatasetWriter {
 
     /// Gives the folder its name.
     fn finish(&self, py: Python<'_>) -> PyResult<()> {
-        detached(py, || match self.writer.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        detached(py, || match lock(&self.writer).take() {
             Some(writer) => Ok(writer.finish()?),
             None => Ok(()),
         })
@@ -131,6 +131,6 @@ impl DatasetWriter {
 
     /// Removes what has been written, unless the dataset is finished.
     fn discard(&self, py: Python<'_>) {
-        py.detach(|| drop(self.writer.lock().unwrap_or_else(PoisonError::into_inner).take()));
+        py.detach(|| drop(lock(&self.writer).take()));
     }
 }

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
 use radome_driver::{BoardError, RecordingError};
@@ -24,6 +25,11 @@ pub type Outcome<T> = Result<T, Failure>;
 /// The error of the work, as an exception.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> Outcome<T> + Send) -> PyResult<T> {
     py.detach(work).map_err(|failure| raised(py, &*failure))
+}
+
+/// Locks a mutex, also after a panic of a thread that held it.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Exception for an error: message, hint and causes, as `radome._errors.make` builds it. A Python exception stays what it is.

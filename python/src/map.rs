@@ -1,13 +1,13 @@
 //! Range-Doppler maps.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use numpy::ndarray::ArrayView3;
 use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::prelude::*;
 use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec};
 
-use crate::error::{Outcome, detached, from_python, raised, raised_text, to_python};
+use crate::error::{Outcome, detached, from_python, lock, raised, raised_text, to_python};
 use crate::frame::{Frame, read_only};
 use crate::waveform::Waveform;
 
@@ -138,13 +138,13 @@ impl MapProcessor {
     /// Map of the next frame, `[rx][doppler][range]`, float32, dB; `None` while a window over frames fills.
     fn __call__(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Option<Map>> {
         let frame = &frame.get().inner;
-        let map = detached(py, || next_map(&mut self.processor.lock().unwrap_or_else(PoisonError::into_inner), frame))?;
+        let map = detached(py, || next_map(&mut lock(&self.processor), frame))?;
         Ok(map.map(|inner| Map { inner, spec: self.spec, waveform: self.waveform.clone() }))
     }
 
     /// Forgets the frames before, as at a gap.
     fn reset(&self, py: Python<'_>) {
-        py.detach(|| self.processor.lock().unwrap_or_else(PoisonError::into_inner).reset());
+        py.detach(|| lock(&self.processor).reset());
     }
 
     /// Specification of the maps, a dict.

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
@@ -15,7 +15,7 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::{Classifier, ModelCard, onnx};
 
 use crate::dataset::Dataset;
-use crate::error::{Failure, Outcome, detached, raised, to_python};
+use crate::error::{Failure, Outcome, detached, lock, raised, to_python};
 use crate::fork::Birthplace;
 use crate::frame::Frame;
 use crate::map::{Map, next_map};
@@ -86,7 +86,7 @@ impl Model {
 
     fn lock(&self) -> Outcome<MutexGuard<'_, Work>> {
         self.birthplace.check("the model")?;
-        Ok(self.work.lock().unwrap_or_else(PoisonError::into_inner))
+        Ok(lock(&self.work))
     }
 
     fn classify(&self, map: &Map) -> Outcome<Probabilities> {
@@ -262,12 +262,12 @@ impl Filter {
     /// Takes the probabilities of empty, one and two of the frame at `time_s`, s; returns the filtered ones, `[class]`, float32.
     /// Frames come in the order of their times.
     fn update<'py>(&self, py: Python<'py>, time_s: f64, probabilities: [f32; 3]) -> Bound<'py, PyArray1<f32>> {
-        let mut filter = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut filter = lock(&self.0);
         filter.update(time_s, probabilities).to_vec().into_pyarray(py)
     }
 
     /// Forgets all frames.
     fn reset(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).reset();
+        lock(&self.0).reset();
     }
 }

@@ -1,7 +1,7 @@
 //! Recordings that Python writes, and import of labels from other tools.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use pyo3::prelude::*;
 use radome_driver::recording::{Existing, Format, RecordingWriter, label_text};
@@ -9,7 +9,7 @@ use radome_driver::{LabelSpan, RecordingHeader};
 use radome_dsp::Gap;
 use serde_json::json;
 
-use crate::error::{Outcome, detached, from_python, text_of, to_python};
+use crate::error::{Outcome, detached, from_python, lock, text_of, to_python};
 use crate::frame::Frame;
 use crate::waveform::Waveform;
 
@@ -25,7 +25,7 @@ impl Recorder {
         py: Python<'_>,
         work: impl FnOnce(&mut RecordingWriter) -> Outcome<T> + Send,
     ) -> PyResult<T> {
-        detached(py, || match self.writer.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        detached(py, || match lock(&self.writer).as_mut() {
             Some(writer) => work(writer),
             None => Err("the recording is finished".into()),
         })
@@ -73,7 +73,7 @@ impl Recorder {
     /// Completes the recording; returns a dict with what was written. `None` if it is finished already.
     fn finish<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let report = detached(py, || {
-            let writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let writer = lock(&self.writer).take();
             Ok(writer.map(RecordingWriter::finish).transpose()?)
         })?;
         let Some(report) = report else { return Ok(None) };
@@ -89,7 +89,7 @@ impl Recorder {
 
     /// Removes what has been written, unless the recording is finished.
     fn discard(&self, py: Python<'_>) {
-        py.detach(|| drop(self.writer.lock().unwrap_or_else(PoisonError::into_inner).take()));
+        py.detach(|| drop(lock(&self.writer).take()));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use radome_driver::{BoardIdentity, LabelSpan};
 use radome_dsp::{FrameSource, Gap, SourceEvent};
 
-use crate::error::{Failure, Outcome, detached, from_python, raised, to_python};
+use crate::error::{Failure, Outcome, detached, from_python, lock, raised, to_python};
 use crate::fork::Birthplace;
 use crate::frame::Frame;
 use crate::opened::{self, Opened, Options};
@@ -142,13 +142,9 @@ pub struct Source {
 }
 
 impl Source {
-    fn lock(&self) -> MutexGuard<'_, Option<Reader>> {
-        self.reader.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn poll(&self, patience: Duration) -> Outcome<Polled> {
         self.birthplace.check("the source")?;
-        match self.lock().as_mut() {
+        match lock(&self.reader).as_mut() {
             Some(reader) => Ok(reader.poll(patience)),
             None => Err("the source is closed".into()),
         }
@@ -158,12 +154,11 @@ impl Source {
 /// Waits until the source is open or cannot be opened; Ctrl-C ends the wait.
 fn wait_for_start(py: Python<'_>, start: &Mutex<Receiver<Outcome<Start>>>) -> PyResult<Start> {
     loop {
-        let started =
-            detached(py, || match start.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(SLICE) {
-                Ok(started) => started.map(Some),
-                Err(RecvTimeoutError::Timeout) => Ok(None),
-                Err(RecvTimeoutError::Disconnected) => Err("opening the source panicked".into()),
-            })?;
+        let started = detached(py, || match lock(start).recv_timeout(SLICE) {
+            Ok(started) => started.map(Some),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err("opening the source panicked".into()),
+        })?;
         match started {
             Some(start) => return Ok(start),
             None => py.check_signals()?,
@@ -223,7 +218,7 @@ impl Source {
         if !self.birthplace.is_here() {
             return Ok(());
         }
-        let Some(mut reader) = py.detach(|| self.lock().take()) else { return Ok(()) };
+        let Some(mut reader) = py.detach(|| lock(&self.reader).take()) else { return Ok(()) };
         drop(reader.items.take());
         let thread = reader.thread.take();
         let began = Instant::now();

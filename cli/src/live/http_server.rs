@@ -8,7 +8,7 @@
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::http::{HeaderValue, StatusCode, header};
@@ -22,6 +22,8 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::AbortHandle;
+
+use crate::panics::lock;
 
 /// Longest request line and headers, bytes. Browsers send the cookies of all programs on the same machine.
 const MOST_HEAD_BYTES: usize = 16 * 1024;
@@ -129,10 +131,6 @@ struct Connection {
 }
 
 impl Server {
-    fn connections(&self) -> MutexGuard<'_, Connections> {
-        self.connections.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn start(self: &Arc<Self>, stream: TcpStream, address: SocketAddr, router: &Router) {
         let _ = stream.set_nodelay(true);
         let client = Client { address, admitted: Arc::default() };
@@ -151,7 +149,7 @@ impl Server {
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let network = network_of(address.ip());
-        let mut connections = self.connections();
+        let mut connections = lock(&self.connections);
         let replaced = connections.make_room(&self.limits, network);
         let id = connections.next_id;
         connections.next_id += 1;
@@ -179,7 +177,7 @@ struct Entry {
 
 impl Drop for Entry {
     fn drop(&mut self) {
-        self.server.connections().open.retain(|connection| connection.id != self.id);
+        lock(&self.server.connections).open.retain(|connection| connection.id != self.id);
     }
 }
 

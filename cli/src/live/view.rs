@@ -33,6 +33,7 @@ use super::access::{self, Token};
 use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
+use crate::panics::lock;
 use crate::source::Source;
 use feed::Feed;
 use labels::Keeper;
@@ -217,7 +218,7 @@ impl Sink for Page {
         if let Some(playback) = &self.shared.about.playback {
             playback.transport.close();
         }
-        *self.shared.over() = Some(json!({ "over": summary }));
+        *lock(&self.shared.over) = Some(json!({ "over": summary }));
         self.shared.feed.close();
         self.shared.labels.close();
         for thread in self.threads.drain(..) {

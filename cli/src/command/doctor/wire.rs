@@ -1,7 +1,7 @@
 //! Trace of requests to boards and their responses, for the bundle.
 
 use std::fmt::{self, Write};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use radome_driver::transport::trace::TARGET;
@@ -11,6 +11,8 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
+
+use crate::panics::lock;
 
 /// Number of lines kept at the beginning, with identification and programming, and at the end, where a failure may
 /// show.
@@ -46,7 +48,7 @@ impl WireLog {
 
     /// Returns lines of seconds, direction and bytes.
     pub fn text(&self) -> String {
-        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let lines = lock(&self.lines);
         let mut text = lines.first.concat();
         if lines.left_out > 0 {
             text += &format!("... {} lines left out\n", lines.left_out);
@@ -57,7 +59,7 @@ impl WireLog {
 
     /// Identities of the boards that were queried, in hexadecimal: their bytes occur in the lines.
     pub fn identities(&self) -> Vec<String> {
-        self.lines.lock().unwrap_or_else(PoisonError::into_inner).identities.clone()
+        lock(&self.lines).identities.clone()
     }
 }
 
@@ -80,7 +82,7 @@ impl<S: Subscriber> Layer<S> for WireLog {
         let mut words = Words { line: &mut line, identity: None };
         event.record(&mut words);
         let identity = words.identity;
-        let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lines = lock(&self.lines);
         if let Some(identity) = identity {
             lines.identities.push(identity);
             return;

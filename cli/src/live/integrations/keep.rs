@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -18,7 +18,7 @@ use super::latest::{Latest, count};
 use crate::live::health::Health;
 use crate::live::recorder::frame_result;
 use crate::live::sink::{Moment, Sink};
-use crate::panics::Panicked;
+use crate::panics::{Panicked, lock};
 
 /// Options of what is kept.
 #[derive(clap::Args, Default)]
@@ -207,7 +207,7 @@ impl Sink for Keeper {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let mut kept = self.spare.take().unwrap_or_default();
         kept.fill(moment);
-        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ring = lock(&self.ring);
         // A restarted clock makes earlier entries unrelated.
         if moment.frame.time_ns < ring.newest_ns {
             ring.entries.clear();
@@ -221,7 +221,7 @@ impl Sink for Keeper {
     }
 
     fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
-        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ring = lock(&self.ring);
         if !ring.entries.is_empty() {
             ring.entries.push_back(Entry::Gap(*gap));
         }
@@ -269,7 +269,7 @@ impl Saving {
     /// Writes the buffer as a recording, atomically.
     fn save(&self, report: Report) -> anyhow::Result<PathBuf> {
         // Cloning the list of references holds the lock only briefly, so the classifier's thread hardly waits.
-        let entries = self.ring.lock().unwrap_or_else(PoisonError::into_inner).entries.clone();
+        let entries = lock(&self.ring).entries.clone();
         let entries: Vec<Entry> = entries.into();
         let results = entries.iter().filter_map(|entry| match entry {
             Entry::Frame(kept) => kept.result,

@@ -1,7 +1,7 @@
 //! Newest state of a run, written by the classifier's thread and read by the integrations.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use radome_dsp::Gap;
@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use crate::live::health::Health;
 use crate::live::sink::{Moment, Sink};
+use crate::panics::lock;
 
 /// Newest answer and counters.
 #[derive(Debug, Clone, Copy)]
@@ -77,30 +78,26 @@ impl Latest {
         Arc::new(Latest { newest, changes: watch::Sender::new(0), silence, counters: Counters::default() })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Newest> {
-        self.newest.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Returns a copy, so that slow readers hold no lock.
     pub fn newest(&self) -> Newest {
-        self.lock().clone()
+        lock(&self.newest).clone()
     }
 
     /// Returns the newest answer; `None` if there is no settled one, or if frames no longer arrive.
     pub fn said(&self) -> Option<Said> {
-        let newest = self.lock();
+        let newest = lock(&self.newest);
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
     }
 
     /// Frame rate over the newest frames, 1/s; 0 if frames no longer arrive.
     pub fn frames_per_s(&self) -> f64 {
-        let newest = self.lock();
+        let newest = lock(&self.newest);
         if newest.health.is_silent(self.silence) { 0.0 } else { newest.health.frames_per_s() }
     }
 
     /// Number of frames classified and lost so far.
     pub fn frames(&self) -> (u64, u64) {
-        let newest = self.lock();
+        let newest = lock(&self.newest);
         (newest.health.frames, newest.health.dropped_total())
     }
 
@@ -116,7 +113,7 @@ pub struct LatestSink(pub Arc<Latest>);
 impl Sink for LatestSink {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let answer = moment.answer;
-        let mut newest = self.0.lock();
+        let mut newest = lock(&self.0.newest);
         newest.health.copy_from(moment.health);
         if !answer.no_signal {
             newest.judged = Some(Instant::now());
@@ -136,7 +133,7 @@ impl Sink for LatestSink {
     }
 
     fn gap(&mut self, _gap: &Gap, health: &Health) -> anyhow::Result<()> {
-        self.0.lock().health.copy_from(health);
+        lock(&self.0.newest).health.copy_from(health);
         Ok(())
     }
 }

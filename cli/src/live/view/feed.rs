@@ -10,7 +10,7 @@
 //! each sample over all chirps of the channel.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
@@ -25,6 +25,7 @@ use super::partner::Partner;
 use crate::live::answer::{Answer, Probabilities};
 use crate::live::health::Arrivals;
 use crate::live::sink::Moment;
+use crate::panics::lock;
 
 /// Shortest time between pictures, above the rate that viewers need.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(33);
@@ -195,17 +196,9 @@ impl Feed {
         }
     }
 
-    fn handover(&self) -> MutexGuard<'_, Handover> {
-        self.handover.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn open_pages(&self) -> MutexGuard<'_, Pages> {
-        self.pages.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Changes the handover and wakes the pages' thread.
     fn call<T>(&self, change: impl FnOnce(&mut Handover) -> T) -> T {
-        let mut handover = self.handover();
+        let mut handover = lock(&self.handover);
         handover.calls += 1;
         let result = change(&mut handover);
         drop(handover);
@@ -249,14 +242,14 @@ impl Feed {
         if !self.is_tape {
             return moment.health.frames_per_s();
         }
-        let mut arrivals = self.arrivals.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut arrivals = lock(&self.arrivals);
         arrivals.add(Instant::now());
         arrivals.frames_per_s()
     }
 
     /// Notes that frames are missing.
     pub fn gap(&self, _gap: &Gap) {
-        self.handover().after_gap = true;
+        lock(&self.handover).after_gap = true;
     }
 
     /// Ends the feed after the run.
@@ -267,7 +260,7 @@ impl Feed {
     /// Adds a page; its pictures arrive at the receiver.
     pub fn join(&self) -> (PageId, mpsc::Receiver<Bytes>) {
         let (sender, receiver) = mpsc::channel(MOST_UNSEEN as usize + 1);
-        let mut pages = self.open_pages();
+        let mut pages = lock(&self.pages);
         let id = pages.next;
         pages.next += 1;
         let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told: 0 };
@@ -279,17 +272,17 @@ impl Feed {
 
     /// Removes a page.
     pub fn leave(&self, page: PageId) {
-        self.open_pages().open.remove(&page);
+        lock(&self.pages).open.remove(&page);
     }
 
     /// Number of open pages.
     pub fn pages(&self) -> usize {
-        self.open_pages().open.len()
+        lock(&self.pages).open.len()
     }
 
     /// Notes that a page has received a picture.
     pub fn seen(&self, page: PageId) {
-        if let Some(page) = self.open_pages().open.get_mut(&page) {
+        if let Some(page) = lock(&self.pages).open.get_mut(&page) {
             page.unseen = page.unseen.saturating_sub(1);
         }
         self.call(|_| ());
@@ -309,7 +302,7 @@ impl Feed {
         if look.chirp.is_some_and(|chirp| chirp >= shape.chirps) {
             bail!("no such chirp, expected 0 to {}", shape.chirps.saturating_sub(1));
         }
-        if let Some(page) = self.open_pages().open.get_mut(&page) {
+        if let Some(page) = lock(&self.pages).open.get_mut(&page) {
             page.look = look;
         }
         self.call(|handover| handover.version += 1);
@@ -319,17 +312,17 @@ impl Feed {
     /// Waits until there is a frame and a page wants a picture; `false` once closed.
     fn wait_for_pages(&self, mut has_frame: bool) -> bool {
         loop {
-            let handover = self.handover();
+            let handover = lock(&self.handover);
             if handover.closed {
                 return false;
             }
             has_frame |= handover.newest.is_some();
             let (version, calls) = (handover.version, handover.calls);
             drop(handover);
-            if has_frame && self.open_pages().open.values().any(|page| page.wants(version)) {
+            if has_frame && lock(&self.pages).open.values().any(|page| page.wants(version)) {
                 return true;
             }
-            let handover = self.handover();
+            let handover = lock(&self.handover);
             if handover.calls == calls {
                 // Bounded wait, since a page may stay silent.
                 drop(self.wake.wait_timeout(handover, PATIENCE));
@@ -350,7 +343,7 @@ impl Feed {
         while self.wait_for_pages(newest.is_some()) {
             std::thread::sleep(SHORTEST_INTERVAL.saturating_sub(last.elapsed()));
             last = Instant::now();
-            let mut handover = self.handover();
+            let mut handover = lock(&self.handover);
             let newer = handover.newest.take();
             std::mem::swap(&mut handover.points, &mut taken);
             let version = handover.version;
@@ -364,7 +357,7 @@ impl Feed {
                 history.push_back(point);
             }
             let Some(newest) = &newest else { continue };
-            let pages = self.open_pages();
+            let pages = lock(&self.pages);
             let wanting = pages.open.iter().filter(|(_, page)| page.wants(version));
             let looks: Vec<(PageId, Look, u64)> = wanting.map(|(id, page)| (*id, page.look, page.told)).collect();
             let kinds: Vec<Kind> = pages.open.values().map(|page| page.look.kind()).collect();
@@ -384,7 +377,7 @@ impl Feed {
                 let missing = (answers - told).min(history.len() as u64) as usize;
                 let points: Vec<_> = history.iter().skip(history.len() - missing).map(Point::row).collect();
                 let Some(message) = picture.message(points) else { continue };
-                let mut pages = self.open_pages();
+                let mut pages = lock(&self.pages);
                 let Some(page) = pages.open.get_mut(&id) else { continue };
                 // A page that takes no pictures stays open until the server drops it.
                 if page.sender.try_send(message).is_ok() {
@@ -634,7 +627,7 @@ mod tests {
         let answers = HISTORY as u64 + 100;
 
         // Holds the lock of the pages throughout, as a thread that changes them would.
-        let held = feed.open_pages();
+        let held = lock(&feed.pages);
         assert!(can_publish(&feed, 0..answers), "waits for the pages' lock");
         drop(held);
 
@@ -644,7 +637,7 @@ mod tests {
         let of = feed.clone();
         let serving = thread::spawn(move || of.serve(None));
         let start = Instant::now();
-        while feed.handover().newest.is_some() {
+        while lock(&feed.handover).newest.is_some() {
             assert!(start.elapsed() < PATIENCE, "the frame is not taken");
             thread::sleep(Duration::from_millis(5));
         }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
@@ -16,6 +16,7 @@ use serde::Serialize;
 use super::adaptation::Offer;
 use super::cut_labels::{Cut, SHORTEST_S, cut};
 use crate::labels;
+use crate::panics::lock;
 use crate::source::Playback;
 
 /// Largest number of labels, above any number made by hand.
@@ -387,10 +388,6 @@ impl Keeper {
         })
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Sets the time of the newest frame, s, without waiting.
     pub fn at(&self, time_s: f64) {
         self.now_s.store(time_s.to_bits(), Ordering::Relaxed);
@@ -406,7 +403,7 @@ impl Keeper {
     /// The edit does not fit the labels.
     pub fn edit(&self, edit: Edit) -> anyhow::Result<()> {
         let now_s = self.now_s();
-        let mut state = self.state();
+        let mut state = lock(&self.state);
         let book = &mut state.book;
         if book.spans.len() >= MOST_SPANS && matches!(edit, Edit::Press(..) | Edit::Add(_)) {
             bail!("there are {} labels already, more than can be made by hand", book.spans.len());
@@ -436,7 +433,7 @@ impl Keeper {
     /// Ends the open label at the newest frame, before the time jumps.
     pub fn before_jump(&self) {
         let end_s = self.now_s() + self.interval_s;
-        let mut state = self.state();
+        let mut state = lock(&self.state);
         if state.book.open.is_some() {
             state.book.remember();
             state.book.end_open(end_s);
@@ -447,17 +444,17 @@ impl Keeper {
 
     /// Returns the current labels.
     pub fn labels(&self) -> Vec<LabelSpan> {
-        self.state().book.labels(self.now_s() + self.interval_s)
+        lock(&self.state).book.labels(self.now_s() + self.interval_s)
     }
 
     /// Counter that changes whenever [`told`](Self::told) does.
     pub fn told_count(&self) -> u64 {
-        self.state().told
+        lock(&self.state).told
     }
 
     /// Returns the message to pages.
     pub fn told(&self) -> serde_json::Value {
-        let state = self.state();
+        let state = lock(&self.state);
         let recording = self.place.as_ref().map(Place::recording);
         let is_running = matches!(self.place, Some(Place::Made { .. }));
         let labels: Vec<&LabelSpan> = state.book.spans.iter().map(|span| &span.label).collect();
@@ -479,7 +476,7 @@ impl Keeper {
         let Some(place) = &self.place else { return };
         let growing = if matches!(place, Place::Made { .. }) { GROWING_RECORDED } else { GROWING_SAVED };
         loop {
-            let mut state = self.state();
+            let mut state = lock(&self.state);
             let mut has_grown = false;
             while !state.closed && !has_grown && (state.saved == state.book.revision || state.fault.is_some()) {
                 let waited = self.changed.wait_timeout(state, growing).unwrap_or_else(PoisonError::into_inner);
@@ -492,14 +489,14 @@ impl Keeper {
             if !closed {
                 drop(state);
                 std::thread::sleep(IN_A_ROW);
-                state = self.state();
+                state = lock(&self.state);
             }
             let (revision, known) = (state.book.revision, state.known.clone());
             let labels = state.book.labels(self.now_s() + self.interval_s);
             drop(state);
             // The disk may be slow, so no lock is held.
             let written = if revision > 0 { place.write(&known, &labels) } else { Ok(known) };
-            let mut state = self.state();
+            let mut state = lock(&self.state);
             match written {
                 Ok(known) => (state.saved, state.known, state.fault) = (revision, known, None),
                 Err(error) => {
@@ -518,7 +515,7 @@ impl Keeper {
     /// Ends the edits; the remaining changes go to the disk.
     pub fn close(&self) {
         self.before_jump();
-        self.state().closed = true;
+        lock(&self.state).closed = true;
         self.changed.notify_all();
     }
 
@@ -527,7 +524,7 @@ impl Keeper {
     /// # Errors
     /// The labels cannot be written.
     pub fn last_word(&self) -> anyhow::Result<()> {
-        let state = self.state();
+        let state = lock(&self.state);
         let count = state.book.spans.len();
         if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
             if let Place::Made { recording } = place {

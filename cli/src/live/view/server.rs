@@ -23,6 +23,7 @@ use super::policy::Refusal;
 use super::shared::Shared;
 use crate::live::access::{self, Access};
 use crate::live::http_server::{self, Client, Event, Limits};
+use crate::panics::lock;
 
 /// Longest message of a page, bytes. The page's own messages are below 200.
 const LONGEST_MESSAGE: usize = 4096;
@@ -290,7 +291,7 @@ impl Visitor<'_> {
         if !news(&mut self.socket, self.shared, &mut self.told).await {
             return false;
         }
-        let over = self.shared.over().clone();
+        let over = lock(&self.shared.over).clone();
         if let Some(over) = over {
             say(&mut self.socket, over).await;
             return throw_out(&mut self.socket, "the run is over").await;

@@ -1,6 +1,6 @@
 //! State that pages, server and pipeline share.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use radome_driver::BoardIdentity;
 use radome_dsp::Waveform;
@@ -63,11 +63,4 @@ pub struct Shared {
     pub policy: Policy,
     /// Summary of the run, once it is over.
     pub over: Mutex<Option<serde_json::Value>>,
-}
-
-impl Shared {
-    /// Locks the summary of the run.
-    pub fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
-        self.over.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
