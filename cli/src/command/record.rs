@@ -119,30 +119,19 @@ struct Tally {
     unknown: u64,
 }
 
-impl Tally {
-    /// Writes a gap, counts it and reports it.
-    fn gap(&mut self, recorder: &mut Recorder, gap: &Gap) -> anyhow::Result<()> {
-        recorder.gap(gap)?;
-        self.gaps += 1;
-        self.unknown += u64::from(gap.frames == 0);
-        self.dropped = self.dropped.saturating_add(gap.frames);
-        message!("{}", screen::lost(gap));
-        Ok(())
-    }
-}
-
 /// Records until the source ends or fails, the disk fails, or the user stops it.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
 /// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
 fn capture(
     inlet: &Inlet,
-    mut recorder: Recorder,
+    recorder: Recorder,
     outage: &Outage,
     bar: &indicatif::ProgressBar,
 ) -> (Tally, anyhow::Result<()>) {
-    let mut tally = Tally::default();
-    let written = write_all(inlet, &mut recorder, &mut tally, outage, bar);
+    let mut writer = Writer { recorder, tally: Tally::default(), next_sequence: 0 };
+    let written = writer.write_all(inlet, outage, bar);
+    let Writer { mut recorder, mut tally, .. } = writer;
     // Frames that the disk has not taken are none of the file's.
     let flushed = recorder.flush();
     tally.frames = recorder.frames_written();
@@ -165,73 +154,83 @@ fn capture(
     (tally, end)
 }
 
-/// Writes all items, also those that wait when the user stops; returns the source's error, if it failed.
-fn write_all(
-    inlet: &Inlet,
-    recorder: &mut Recorder,
-    tally: &mut Tally,
-    outage: &Outage,
-    bar: &indicatif::ProgressBar,
-) -> anyhow::Result<Option<Failure>> {
-    let mut is_unflushed = false;
-    let mut next_sequence = 0;
-    while !output::interrupted() {
-        match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
-            Ok(delivery) => {
-                if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
-                    return Ok(end.err());
-                }
-                bar.set_position(tally.frames);
-                is_unflushed = true;
-            }
-            // A silent board may never come back, so its frames are flushed to the disk.
-            Err(RecvTimeoutError::Timeout) if std::mem::take(&mut is_unflushed) => recorder.flush()?,
-            Err(RecvTimeoutError::Timeout) => {}
-            // The end is known even if it could not be delivered in time.
-            Err(RecvTimeoutError::Disconnected) => {
-                let Some(end) = inlet.end.get() else { return Err(Failure::without_a_word().into()) };
-                let end = write(Item::End(end.clone()), recorder, tally, &mut next_sequence)?;
-                return Ok(end.and_then(Result::err));
-            }
-        }
-    }
-    let waiting = inlet.receiver.len();
-    for delivery in inlet.receiver.try_iter().take(waiting) {
-        if let Some(end) = write(delivery.item, recorder, tally, &mut next_sequence)? {
-            return Ok(end.err());
-        }
-    }
-    if let Some(missing) = outage.gap(next_sequence) {
-        tally.gap(recorder, &missing)?;
-    }
-    Ok(None)
+/// Recording under way.
+struct Writer {
+    recorder: Recorder,
+    tally: Tally,
+    /// Number of the frame that should come next: behind the last frame or gap.
+    next_sequence: u64,
 }
 
-/// Writes an item; returns the end of the stream if it is the last.
-fn write(
-    item: Item,
-    recorder: &mut Recorder,
-    tally: &mut Tally,
-    next_sequence: &mut u64,
-) -> anyhow::Result<Option<End>> {
-    match item {
-        Item::Frame(frame) => {
-            recorder.frame(&frame)?;
-            tally.frames += 1;
-            *next_sequence = frame.sequence.saturating_add(1);
-        }
-        Item::Gap(missing) => {
-            tally.gap(recorder, &missing)?;
-            *next_sequence = missing.first_sequence.saturating_add(missing.frames);
-        }
-        Item::End(end) => {
-            if let Some(missing) = end.as_ref().err().and_then(|failure| failure.gap(*next_sequence)) {
-                tally.gap(recorder, &missing)?;
+impl Writer {
+    /// Writes all items, also those that wait when the user stops; returns the source's error, if it failed.
+    fn write_all(
+        &mut self,
+        inlet: &Inlet,
+        outage: &Outage,
+        bar: &indicatif::ProgressBar,
+    ) -> anyhow::Result<Option<Failure>> {
+        let mut is_unflushed = false;
+        while !output::interrupted() {
+            match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
+                Ok(delivery) => {
+                    if let Some(end) = self.write(delivery.item)? {
+                        return Ok(end.err());
+                    }
+                    bar.set_position(self.tally.frames);
+                    is_unflushed = true;
+                }
+                // A silent board may never come back, so its frames are flushed to the disk.
+                Err(RecvTimeoutError::Timeout) if std::mem::take(&mut is_unflushed) => self.recorder.flush()?,
+                Err(RecvTimeoutError::Timeout) => {}
+                // The end is known even if it could not be delivered in time.
+                Err(RecvTimeoutError::Disconnected) => {
+                    let Some(end) = inlet.queue.end.get() else { return Err(Failure::without_a_word().into()) };
+                    return Ok(self.write(Item::End(end.clone()))?.and_then(Result::err));
+                }
             }
-            return Ok(Some(end));
         }
+        let waiting = inlet.receiver.len();
+        for delivery in inlet.receiver.try_iter().take(waiting) {
+            if let Some(end) = self.write(delivery.item)? {
+                return Ok(end.err());
+            }
+        }
+        if let Some(missing) = outage.gap(self.next_sequence) {
+            self.gap(&missing)?;
+        }
+        Ok(None)
     }
-    Ok(None)
+
+    /// Writes an item; returns the end of the stream if it is the last.
+    fn write(&mut self, item: Item) -> anyhow::Result<Option<End>> {
+        match item {
+            Item::Frame(frame) => {
+                self.recorder.frame(&frame)?;
+                self.tally.frames += 1;
+                self.next_sequence = frame.sequence.saturating_add(1);
+            }
+            Item::Gap(missing) => self.gap(&missing)?,
+            Item::End(end) => {
+                if let Some(missing) = end.as_ref().err().and_then(|failure| failure.gap(self.next_sequence)) {
+                    self.gap(&missing)?;
+                }
+                return Ok(Some(end));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Writes a gap, counts it and reports it.
+    fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
+        self.recorder.gap(gap)?;
+        self.tally.gaps += 1;
+        self.tally.unknown += u64::from(gap.frames == 0);
+        self.tally.dropped = self.tally.dropped.saturating_add(gap.frames);
+        self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
+        message!("{}", screen::lost(gap));
+        Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -287,7 +286,7 @@ mod tests {
         let recorder = Recorder::create(&path, &header).expect("a file");
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
-        inlet.end.set(Ok(())).expect("no end yet");
+        inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
         let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
         end.expect("an end");

@@ -295,8 +295,8 @@ struct Missed<'a> {
 impl Missed<'_> {
     /// Notes missed frames before the frame with this number is classified.
     fn note(&mut self, sequence: u64, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
-        let dropped = self.inlet.missed.load(Ordering::Relaxed);
-        let missed = dropped.saturating_add(self.inlet.missed_in_gaps.load(Ordering::Relaxed));
+        let dropped = self.inlet.queue.missed.load(Ordering::Relaxed);
+        let missed = dropped.saturating_add(self.inlet.queue.missed_in_gaps.load(Ordering::Relaxed));
         let first_sequence = std::mem::replace(&mut self.next_sequence, sequence.saturating_add(1));
         let frames = missed - std::mem::replace(&mut self.noted, missed);
         if frames > 0 {
@@ -373,7 +373,7 @@ mod tests {
     fn an_end_that_could_not_be_delivered_in_time_is_an_end() {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
-        inlet.end.set(Ok(())).expect("no end yet");
+        inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
         run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect("an end");
     }

@@ -82,9 +82,22 @@ pub enum Policy {
     DropOldest,
     /// No frame may be lost. If the consumer stalls for this long, the pipeline stops with an error.
     Lossless(Duration),
-    /// No frame may be lost. A consumer that stalls for this long is left behind ([`Inlet::is_left_behind`]), and the others
+    /// No frame may be lost. A consumer that stalls for this long is left behind ([`Queue::is_left_behind`]), and the others
     /// go on.
     LosslessOrGone(Duration),
+}
+
+/// State of a consumer's queue, which both ends see.
+#[derive(Default)]
+pub struct Queue {
+    /// Frames dropped because this consumer was too slow.
+    pub missed: AtomicU64,
+    /// Missing frames of the gaps that were dropped with them.
+    pub missed_in_gaps: AtomicU64,
+    /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
+    pub is_left_behind: AtomicBool,
+    /// Result of the stream. It is set before any consumer receives it.
+    pub end: OnceLock<End>,
 }
 
 struct Outlet {
@@ -94,31 +107,21 @@ struct Outlet {
     /// Receiver from which the oldest item is dropped. Only `DropOldest` holds it, so that the exit of other consumers
     /// is noticed.
     oldest: Option<Receiver<Delivery>>,
-    missed: Arc<AtomicU64>,
-    missed_in_gaps: Arc<AtomicU64>,
-    is_left_behind: Arc<AtomicBool>,
-    end: Arc<OnceLock<End>>,
+    queue: Arc<Queue>,
 }
 
 /// Consumer's end of a queue.
 pub struct Inlet {
     /// Items in order.
     pub receiver: Receiver<Delivery>,
-    /// Frames dropped because this consumer was too slow.
-    pub missed: Arc<AtomicU64>,
-    /// Missing frames of the gaps that were dropped with them.
-    pub missed_in_gaps: Arc<AtomicU64>,
-    /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
-    pub is_left_behind: Arc<AtomicBool>,
-    /// Result of the stream. It is set before any consumer receives it.
-    pub end: Arc<OnceLock<End>>,
+    pub queue: Arc<Queue>,
 }
 
 impl Inlet {
     /// Result of a stream whose queue is closed and empty. It is known even where the last item could not be delivered in
     /// time, because the consumer took none.
     pub fn closed(&self) -> End {
-        self.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))
+        self.queue.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))
     }
 }
 
@@ -142,24 +145,10 @@ impl Pipeline {
     /// Adds a consumer with a queue of `capacity` items.
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
-        let inlet = Inlet {
-            receiver,
-            missed: Arc::default(),
-            missed_in_gaps: Arc::default(),
-            is_left_behind: Arc::default(),
-            end: Arc::default(),
-        };
-        self.outlets.push(Outlet {
-            name,
-            policy,
-            sender,
-            oldest: matches!(policy, Policy::DropOldest).then(|| inlet.receiver.clone()),
-            missed: inlet.missed.clone(),
-            missed_in_gaps: inlet.missed_in_gaps.clone(),
-            is_left_behind: inlet.is_left_behind.clone(),
-            end: inlet.end.clone(),
-        });
-        inlet
+        let oldest = matches!(policy, Policy::DropOldest).then(|| receiver.clone());
+        let queue = Arc::<Queue>::default();
+        self.outlets.push(Outlet { name, policy, sender, oldest, queue: queue.clone() });
+        Inlet { receiver, queue }
     }
 
     /// Starts the reader. `limit` ends the stream after this number of frames.
@@ -173,7 +162,7 @@ impl Pipeline {
                 Err(panicked) => Err(SourceError::from(panicked).into()),
             };
             for outlet in &outlets {
-                let _ = outlet.end.set(end.clone());
+                let _ = outlet.queue.end.set(end.clone());
             }
             outlets.iter().for_each(|outlet| outlet.finish(end.clone()));
         });
@@ -297,7 +286,7 @@ impl Outlet {
         let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
         if self.oldest.is_some() {
             let _ = self.send(delivery);
-        } else if !self.is_left_behind.load(Ordering::SeqCst) {
+        } else if !self.queue.is_left_behind.load(Ordering::SeqCst) {
             let _ = self.sender.send_timeout(delivery, Duration::from_secs(10));
         }
     }
@@ -315,11 +304,11 @@ impl Outlet {
                     return Err(stalled(self.name, deadline).into());
                 }
             }
-            Policy::LosslessOrGone(_) if self.is_left_behind.load(Ordering::SeqCst) => {}
+            Policy::LosslessOrGone(_) if self.queue.is_left_behind.load(Ordering::SeqCst) => {}
             Policy::LosslessOrGone(deadline) => {
                 let sent = self.sender.send_timeout(delivery, deadline);
                 if sent.is_err_and(|error| error.is_timeout()) {
-                    self.is_left_behind.store(true, Ordering::SeqCst);
+                    self.queue.is_left_behind.store(true, Ordering::SeqCst);
                 }
             }
             Policy::DropOldest => {
@@ -328,8 +317,10 @@ impl Outlet {
                     delivery = back;
                     let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
                     match oldest.map(|delivery| delivery.item) {
-                        Some(Item::Frame(_)) => drop(self.missed.fetch_add(1, Ordering::Relaxed)),
-                        Some(Item::Gap(gap)) => drop(self.missed_in_gaps.fetch_add(gap.frames, Ordering::Relaxed)),
+                        Some(Item::Frame(_)) => drop(self.queue.missed.fetch_add(1, Ordering::Relaxed)),
+                        Some(Item::Gap(gap)) => {
+                            drop(self.queue.missed_in_gaps.fetch_add(gap.frames, Ordering::Relaxed))
+                        }
                         Some(Item::End(_)) | None => {}
                     }
                 }
@@ -381,7 +372,7 @@ mod tests {
                 expected += 1;
             }
             assert_eq!(expected, 50);
-            assert_eq!(inlet.missed.load(Ordering::Relaxed), 0);
+            assert_eq!(inlet.queue.missed.load(Ordering::Relaxed), 0);
         }
     }
 
@@ -401,9 +392,9 @@ mod tests {
             .collect();
         assert_eq!(sequences, [19, 20], "the newest stay");
         assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
-        assert_eq!(inlet.missed.load(Ordering::Relaxed), 18);
+        assert_eq!(inlet.queue.missed.load(Ordering::Relaxed), 18);
         // The frame of the gap was missing before.
-        assert_eq!(inlet.missed_in_gaps.load(Ordering::Relaxed), 1);
+        assert_eq!(inlet.queue.missed_in_gaps.load(Ordering::Relaxed), 1);
     }
 
     #[test]
@@ -440,7 +431,7 @@ mod tests {
         let sent: Vec<_> = other.receiver.iter().collect();
         assert!(matches!(sent.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
         assert_eq!(sent.len(), 51);
-        assert!(stalled.is_left_behind.load(Ordering::SeqCst));
+        assert!(stalled.queue.is_left_behind.load(Ordering::SeqCst));
         // What was sent before remains, without an end: the consumer must not take it for all.
         assert_eq!(stalled.receiver.iter().count(), 2);
     }
@@ -504,7 +495,7 @@ mod tests {
                 assert!(failure.is_panic() && failure.gap(3).is_none());
                 let said = failure.to_string();
                 assert!(said.contains("panics.rs:") && said.contains("frame 3 cannot be made"), "{said}");
-                assert!(inlet.end.get().is_some_and(|end| end.as_ref().is_err_and(Failure::is_panic)));
+                assert!(inlet.queue.end.get().is_some_and(|end| end.as_ref().is_err_and(Failure::is_panic)));
                 // The pipeline keeps no sender open after the end.
                 assert!(inlet.receiver.recv().is_err());
             }

@@ -14,7 +14,7 @@ use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
 use super::health::Health;
-use super::pipeline::{Delivery, Failure, Inlet, Item, stalled};
+use super::pipeline::{Delivery, Failure, Inlet, Item, Queue, stalled};
 use super::screen::lost_besides;
 use super::sink::{Moment, Sink};
 use crate::output;
@@ -67,8 +67,8 @@ pub struct RecorderSink {
     /// Number of items that the recorder has taken.
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
-    /// Whether the pipeline has given the recorder up.
-    is_left_behind: Arc<AtomicBool>,
+    /// Queue from the pipeline, which may have given the recorder up.
+    queue: Arc<Queue>,
     file: String,
 }
 
@@ -95,8 +95,8 @@ impl RecorderSink {
         let file = output.path().display().to_string();
         let recorder = output.create(header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
-        let (has_gaps, is_left_behind) = (Arc::new(AtomicBool::new(false)), inlet.is_left_behind.clone());
-        let taken = Arc::new(AtomicU64::new(0));
+        let (has_gaps, taken) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+        let queue = inlet.queue.clone();
         let mut writer = Writer {
             recorder,
             ahead: VecDeque::new(),
@@ -109,28 +109,20 @@ impl RecorderSink {
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
-            let is_left_behind = inlet.is_left_behind.load(Ordering::SeqCst);
+            let is_left_behind = inlet.queue.is_left_behind.load(Ordering::SeqCst);
             // Frames that the disk has not taken are none of the file's.
             let flushed = writer.recorder.flush().map_err(anyhow::Error::from);
             let frames = writer.recorder.frames_written();
             written
                 .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { flushed })
                 .with_context(|| ended_after(frames))?;
-            Ok(match inlet.end.get() {
+            Ok(match inlet.queue.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(frames),
                 // A recording that its source or its user ended is complete.
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
         });
-        Ok(RecorderSink {
-            results: Some(results),
-            thread: Some(thread),
-            failure: None,
-            taken,
-            has_gaps,
-            is_left_behind,
-            file,
-        })
+        Ok(RecorderSink { results: Some(results), thread: Some(thread), failure: None, taken, has_gaps, queue, file })
     }
 
     /// Returns the flag that tells whether frames are missing in the recording.
@@ -148,7 +140,7 @@ impl RecorderSink {
             if std::mem::replace(&mut taken, now) != now {
                 since = Instant::now();
             }
-            let waited = match self.is_left_behind.load(Ordering::SeqCst) {
+            let waited = match self.queue.is_left_behind.load(Ordering::SeqCst) {
                 true => Some(PATIENCE),
                 false => (since.elapsed() > LAST_PATIENCE).then_some(LAST_PATIENCE),
             };
@@ -165,7 +157,7 @@ impl RecorderSink {
 impl Sink for RecorderSink {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         let Some(results) = &self.results else { return Ok(()) };
-        let sent = match self.is_left_behind.load(Ordering::SeqCst) {
+        let sent = match self.queue.is_left_behind.load(Ordering::SeqCst) {
             false => results.try_send(frame_result(moment)),
             true => Err(TrySendError::Disconnected(frame_result(moment))),
         };
@@ -264,7 +256,7 @@ impl Writer {
                 Some(Err(RecvTimeoutError::Timeout)) if std::mem::take(&mut is_unflushed) => self.recorder.flush()?,
                 Some(Err(RecvTimeoutError::Timeout)) => {}
                 // The result of the stream is known even if it could not be delivered in time.
-                Some(Err(RecvTimeoutError::Disconnected)) => match inlet.end.get() {
+                Some(Err(RecvTimeoutError::Disconnected)) => match inlet.queue.end.get() {
                     Some(_) => has_ended = true,
                     None => return Err(Failure::without_a_word().into()),
                 },
@@ -275,7 +267,7 @@ impl Writer {
             self.take(delivery)?;
         }
         let first_sequence = self.next_sequence;
-        let missing = match inlet.end.get() {
+        let missing = match inlet.queue.end.get() {
             Some(end) => end.as_ref().err().and_then(|failure| failure.gap(first_sequence)),
             None => self.outage.gap(first_sequence),
         };
@@ -327,26 +319,24 @@ mod tests {
 
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
-    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, source_from_fn};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, Waveform, source_from_fn};
 
     use super::*;
     use crate::live::pipeline::{Pipeline, Policy};
     use crate::panics::tests::{failing_after, panicking_after};
+
+    fn sink(path: &Path, waveform: &Waveform, inlet: Inlet) -> RecorderSink {
+        let header = RecordingHeader::new(waveform.clone());
+        let (output, options) = (NewRecording::named(path), RecorderOptions::default());
+        RecorderSink::start(output, &header, &options, inlet, Outage::default()).expect("a recorder")
+    }
 
     /// Records a source until it ends.
     fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
         let mut pipeline = Pipeline::new();
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
-        let header = RecordingHeader::new(source.waveform().clone());
-        let mut sink = RecorderSink::start(
-            NewRecording::named(path),
-            &header,
-            &RecorderOptions::default(),
-            inlet,
-            Outage::default(),
-        )
-        .expect("a recorder");
+        let mut sink = sink(path, source.waveform(), inlet);
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -441,15 +431,7 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
-        let header = RecordingHeader::new(panicking_after(0).waveform().clone());
-        let mut sink = RecorderSink::start(
-            NewRecording::named(&path),
-            &header,
-            &RecorderOptions::default(),
-            inlet,
-            Outage::default(),
-        )
-        .expect("a recorder");
+        let mut sink = sink(&path, panicking_after(0).waveform(), inlet);
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");
