@@ -6,7 +6,7 @@ use radome_dsp::Occupancy;
 use serde::Deserialize;
 
 use super::feed::{Look, PageId};
-use super::labels::Edit;
+use super::labels::Book;
 use super::shared::Shared;
 
 /// Longest name of the person who labels, characters.
@@ -63,12 +63,6 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             shared.about.playback.as_ref().context("only recordings can be sought, paused and stepped through")?;
         anyhow::Ok(&playback.transport)
     };
-    let edit = |edit: Edit| {
-        if shared.about.read_only_labels {
-            bail!("labels are read-only here: the program was started with --read-only-labels");
-        }
-        shared.labels.edit(edit)
-    };
     match command {
         Command::Seen => shared.feed.seen(page),
         Command::Look(look) => shared.feed.look(page, look)?,
@@ -99,20 +93,39 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             bail!("a step of {frames} frames, expected -100 to 100")
         }
         Command::Step { frames } => transport()?.step(frames),
-        Command::Label { occupancy, who } => edit(Edit::Press(occupancy, name(who)?))?,
-        Command::Stop => edit(Edit::Stop)?,
-        Command::Move { id, start_s, end_s } => edit(Edit::Move(id, start_s, end_s))?,
-        Command::Relabel { id, occupancy } => edit(Edit::Relabel(id, occupancy))?,
+        Command::Label { occupancy, who } => {
+            let who = name(who)?;
+            edit(shared, |book, now_s| book.press(occupancy, now_s, who))?;
+        }
+        Command::Stop => edit(shared, |book, now_s| {
+            book.stop(now_s);
+            Ok(())
+        })?,
+        Command::Move { id, start_s, end_s } => {
+            edit(shared, |book, _| book.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s)))?;
+        }
+        Command::Relabel { id, occupancy } => {
+            edit(shared, |book, _| book.change(id, |label| label.label = occupancy.name().to_owned()))?;
+        }
         Command::Add { start_s, end_s, occupancy, who } => {
             let mut label = LabelSpan::new(start_s, end_s, occupancy.name());
             label.who = name(who)?;
-            edit(Edit::Add(label))?;
+            edit(shared, |book, _| book.add(label))?;
         }
-        Command::Delete { id } => edit(Edit::Delete(id))?,
-        Command::Undo => edit(Edit::Undo)?,
-        Command::Redo => edit(Edit::Redo)?,
+        Command::Delete { id } => edit(shared, |book, _| book.delete(id))?,
+        Command::Undo => edit(shared, |book, _| book.undo())?,
+        Command::Redo => edit(shared, |book, _| book.redo())?,
     }
     Ok(())
+}
+
+/// Changes the labels, unless pages may not.
+fn edit(shared: &Shared, change: impl FnOnce(&mut Book, f64) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    ensure!(
+        !shared.about.read_only_labels,
+        "labels are read-only here: the program was started with --read-only-labels"
+    );
+    shared.labels.edit(change)
 }
 
 fn name(who: Option<String>) -> anyhow::Result<Option<String>> {

@@ -79,13 +79,31 @@ impl Book {
     }
 
     /// Starts a label from the current time on. The same label once more ends it.
-    fn press(&mut self, label: Occupancy, now_s: f64, who: Option<String>) {
+    pub(super) fn press(&mut self, label: Occupancy, now_s: f64, who: Option<String>) -> anyhow::Result<()> {
+        self.check_room()?;
         self.remember();
         let was = self.open.as_ref().map(|open| open.label);
         self.end_open(now_s);
         if was != Some(label) {
             self.open = Some(Open { start_s: now_s, label, who, made_ns: now_ns() });
         }
+        Ok(())
+    }
+
+    /// Ends the open label; `false` if there is none.
+    pub(super) fn stop(&mut self, end_s: f64) -> bool {
+        let is_open = self.open.is_some();
+        if is_open {
+            self.remember();
+            self.end_open(end_s);
+        }
+        is_open
+    }
+
+    fn check_room(&self) -> anyhow::Result<()> {
+        let count = self.spans.len();
+        ensure!(count < MOST_SPANS, "there are {count} labels already, more than can be made by hand");
+        Ok(())
     }
 
     fn end_open(&mut self, end_s: f64) {
@@ -141,7 +159,7 @@ impl Book {
     }
 
     /// Changes one span.
-    fn change(&mut self, id: u64, change: impl FnOnce(&mut LabelSpan)) -> anyhow::Result<()> {
+    pub(super) fn change(&mut self, id: u64, change: impl FnOnce(&mut LabelSpan)) -> anyhow::Result<()> {
         let Some(span) = self.spans.iter().find(|span| span.id == id) else {
             bail!("that label is no longer there");
         };
@@ -166,28 +184,31 @@ impl Book {
         Ok(check_spans(std::slice::from_ref(label), self.extent_s)?)
     }
 
-    fn add(&mut self, label: LabelSpan) -> anyhow::Result<()> {
+    /// Adds a span that is made now.
+    pub(super) fn add(&mut self, label: LabelSpan) -> anyhow::Result<()> {
+        self.check_room()?;
         self.check(&label)?;
         self.remember();
-        self.paint(None, label);
+        self.paint(None, LabelSpan { made_ns: now_ns(), ..label });
         Ok(())
     }
 
-    fn delete(&mut self, id: u64) -> anyhow::Result<()> {
+    pub(super) fn delete(&mut self, id: u64) -> anyhow::Result<()> {
         ensure!(self.spans.iter().any(|span| span.id == id), "that label is no longer there");
         self.remember();
         self.spans.retain(|span| span.id != id);
         Ok(())
     }
 
-    fn undo(&mut self) -> anyhow::Result<()> {
+    pub(super) fn undo(&mut self) -> anyhow::Result<()> {
         let before = self.past.pop().context("nothing to take back")?;
         self.future.push((std::mem::replace(&mut self.spans, before.0), std::mem::replace(&mut self.open, before.1)));
         self.revision += 1;
         Ok(())
     }
 
-    fn redo(&mut self) -> anyhow::Result<()> {
+    /// Redoes the change that was undone.
+    pub(super) fn redo(&mut self) -> anyhow::Result<()> {
         let after = self.future.pop().context("nothing was taken back")?;
         self.past.push((std::mem::replace(&mut self.spans, after.0), std::mem::replace(&mut self.open, after.1)));
         self.revision += 1;
@@ -210,27 +231,6 @@ impl Book {
 
 fn now_ns() -> Option<u64> {
     SystemTime::now().duration_since(UNIX_EPOCH).ok().and_then(|since| u64::try_from(since.as_nanos()).ok())
-}
-
-/// Edit of labels by a page.
-#[derive(Debug)]
-pub enum Edit {
-    /// Starts a label from the current time on.
-    Press(Occupancy, Option<String>),
-    /// Ends the open label.
-    Stop,
-    /// Changes start and end, s.
-    Move(u64, f64, f64),
-    /// Changes the class.
-    Relabel(u64, Occupancy),
-    /// Creates a span.
-    Add(LabelSpan),
-    /// Deletes a span.
-    Delete(u64),
-    /// Undoes the last change.
-    Undo,
-    /// Redoes the change that was undone.
-    Redo,
 }
 
 /// Message about labels to pages.
@@ -397,34 +397,13 @@ impl Keeper {
         f64::from_bits(self.now_s.load(Ordering::Relaxed))
     }
 
-    /// Applies an edit.
+    /// Applies a change of the labels, which is given the time of the newest frame, s.
     ///
     /// # Errors
-    /// The edit does not fit the labels.
-    pub fn edit(&self, edit: Edit) -> anyhow::Result<()> {
-        let now_s = self.now_s();
+    /// The change does not fit the labels.
+    pub fn edit(&self, change: impl FnOnce(&mut Book, f64) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let mut state = lock(&self.state);
-        let book = &mut state.book;
-        if book.spans.len() >= MOST_SPANS && matches!(edit, Edit::Press(..) | Edit::Add(_)) {
-            bail!("there are {} labels already, more than can be made by hand", book.spans.len());
-        }
-        match edit {
-            Edit::Press(label, who) => book.press(label, now_s, who),
-            Edit::Stop => {
-                if book.open.is_some() {
-                    book.remember();
-                    book.end_open(now_s);
-                }
-            }
-            Edit::Move(id, start_s, end_s) => {
-                book.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s))?;
-            }
-            Edit::Relabel(id, class) => book.change(id, |label| label.label = class.name().to_owned())?,
-            Edit::Add(label) => book.add(LabelSpan { made_ns: now_ns(), ..label })?,
-            Edit::Delete(id) => book.delete(id)?,
-            Edit::Undo => book.undo()?,
-            Edit::Redo => book.redo()?,
-        }
+        change(&mut state.book, self.now_s())?;
         state.told += 1;
         self.changed.notify_all();
         Ok(())
@@ -434,9 +413,7 @@ impl Keeper {
     pub fn before_jump(&self) {
         let end_s = self.now_s() + self.interval_s;
         let mut state = lock(&self.state);
-        if state.book.open.is_some() {
-            state.book.remember();
-            state.book.end_open(end_s);
+        if state.book.stop(end_s) {
             state.told += 1;
             self.changed.notify_all();
         }
@@ -565,10 +542,10 @@ mod tests {
     #[test]
     fn keys_paint_spans_and_each_can_be_taken_back() {
         let mut book = Book::new(vec![LabelSpan::new(0.0, 10.0, "empty")], Some((0.0, 20.0)));
-        book.press(Occupancy::One, 2.0, None);
-        book.press(Occupancy::Two, 4.0, None);
+        book.press(Occupancy::One, 2.0, None).expect("room");
+        book.press(Occupancy::Two, 4.0, None).expect("room");
         // The same label again ends it.
-        book.press(Occupancy::Two, 6.0, None);
+        book.press(Occupancy::Two, 6.0, None).expect("room");
         let painted = vec![(0.0, 2.0, "empty"), (2.0, 4.0, "one"), (4.0, 6.0, "two"), (6.0, 10.0, "empty")];
         assert_eq!(spans(&book), painted);
         let ids: std::collections::BTreeSet<u64> = book.spans.iter().map(|span| span.id).collect();
@@ -601,7 +578,7 @@ mod tests {
     #[test]
     fn free_text_lies_over_anything() {
         let mut book = Book::new(vec![LabelSpan::new(0.0, 4.0, "door open")], None);
-        book.press(Occupancy::One, 1.0, None);
+        book.press(Occupancy::One, 1.0, None).expect("room");
         let labels = book.labels(3.0);
         assert_eq!(labels.len(), 2);
         assert_eq!(spans(&book).len(), 1, "what goes on is not yet there");
@@ -622,12 +599,13 @@ mod tests {
 
             let keeper = Keeper::open(None, Some(&path), Path::new("cfar"), 0.1).expect("opens");
             keeper.at(0.9);
-            let refused = keeper.edit(Edit::Add(LabelSpan::new(-5.0, 1e6, "two"))).expect_err("before the start");
+            let refused =
+                keeper.edit(|book, _| book.add(LabelSpan::new(-5.0, 1e6, "two"))).expect_err("before the start");
             assert!(refused.to_string().contains("no frame comes before 0 s"), "{refused}");
             for (start_s, end_s, label) in [(0.0, 0.4, "one"), (0.5, 1e6, "two"), (2.0, 3.0, "door open")] {
-                keeper.edit(Edit::Add(LabelSpan::new(start_s, end_s, label))).expect("may come to be");
+                keeper.edit(|book, _| book.add(LabelSpan::new(start_s, end_s, label))).expect("may come to be");
             }
-            keeper.edit(Edit::Move(0, -1.0, 0.4)).expect_err("before the start");
+            keeper.edit(|book, _| book.change(0, |label| label.start_s = -1.0)).expect_err("before the start");
             keeper.close();
             keeper.last_word().expect("saved");
             let kept: Vec<_> = labels::of(&path)
