@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::recording::{Existing, Partial};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
+use serde::de::DeserializeOwned;
 
 use crate::shell;
 
@@ -27,6 +29,30 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
         }
     }
     bail!("fixtures/{name} is not here\n\nhint: run radome in its source folder, or name a file of your own")
+}
+
+/// Reads a text file of limited length.
+///
+/// # Errors
+/// The file cannot be read, is too long or is not UTF-8.
+pub fn text(path: &Path) -> anyhow::Result<String> {
+    read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Reads a TOML file. Errors say that it is no `what`.
+///
+/// # Errors
+/// The file cannot be read, or its content does not match the type.
+pub fn toml<T: DeserializeOwned>(path: &Path, what: &str) -> anyhow::Result<T> {
+    parse_toml(&text(path)?).with_context(|| format!("{} is no {what}", path.display()))
+}
+
+/// Returns the path of a file that a spec in a folder names.
+///
+/// # Errors
+/// There is no such file, or it lies where files that others name may not be.
+pub fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
 }
 
 /// Output that is written under a temporary name. Errors of writing name the output.

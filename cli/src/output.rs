@@ -39,6 +39,11 @@ pub fn on_one_line(text: &str) -> String {
     })
 }
 
+/// Number in a table; `-` where there is none.
+pub fn or_dash(value: Option<f64>, decimals: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
+}
+
 /// Writes text, and flushes it.
 ///
 /// # Errors

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::spectrum::complex_fft;
 use radome_dsp::{Frame, FrameSource, Occupancy, Window};
-use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
+use radome_files::parse_toml;
 use radome_models::dataset::{Dataset, Features, Spread, features};
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+use crate::files;
 use crate::source::{self, SourceOptions};
 
 /// Default file of measured features, for walking people.
@@ -76,10 +77,7 @@ pub fn compare(
     measured: Option<&Path>,
 ) -> anyhow::Result<Vec<Row>> {
     let (text, path) = match measured {
-        Some(path) => {
-            let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-            (text, path.to_owned())
-        }
+        Some(path) => (files::text(path)?, path.to_owned()),
         None => (WALKING.to_owned(), PathBuf::from("fixtures/features/walking.toml")),
     };
     let measured: MeasuredFile =

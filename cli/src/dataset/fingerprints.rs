@@ -6,8 +6,10 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_files::named_by_spec;
 use sha2::{Digest, Sha256};
+
+use crate::files;
 
 /// Length at either end of a longer file that enters the fingerprint, with the file's length, bytes. Recordings of many
 /// gigabytes would otherwise be read twice.
@@ -60,7 +62,7 @@ impl Fingerprints {
         if depth == DEEPEST || path.extension().is_none_or(|e| e != "toml") {
             return Ok(());
         }
-        let text = read_text(&path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = files::text(&path)?;
         // The scene's reader has rejected files that are not TOML.
         let Ok(table) = text.parse::<toml::Table>() else { return Ok(()) };
         let mut strings = Vec::new();

@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use radome_driver::recording::Recording;
 use radome_dsp::rdm::{Channels, MapMismatch};
 use radome_dsp::{FrameSource, KernelLevel, Occupancy, WaveformMismatch};
-use radome_files::{named_by_spec, read_text};
+use radome_files::read_text;
 use radome_models::dataset::{DatasetHeader, Domain, ManifestRow, Split};
 use radome_sim::scene_file::BodyFile;
 use radome_sim::{Scene, Simulator};
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::fingerprints::Fingerprints;
 use super::folders::{self, Found, Reading, Rules};
 use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
-use crate::files;
+use crate::files::{self, named};
 use crate::shard::Shard;
 use crate::source;
 
@@ -137,11 +137,6 @@ impl Plan {
         };
         Ok(Plan { header, kernel, units, card })
     }
-}
-
-/// Returns the path of a file that a spec in a folder names.
-fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
-    named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
 }
 
 struct List<'a> {

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_dsp::RdmSpec;
-use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::scene_file::BodyFile;
 use serde::Deserialize;
 
 use super::spec::{BuildSpec, Simulated};
+use crate::files;
 
 /// Format version of a rung's file.
 const FORMAT: u32 = 1;
@@ -52,8 +52,7 @@ impl RungFile {
     /// # Errors
     /// The file cannot be read, or a value is not valid.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
-        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-        let file: RungFile = parse_toml(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
+        let file: RungFile = files::toml(path, "rung of a ladder")?;
         file.check().with_context(|| path.display().to_string())?;
         Ok(file)
     }

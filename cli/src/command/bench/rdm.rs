@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ))?;
     let ours = points.first().map_or(f64::NAN, |point| point.milliseconds);
     for point in points {
-        let error = point.error.map_or_else(|| "-".to_owned(), |error| format!("{error:.1}"));
+        let error = output::or_dash(point.error, 1);
         let ratio = point.milliseconds / ours;
         output::text_line(&format!("{:36} {:12.1} {error:>18} {ratio:10.1}", point.way, 1e3 * point.milliseconds))?;
     }

@@ -127,7 +127,7 @@ fn print(rows: &[Row]) -> anyhow::Result<()> {
         "frame", "tol dB", "ms", "dense/this", "error dB", "estimate", "cells", "beyond 1 dB"
     ))?;
     for r in rows {
-        let estimate = r.estimate_db.map_or_else(|| "-".to_owned(), |e| format!("{e:.3}"));
+        let estimate = output::or_dash(r.estimate_db, 3);
         output::text_line(&format!(
             "{:6} {:7} {:9.1} {:11.0} {:9.3} {estimate:>9} {:7} {:10.1} %",
             r.frame,

@@ -11,6 +11,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::Serialize;
 
 use super::rdm::scipy_ms;
+use crate::output::or_dash;
 use crate::{files, output, source};
 
 /// Scenes, each with the maximum number of people where that differs from the scene's own.
@@ -64,7 +65,6 @@ pub fn run(python: Option<&Path>, json: bool) -> anyhow::Result<()> {
     ))?;
     for row in rows {
         let [rx, chirps, samples] = row.shape;
-        let or_dash = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
         output::text_line(&format!(
             "{:14} {:>11} {:12.0} {:10.2} {:10.1} {:>12} {:>8} {:>13}",
             row.scene,

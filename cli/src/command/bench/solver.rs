@@ -8,7 +8,7 @@ use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Targ
 use serde::Serialize;
 
 use super::point::least_ms;
-use crate::output;
+use crate::output::{self, or_dash};
 use crate::picture::plot;
 use crate::picture::theme::Theme;
 
@@ -98,8 +98,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "one thread, 60 GHz", "method", "tol dB", "triangles", "facets", "ms", "error dB", "estimate", "dense/this"
     ))?;
     for r in rows {
-        let optional = |v: Option<f64>, digits: usize| v.map_or_else(|| "-".to_owned(), |v| format!("{v:.digits$}"));
-        let (estimate, ratio) = (optional(r.estimate_db, 4), optional(r.dense_over_this, 1));
+        let (estimate, ratio) = (or_dash(r.estimate_db, 4), or_dash(r.dense_over_this, 1));
         output::text_line(&format!(
             "{:22} {:15} {:9} {:9} {:9} {:10.4} {:10.4} {estimate:>10} {ratio:>11}",
             r.target, r.method, r.tolerance_db, r.triangles, r.facets, r.milliseconds, r.error_db

@@ -9,7 +9,7 @@ use radome_models::standardise::LEAST_SIGMA_DB;
 use super::features;
 use crate::dataset::features::compare;
 use crate::one_of::one_of;
-use crate::output;
+use crate::output::{self, or_dash};
 
 /// `radome dataset stats`
 #[derive(clap::Args)]
@@ -60,10 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "domain", "scene", "class", "maps", "sequences", "mean dB", "±", "sigma dB", "±", "raised", "by dB"
         ))?;
         for row in &table {
-            let number = |value: Option<f64>, scale: f64, unit: &str| {
-                value.map_or("-".to_owned(), |value| format!("{:.1}{unit}", value * scale))
-            };
-            let half = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+            let raised = row.raised_fraction.map_or("-".to_owned(), |fraction| format!("{:.1} %", 100.0 * fraction));
             output::text_line(&format!(
                 "{:<6} {:<width$} {:<6} {:>7} {:>9} {:>9.2} {:>6} {:>9.2} {:>6} {:>9} {:>9}",
                 row.domain.to_string(),
@@ -72,11 +69,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 row.maps,
                 row.sequences,
                 row.mean_db,
-                half(row.mean_half_width_db),
+                or_dash(row.mean_half_width_db, 2),
                 row.sigma_db,
-                half(row.sigma_half_width_db),
-                number(row.raised_fraction, 100.0, " %"),
-                number(row.raised_level_db, 1.0, ""),
+                or_dash(row.sigma_half_width_db, 2),
+                raised,
+                or_dash(row.raised_level_db, 1),
             ))?;
         }
     }

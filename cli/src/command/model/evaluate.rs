@@ -502,7 +502,7 @@ fn print(metrics: &Metrics) -> anyhow::Result<()> {
         metrics.balanced_accuracy,
         metrics.macro_f1,
         metrics.accuracy,
-        metrics.populated_recall.map_or("-".to_owned(), |r| format!("{r:.4}"))
+        output::or_dash(metrics.populated_recall, 4)
     ))?;
     output::text_line(&format!("{:>14} {:>7} {:>7} {:>7}", "truth \\ label", "empty", "one", "two"))?;
     for (class, row) in Occupancy::ALL.iter().zip(&metrics.confusion) {

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use schemars::JsonSchema;
@@ -71,8 +70,7 @@ pub struct StudyFile {
 /// # Errors
 /// The file or one that it names cannot be read, or it is no study.
 pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
-    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: StudyFile = parse_toml(&text).with_context(|| format!("{} is no study", path.display()))?;
+    let file: StudyFile = files::toml(path, "study")?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
     spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;
@@ -88,8 +86,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<Condi
 /// # Errors
 /// There is no such file, or it lies where a study's files may not be.
 pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
-    let base = study.parent().unwrap_or(Path::new(""));
-    named_by_spec(base, name).with_context(|| format!("cannot read {}", base.join(name).display()))
+    files::named(study.parent().unwrap_or(Path::new("")), name)
 }
 
 /// Trains and evaluates many networks, and writes one report.

@@ -1,7 +1,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
@@ -146,13 +145,10 @@ fn train(arguments: &Arguments, checkpoint: &Path) -> anyhow::Result<()> {
 /// Reads the settings of a training from a TOML file; defaults without one.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
-    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut spec: TrainSpec = parse_toml(&text).with_context(|| format!("{} is no training spec", path.display()))?;
+    let mut spec: TrainSpec = files::toml(path, "training spec")?;
     spec.check().with_context(|| format!("{} is no training spec", path.display()))?;
     if let Some(weights) = &spec.weights {
-        let folder = path.parent().unwrap_or(Path::new(""));
-        let found = named_by_spec(folder, weights);
-        spec.weights = Some(found.with_context(|| format!("cannot read {}", folder.join(weights).display()))?);
+        spec.weights = Some(files::named(path.parent().unwrap_or(Path::new("")), weights)?);
     }
     Ok(spec)
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
 use radome_dsp::{Frame, Waveform};
-use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
+use radome_files::parse_toml;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -197,8 +197,7 @@ fn calibrate(
 }
 
 fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
-    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: AngleFile = parse_toml(&text).with_context(|| {
+    let file: AngleFile = parse_toml(&files::text(path)?).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
+use radome_files::named_by_spec;
 use radome_models::train::{AdaptRecording, Adapter, Scores};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ use serde_json::json;
 
 use super::frames::Frames;
 use crate::judge::Model;
-use crate::output;
+use crate::{files, output};
 
 /// Format version of the file of rooms.
 const FORMAT: u32 = 1;
@@ -111,8 +111,7 @@ struct Curve {
 /// The file of rooms or a scene cannot be read, or the model does not take their waveform.
 pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let file: RoomsFile = parse_toml(&text).with_context(|| format!("{} is no list of rooms", path.display()))?;
+    let file: RoomsFile = files::toml(path, "list of rooms")?;
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");

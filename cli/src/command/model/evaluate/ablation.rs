@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::labelled::LabelledRecording;
 use crate::judge::{CFAR, Model, Prediction};
-use crate::output;
+use crate::output::{self, or_dash};
 
 /// Scores of single maps with one part replaced.
 #[derive(Serialize)]
@@ -94,7 +94,7 @@ pub fn print(rows: &[Row]) -> anyhow::Result<()> {
         "replaced by noise, single maps", "balanced"
     ))?;
     for row in rows {
-        let [empty, one, two] = row.recall.map(|recall| recall.map_or("-".to_owned(), |recall| format!("{recall:.2}")));
+        let [empty, one, two] = row.recall.map(|recall| or_dash(recall, 2));
         let (replaced, balanced) = (&row.replaced, row.balanced_accuracy);
         output::text_line(&format!("{replaced:<38} {empty:>6} {one:>6} {two:>6} {balanced:>9.3}"))?;
     }

@@ -29,7 +29,7 @@ fn table(plan: &Plan) -> anyhow::Result<()> {
         "network", "trainings", "done", "steps", "s a step", "hours"
     ))?;
     for network in &plan.networks {
-        let step = network.step_seconds.map_or("-".to_owned(), |seconds| format!("{seconds:.4}"));
+        let step = output::or_dash(network.step_seconds, 4);
         line(&network.variant, network.trainings, network.done, network.steps, &step, network.hours)?;
     }
     let steps = plan.networks.iter().map(|network| network.steps).sum();

@@ -201,7 +201,7 @@ fn figures(figures: &Figures, interval: &str) -> String {
         (Some(a), Some(b)) => format!("{a:.2}/{b:.2}"),
         _ => "-".to_owned(),
     };
-    let number = |name: &str, decimals: usize| get(name).map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
+    let number = |name: &str, decimals: usize| output::or_dash(get(name), decimals);
     let raised = |which: &str| match get(&format!("raised_fraction_{which}")).filter(|fraction| *fraction > 0.0) {
         Some(fraction) => {
             let level = get(&format!("raised_level_{which}_db")).unwrap_or_default();

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::super::candidate::{Predictions, Refused, count_reliability};
 use super::rung::Rung;
-use crate::output;
+use crate::output::{self, or_dash};
 
 /// Scores of a model on the accepted recordings of a rung.
 #[derive(Default)]
@@ -148,7 +148,6 @@ impl OfModel {
 /// Prints a table for each model.
 pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
     message!("frames in which someone enters or leaves are left out; `two` means two people or more");
-    let number = |value: Option<f64>, decimals: usize| value.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
     for of in answers {
         output::text_line(&of.model.display().to_string())?;
         output::text_line(&format!(
@@ -175,14 +174,14 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
             output::text_line(&format!(
                 "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{some}",
                 row.rung,
-                number(row.balanced_accuracy_by_single_frames, 3),
-                number(row.balanced_accuracy, 3),
+                or_dash(row.balanced_accuracy_by_single_frames, 3),
+                or_dash(row.balanced_accuracy, 3),
                 format!("{} of {}", row.recordings_right, row.recordings_judged),
-                number(row.second_person_found.median_s, 1),
+                or_dash(row.second_person_found.median_s, 1),
                 row.false_alarms.empty_s / 3600.0,
-                number(row.false_alarms.false_alarms_per_hour, 1),
-                number(row.false_alarms.false_alarm_share.map(|share| 100.0 * share), 2),
-                number(row.reliability.expected_calibration_error, 3),
+                or_dash(row.false_alarms.false_alarms_per_hour, 1),
+                or_dash(row.false_alarms.false_alarm_share.map(|share| 100.0 * share), 2),
+                or_dash(row.reliability.expected_calibration_error, 3),
             ))?;
         }
         for row in &of.rungs {
